@@ -15,7 +15,7 @@ from knotgym.common.atomic_files import atomic_write, require_writable
 from knotgym.common.configuration import differences
 from knotgym.common.errors import KnotgymError, one_line
 from knotgym.control.policies import PolicyConfig
-from knotgym.envs.episode_batch import state_origins
+from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig
 
@@ -69,7 +69,7 @@ def evaluation_settings(given: argparse.Namespace, task: TaskConfig) -> dict[str
     """Return the settings of the evaluation after training; None if there is none.
 
     Raises:
-        InvalidSetting, InvalidEvaluation: a setting is invalid or its states are missing.
+        InvalidSetting, InvalidConfig: a setting is invalid or its states are missing.
     """
     state_origins(task)
     if given.episodes == 0:

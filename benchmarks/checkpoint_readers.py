@@ -73,13 +73,13 @@ def told_walk_files(path: Path) -> Told:
 
 def told_trainings(path: Path) -> Told:
     """Digests of the arrays that a training goes on from."""
-    from knotgym.learn.training import REQUEST, _begin
+    from knotgym.learn.training import REQUEST, begin_training
 
     beside = path.with_name(REQUEST)
     asked = _asked(
         "trainings", json.loads(beside.read_text()) if "trainings" not in _ASKED else None
     )
-    kept = _begin(path.parent, asked)
+    kept = begin_training(path.parent, asked)
     if not kept:
         return ["there is nothing to go on from, so the training begins anew"], {}
     return [], {name: digest(own.numpy().tobytes()) for name, own in kept.items()}

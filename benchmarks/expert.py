@@ -25,7 +25,8 @@ from knotgym.common.atomic_files import atomic_write
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.evaluate import EvaluateConfig, Result, evaluate
+from knotgym.generate.episodes.evaluate import EvaluateConfig, evaluate
+from knotgym.generate.episodes.results import Result
 from knotgym.runs.executors import executor
 
 

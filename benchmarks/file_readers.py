@@ -97,7 +97,7 @@ def told_policies(path: Path) -> Told:
 
     learned = load_policy(str(path.parent))
     arrays = {name: own.numpy() for name, own in learned.reader.state_dict().items()}
-    arrays |= {"rope": learned.rope, "places": learned.starts}
+    arrays |= {"places": learned.starts}
     return [], {name: digest(own.tobytes()) for name, own in arrays.items()}
 
 
@@ -150,10 +150,11 @@ def told_transitions(path: Path) -> Told:
 
 def told_settings(path: Path) -> Told:
     """What --settings makes of a file that a user wrote; there is no checksum of it."""
-    from knotgym.cli.options import with_settings
+    from knotgym.cli.options import read_settings
+    from knotgym.common.configuration import from_json
     from knotgym.generate.states.generate_config import GenerateConfig
 
-    with_settings(GenerateConfig(), path)
+    from_json(GenerateConfig, read_settings(path))
     return [], {}
 
 

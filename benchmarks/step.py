@@ -1,12 +1,15 @@
 """How fast an environment steps on one core, by observation mode, beside raw MuJoCo on the same
 rope.
 
-    python benchmarks/step.py [--out step.json] [--steps 50] [--repeats 12]
+    python benchmarks/step.py [--out step.json] [--steps 50] [--repeats 12] [--vector-steps 12]
 
 The raw share of a mode is the time that `mujoco.batch` alone takes for the same forces from the
 same start (24 substeps an action; the qpos at the end are compared bit for bit) over the time of
 the environment's steps. Both are taken in turn, ten actions at a time, on one pinned core in CPU
 seconds, so that what else runs on the machine hits both alike; medians over the repeats.
+
+A second table has the vector environment on one thread, for both engines: labels, rewards, infos,
+observations and autoreset, beside the same actions on the ropes alone. Episodes end at all times.
 """
 
 import argparse
@@ -28,11 +31,13 @@ from rich.console import Console
 from rich.table import Table
 
 import knotgym
+from knotgym.rope.engines import simulation
 from knotgym.rope.model import Rope
 
 MODES = ("state", "pixels", "both")
 BARS = {"state": 0.9, "pixels": 0.75}
-VECTOR = 64  # ropes of make_vec
+VECTOR = {"mujoco": 64, "chain": 1024}  # engine -> ropes of make_vec
+VECTOR_BARS = {"state": 5000, "pixels": 1500}  # steps a second, in the chain engine
 CHUNK = 10  # actions between two looks at the clock
 
 
@@ -56,8 +61,8 @@ class Raw:
 def measured(env: Any, actions: NDArray[np.float32]) -> tuple[float, float]:
     """CPU seconds of the environment and of the raw rope for one action each, over one episode."""
     env.reset(seed=0)
-    simulation = env.unwrapped.episodes.simulation
-    raw = Raw(simulation.rope, simulation.qpos()[0])
+    stepped = env.unwrapped.episodes.simulation
+    raw = Raw(stepped.rope, stepped.qpos()[0])
     ours, theirs = 0.0, 0.0
     for start in range(0, len(actions), CHUNK):
         steps = []
@@ -70,30 +75,42 @@ def measured(env: Any, actions: NDArray[np.float32]) -> tuple[float, float]:
         for bead, force, undone in steps:
             raw.step(bead, force, undone)
         theirs += time.process_time() - began
-    if not np.array_equal(raw.qpos, simulation.qpos()):
+    if not np.array_equal(raw.qpos, stepped.qpos()):
         raise SystemExit(
             "the raw rope did not go where the environment's did: they cannot be compared"
         )
     return ours / len(actions), theirs / len(actions)
 
 
-def vector_rate(task: str, mode: str, steps: int, settings: dict[str, Any]) -> float:
-    """Environment steps a CPU second of VECTOR ropes in one batched simulation on one thread."""
-    envs = gym.make_vec(
+def vector_rates(
+    task: str, mode: str, engine: str, ropes: int, steps: int, nx: int
+) -> tuple[float, float]:
+    """Steps a CPU second of `make_vec` on one thread, and of the ropes alone; medians."""
+    envs: Any = gym.make_vec(
         f"knotgym/{task.capitalize()}-v0",
-        num_envs=VECTOR,
+        num_envs=ropes,
         vectorization_mode="vector_entry_point",
         observation=mode,
+        engine=engine,
         threads=1,
-        **settings,
+        nx=nx,
     )
     envs.reset(seed=0)
-    actions = np.random.default_rng(0).uniform(-1, 1, (steps, VECTOR, 6)).astype(np.float32)
-    envs.step(actions[0])  # warms up
-    began = time.process_time()
-    for action in actions[1:]:
-        envs.step(action)
-    return VECTOR * (steps - 1) / (time.process_time() - began)
+    rng = np.random.default_rng(0)
+    episodes = envs.unwrapped.episodes
+    episodes.steps[:] = rng.integers(0, envs.unwrapped.config.horizon, ropes)
+    alone = simulation(engine, ropes, episodes.simulation.rope)
+    times = []
+    for _ in range(steps + 1):
+        actions = rng.uniform(-1, 1, (ropes, 6)).astype(np.float32)
+        alone.restore(episodes.simulation.states())
+        began = time.process_time()
+        envs.step(actions)
+        between = time.process_time()
+        alone.act(actions)
+        times.append((between - began, time.process_time() - between))
+    ours, theirs = (statistics.median(column) for column in zip(*times[1:], strict=True))
+    return ropes / ours, ropes / theirs  # the first step warms up
 
 
 def main() -> None:
@@ -102,6 +119,8 @@ def main() -> None:
     )
     parser.add_argument("--steps", type=int, default=50, help="actions an episode")
     parser.add_argument("--repeats", type=int, default=12, help="episodes a mode")
+    parser.add_argument("--ropes", type=int, help="ropes of make_vec; by default as in VECTOR")
+    parser.add_argument("--vector-steps", type=int, default=12, help="steps of make_vec")
     parser.add_argument(
         "--task",
         default="tie",
@@ -111,9 +130,10 @@ def main() -> None:
     parser.add_argument("--states", help="state file, instead of the one that ships")
     parser.add_argument("--out", type=Path, default=Path("step.json"))
     args = parser.parse_args()
-    if args.steps < 1 or args.repeats < 1:
+    if min(args.steps, args.repeats, args.vector_steps) < 1:
         parser.error(
-            f"--steps and --repeats must be at least 1, got {args.steps} and {args.repeats}"
+            "--steps, --repeats and --vector-steps must be at least 1, got"
+            f" {args.steps}, {args.repeats} and {args.vector_steps}"
         )
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
@@ -150,7 +170,14 @@ def main() -> None:
             "own_ms": 1000 * statistics.median(ours - theirs for ours, theirs in pairs),
             "bar": BARS.get(mode),
         }
-    vector = {mode: vector_rate(args.task, mode, args.steps, settings) for mode in MODES}
+    vector = []
+    for engine, usual in VECTOR.items():
+        ropes = args.ropes or usual
+        for mode in MODES:
+            rate, alone = vector_rates(args.task, mode, engine, ropes, args.vector_steps, args.nx)
+            bar = VECTOR_BARS.get(mode) if engine == "chain" else None
+            names = ("engine", "ropes", "observation", "steps_per_second", "ropes_alone", "bar")
+            vector.append(dict(zip(names, (engine, ropes, mode, rate, alone, bar), strict=True)))
     table = Table("observation", "steps/s", "raw steps/s", "share of raw", "ms of our own", "bar")
     for mode, row in rows.items():
         forms = {
@@ -163,11 +190,15 @@ def main() -> None:
             mode, *(format(row[name], form) for name, form in forms.items()), str(row["bar"] or "")
         )
     Console().print(table)
-    for mode, rate in vector.items():
-        single = rows[mode]["steps_per_second"]
-        print(
-            f"{mode}: {single:.0f} steps a CPU second, {rate:.0f} with make_vec of {VECTOR} ropes"
+    many = Table("engine", "ropes", "observation", "steps/s", "ropes alone", "bar")
+    for cell in vector:
+        many.add_row(
+            *(
+                f"{value:.0f}" if isinstance(value, float) else str(value or "")
+                for value in cell.values()
+            )
         )
+    Console().print(many)
     versions = {
         "knotgym": knotgym.__version__,
         "python": platform.python_version(),

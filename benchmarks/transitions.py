@@ -15,7 +15,7 @@ from rich.console import Console
 
 from knotgym.control.transition_counts import TransitionCounts
 from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.search import SearchConfig, advance, new_archive
+from knotgym.generate.states.search import SearchConfig, new_archive, search_round
 from knotgym.runs.executors import executor
 
 
@@ -45,7 +45,9 @@ def main() -> None:
             config = replace(settings, seed=seed)
             archive = new_archive(config)
             for number in range(rounds):
-                advance(archive, config, pool)
+                for batch in search_round(archive, config):
+                    for _ in batch.follow(pool):
+                        pass
                 if number % 10 == 9:
                     classes, changes = len(archive.niches), len(archive.transitions.seen)
                     console.print(

@@ -23,9 +23,10 @@ from knotgym.generate.states.archive import Archive, Elite
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
 from knotgym.topology.crossings import label
+from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
-from knotgym.topology.symmetry import mirrorings
+from knotgym.topology.symmetry import mirror_images, mirrorings
 
 
 def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> int | None:
@@ -76,16 +77,15 @@ def main() -> None:
     for nx in range(args.most_nx + 1):
         lengths: dict[str, int] = {}
         for code in codes_of("0_1", nx):
-            elites = [
-                elite
-                for chiral in archive.known_chiralities(code)
-                for elite in archive.leading_to(chiral)
-            ]
+            chiral = [GaussCode(code.visits, letters) for letters in chiralities(code)]
+            elites = [elite for one in chiral for elite in archive.leading_to(one)]
             for elite in sorted(elites, key=lambda one: len(one.sequence)):
                 if (taken := leads(simulation, elite, code)) is not None:
                     lengths[str(code)] = taken
                     break
-        counts = [len(codes_of("0_1", nx)), len(archive.codes(nx)), len(lengths)]
+        niches = [niche for niche in archive.niches if niche.nx == nx]
+        known = {image.plain for niche in niches for image in mirror_images(niche)}
+        counts = [len(codes_of("0_1", nx)), len(known), len(lengths)]
         spread = (
             [int(value) for value in np.quantile(list(lengths.values()), [0, 0.5, 1])]
             if lengths

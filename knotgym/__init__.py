@@ -26,31 +26,7 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(
-        __name__,
-        {
-            "GaussCode": "knotgym.topology.gauss",
-            "InvalidAction": "knotgym.rope.simulation",
-            "InvalidCurve": "knotgym.rope.model",
-            "InvalidGaussCode": "knotgym.topology.gauss",
-            "InvalidPoints": "knotgym.topology.crossings",
-            "InvalidSetting": "knotgym.envs.tasks",
-            "InvalidStates": "knotgym.states.state_file",
-            "KnotEnv": "knotgym.envs.environment",
-            "KnotVectorEnv": "knotgym.envs.environment",
-            "KnotgymError": "knotgym.common.errors",
-            "PictureConfig": "knotgym.rendering.picture",
-            "Rope": "knotgym.rope.model",
-            "RopeConfig": "knotgym.rope.model",
-            "States": "knotgym.states.state_file",
-            "TaskConfig": "knotgym.envs.tasks",
-            "draw": "knotgym.rendering.picture",
-            "label": "knotgym.topology.crossings",
-            "read_states": "knotgym.states.state_file",
-            "shipped": "knotgym.states.state_file",
-            "verify": "knotgym.datasets.verification",
-        },
-    )
+    __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 try:
     __version__ = version("knotgym")

@@ -20,7 +20,8 @@ FOUND = shutil.which("chromium") or shutil.which("google-chrome")
 _FLAGS = (
     "--headless",
     "--no-sandbox",
-    "--disable-gpu",
+    "--use-angle=swiftshader",  # WebGL without a GPU
+    "--enable-unsafe-swiftshader",
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
@@ -105,6 +106,19 @@ class Chromium:
         while not self.ask(script):
             assert time.monotonic() < end, f"never true: {script}"
             time.sleep(0.05)
+
+    def visit(self, address: str) -> None:
+        """Open an address, and wait until it is loaded."""
+        self.call("Page.navigate", url=address)
+        self.until("document.readyState === 'complete'")
+
+    def mouse(self, kind: str, place: tuple[float, float], modifiers: int = 0) -> None:
+        """Send "mousePressed", "mouseMoved" or "mouseReleased"; modifiers: 1 alt, 8 shift."""
+        x, y = place
+        self.call(
+            "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1,
+            clickCount=1, modifiers=modifiers,
+        )  # fmt: skip
 
     def press(self, key: str) -> None:
         """Press a key."""

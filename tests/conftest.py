@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.search import SearchConfig, advance, new_archive
+from knotgym.generate.states.search import SearchConfig, new_archive
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
@@ -22,6 +22,7 @@ from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of, knot_type
 
+from .played import advance
 from .small_job import SECONDS, WANTED, begun, knotgym
 
 # Compiling, or another process on the same cores, is no failure.

@@ -5,7 +5,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rendering.rasterizer import _FAR, _PIECE_SPAN, _STEEP, SHIFT
+from knotgym.rendering.polygon_fill import SHIFT
+from knotgym.rendering.rasterizer import _FAR, _PIECE_SPAN, _STEEP
 
 _ROUND = np.array([-1.0, -2 / 3, -1 / 3, 0.0, 1 / 3, 2 / 3, 1.0])
 _ARC = np.array([0.0, 0.25, 0.5, 0.75, 1.0, np.nan, np.nan])

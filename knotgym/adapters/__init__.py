@@ -14,14 +14,6 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(
-        __name__,
-        {
-            "GoalEnv": "knotgym.adapters.goal_environment",
-            "OGBenchEnv": "knotgym.adapters.ogbench_environment",
-            "goal_env": "knotgym.adapters.goal_environment",
-            "sb3_vec_env": "knotgym.adapters.sb3",
-        },
-    )
+    __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = ["GoalEnv", "OGBenchEnv", "goal_env", "sb3_vec_env"]

@@ -1,7 +1,5 @@
 """A Stable-Baselines3 VecEnv over one batched simulation; importing it needs that library."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -13,7 +11,6 @@ from knotgym.adapters.goal_environment import Goals
 from knotgym.envs.environment import (
     action_space,
     observation_space,
-    stack_observations,
     task_config,
 )
 from knotgym.envs.episode_batch import EpisodeBatch
@@ -25,9 +22,7 @@ Indices = int | Iterable[int] | None
 class BatchedVecEnv(VecEnv):
     """A VecEnv of ropes that are stepped together; see `sb3_vec_env`.
 
-    Attributes:
-        episodes: the batch of episodes.
-        goals: achieved and desired goals, or None without `goals=True`.
+    `goals` are achieved and desired goals, or None without `goals=True`.
     """
 
     def __init__(
@@ -49,10 +44,10 @@ class BatchedVecEnv(VecEnv):
         for i, (seed, options) in enumerate(zip(self._seeds, self._options, strict=True)):
             if seed is not None:
                 self._rngs[i] = np.random.default_rng(seed)
-            self._begin(i, options)
+            self._begin(np.array([i]), options)
         self._reset_seeds()
         self._reset_options()
-        return stack_observations([self._observation(i) for i in range(self.num_envs)])
+        return self._observations()
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Store the actions for `step_wait`."""
@@ -62,18 +57,13 @@ class BatchedVecEnv(VecEnv):
         """Take the stored actions; episodes that end are restarted at once."""
         rewards, terminated, truncated = self.episodes.act(self._actions, np.arange(self.num_envs))
         dones = terminated | truncated
-        observations, infos = [], []
-        for i in range(self.num_envs):
-            info = {
-                **self.episodes.info(i),
-                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
-            }
+        infos = self.episodes.info_rows(np.arange(self.num_envs))
+        for i, info in enumerate(infos):
+            info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
             if dones[i]:
                 info["terminal_observation"] = self._observation(i)
-                self._begin(i)
-            infos.append(info)
-            observations.append(self._observation(i))
-        return stack_observations(observations), rewards.astype(np.float32), dones, infos
+        self._begin(np.flatnonzero(dones))
+        return self._observations(), rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
         """Do nothing; there are no resources to release."""
@@ -109,11 +99,18 @@ class BatchedVecEnv(VecEnv):
             raise InvalidSetting("compute_reward needs goals: create the VecEnv with goals=True")
         return self.goals.reward(achieved_goal, desired_goal)
 
-    def _begin(self, index: int, options: dict[str, Any] | None = None) -> None:
-        self.episodes.begin(index, self._rngs[index], options)
-        if self.goals is not None:
-            self.goals.begin(index)
-        self.reset_infos[index] = self.episodes.info(index)
+    def _begin(self, ids: NDArray[np.int64], options: dict[str, Any] | None = None) -> None:
+        self.episodes.begin_many(ids, [self._rngs[i] for i in ids], options)
+        for index, info in zip(ids.tolist(), self.episodes.info_rows(ids), strict=True):
+            if self.goals is not None:
+                self.goals.begin(index)
+            self.reset_infos[index] = info
+
+    def _observations(self) -> Any:
+        if self.goals is None:
+            return self.episodes.observations(np.arange(self.num_envs))
+        each = [self.goals.observation(i) for i in range(self.num_envs)]
+        return {name: np.stack([one[name] for one in each]) for name in each[0]}
 
     def _observation(self, index: int) -> Any:
         if self.goals is not None:

@@ -7,8 +7,6 @@ crossings than fit. Half of all states show their episode's first code; relabell
 would reward doing nothing.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -75,12 +73,7 @@ def goal_env(task: str, **settings: Any) -> GoalEnv:
 
 
 class Goals:
-    """Achieved and desired goals of a batch of episodes.
-
-    Attributes:
-        episodes: the batch; call `begin` after `EpisodeBatch.begin`.
-        space: observation space.
-    """
+    """Achieved and desired goals of a batch; call `begin` after `EpisodeBatch.begin`."""
 
     def __init__(self, episodes: EpisodeBatch) -> None:
         config = episodes.config
@@ -142,7 +135,7 @@ def halves(observation: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
 
 def require_one_side(config: TaskConfig) -> None:
     """Raise InvalidSetting if observations of the task can't be split by `halves`."""
-    if config.observation == "both" or config.layout != "beside":
+    if config.observation in ("both", "marked") or config.layout != "beside":
         raise InvalidSetting(
             "an environment that shows the rope without its goal needs observation 'pixels',"
             " 'state' or 'symbolic', and layout 'beside';"

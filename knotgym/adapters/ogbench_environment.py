@@ -5,8 +5,6 @@ from the name of a dataset, such as `knotgym/tie-nx2-expert-v0`, by removing the
 "visual" stands for pictures.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Adapter to Stable-Baselines3."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from knotgym.common.errors import MissingExtra

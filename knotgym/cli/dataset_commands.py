@@ -200,8 +200,8 @@ def export(
         Path,
         typer.Option(
             help=(
-                "Output: an .h5 file for compact, or a folder of them for several datasets; a"
-                " folder for all other formats."
+                "Output: a file for curves; an .h5 file for compact, or a folder of them for"
+                " several datasets; a folder for all other formats."
             )
         ),
     ],
@@ -210,7 +210,8 @@ def export(
         typer.Option(
             help=(
                 "Format: compact (states and actions, pictures are rendered on loading), lerobot or"
-                " ogbench; huggingface or minari for a folder ready to upload."
+                " ogbench; huggingface or minari for a folder ready to upload; curves for the"
+                " closed curves of states as .csv, .obj or .npz."
             )
         ),
     ] = "compact",

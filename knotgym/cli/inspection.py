@@ -45,6 +45,7 @@ from knotgym.datasets.minari_dataset import compact, dataset_files, merge_datase
 from knotgym.datasets.page.page_data import dataset_name, page_data
 from knotgym.datasets.page.page_writer import write_page
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
+from knotgym.generate.states.imported_curves import write_curves
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
 from knotgym.rope.engines import simulation_of
@@ -156,7 +157,7 @@ def export(
     Args:
         named: a path or an id.
         out: a file for one dataset in format compact; otherwise a folder.
-        form: the format: compact, lerobot, ogbench, huggingface or minari.
+        form: the format: compact, lerobot, ogbench, huggingface, minari or curves.
         overwrite: replace `out`.
         count: called before each episode.
     """
@@ -166,6 +167,13 @@ def export(
         to_huggingface(_sources(named), out, count, overwrite=overwrite)
         size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
         return f"{size / 1e6:.1f} MB to upload"
+    if form == "curves":
+        path = states_at(resolve_dataset(named, "states").path)
+        points = read_states(path, images=False).points
+        require_output(out, folder=False, overwrite=overwrite)
+        with atomic_write(out, overwrite=overwrite) as temporary:
+            write_curves(temporary, [f"state{row}" for row in range(len(points))], points)
+        return f"{len(points)} curves"
     found = episodes_at(named)
     if form == "minari":
         to_minari([one.path for one in found], out, overwrite=overwrite)

@@ -4,54 +4,68 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from knotgym.cli.options import (
-    OverwriteOption,
-    QuietOption,
-    RestartOption,
-    ResumeOption,
-    SettingsOption,
-    with_settings,
+    EXISTING,
+    Given,
+    Option,
+    command,
+    option,
+    options_of,
+    run_options,
 )
 from knotgym.common.errors import MissingExtra, install_command
-from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import Existing
+from knotgym.learn.clone_config import CloneConfig
+from knotgym.learn.train_config import InvalidTraining, TrainConfig
 
 
-def train(
-    out: Annotated[Path, typer.Option(help="Folder to write: weights, card and learning curves.")],
-    data: Annotated[
-        list[str],
-        typer.Option(help="Minari id or folder of train-split episodes; may be repeated."),
-    ],
-    steps: Annotated[
-        int, typer.Option(help="Training steps of the reader, the perception model.")
-    ] = 3000,
-    settings: SettingsOption = None,
-    seed: Annotated[
-        int, typer.Option(help="Random seed; the same seed and data give the same weights.")
-    ] = 0,
-    resume: ResumeOption = False,
-    restart: RestartOption = False,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-) -> None:
-    """Train a policy from pictures alone; evaluate it with `knotgym evaluate --policy FOLDER`."""
+def _options() -> list[Option]:
+    return [
+        option("--out", Path, "Folder to write: weights, card and learning curves.", default=...),
+        option(
+            "--data",
+            list[str],
+            "Minari id or folder of train-split episodes; may be repeated.",
+            default=...,
+        ),
+        option(
+            "--learner",
+            str,
+            "pictures: the learner from pictures alone. clone: imitates the macro-actions of a"
+            " demonstrator, from vertices.",
+            default="pictures",
+        ),
+        *options_of(
+            TrainConfig(),
+            "steps",
+            steps={
+                "help": "Training steps: of the reader of pictures, or 4000 of the clone.",
+            },
+        ),
+        *options_of(CloneConfig(), "improve"),
+        *run_options("settings"),
+        *options_of(TrainConfig(), "seed"),
+        *run_options(EXISTING),
+    ]
+
+
+@command(_options)
+def train(given: Given) -> None:
+    """Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`."""
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
             raise MissingExtra(library, install_command("learn"), "knotgym train")
-    with Progress(quiet) as progress:
-        from knotgym.learn.training import TrainConfig
-        from knotgym.learn.training import train as run
+    from knotgym.learn.clone_training import train_clone
+    from knotgym.learn.training import train as train_from_pictures
 
-        config = with_settings(TrainConfig(steps=steps, seed=seed), settings)
-        run(
-            data,
-            out,
-            config,
-            existing=Existing(resume=resume, restart=restart, overwrite=overwrite),
-            progress=progress,
-        )
+    learner, data, out = given["learner"], given["data"], given["out"]
+    if learner == "clone":
+        clone = given.config(CloneConfig)
+        train_clone(data, out, clone, existing=given.run, progress=given.progress)
+    elif learner != "pictures":
+        raise InvalidTraining(f"no learner {learner!r}; there is pictures, clone")
+    elif given["improve"]:
+        raise InvalidTraining("only the clone improves by playing: add --learner clone")
+    else:
+        pictures = given.config(TrainConfig)
+        train_from_pictures(data, out, pictures, existing=given.run, progress=given.progress)

@@ -20,16 +20,19 @@ from typer.core import TyperCommand, TyperGroup
 from knotgym.cli.dataset_commands import dataset_app
 from knotgym.cli.demo_commands import compile_kernels, demo
 from knotgym.cli.learning_commands import train
+from knotgym.cli.options import DerivedCommand
+from knotgym.cli.play_command import play
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
+from knotgym.cli.selection_commands import delete, import_curves, select, split
 from knotgym.cli.suite_command import suite
 from knotgym.common.errors import KnotgymError, printable
 from knotgym.runs.pools import LostWorkers
 from knotgym.runs.run_options import NotEnough
 
 
-class Command(TyperCommand):
+class Command(DerivedCommand):
     """A command whose --help shows flags without a type and keeps square brackets."""
 
     def get_params(self, ctx: Any) -> Any:
@@ -61,8 +64,12 @@ _HELP: dict[str, Any] = {"context_settings": {"help_option_names": ["-h", "--hel
 _APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_enable": False}
 
 app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
+dataset_app.command()(select)
+dataset_app.command()(split)
+dataset_app.command()(delete)
+dataset_app.command("import")(import_curves)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
-for _command in (demo, generate, collect, suite, train, evaluate, images, prompt):
+for _command in (demo, generate, collect, suite, train, evaluate, play, images, prompt):
     app.command(cls=Command)(_command)
 app.command("compile", cls=Command)(compile_kernels)
 for _listed in dataset_app.registered_commands:

@@ -3,92 +3,57 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
 import typer
 
 from knotgym.cli.options import (
     ENVIRONMENT,
-    BudgetOption,
-    EngineOption,
-    ExecutorOption,
-    ObservationOption,
-    OverwriteOption,
-    QuietOption,
-    RestartOption,
-    ResumeOption,
-    SchedulerOption,
-    WorkersOption,
-    numbers,
+    EXECUTION,
+    EXISTING,
+    Given,
+    Option,
+    command,
     option,
+    options_of,
     run_options,
     words,
 )
-from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import Existing
+from knotgym.cli.policy_commands import MINARI_ROOT
 
 
-def suite(
-    task: Annotated[
-        str, typer.Option(help="Tasks, comma-separated: unknot, tie, convert.")
-    ] = "unknot,tie,convert",
-    nx: Annotated[
-        str, typer.Option("--nx", help="Numbers of crossings, from 2 to 4: 3 or 2,3.")
-    ] = "2-4",
-    policies: Annotated[
-        str,
-        typer.Option(help="Policies, comma-separated: random, scripted, noisy-expert, expert."),
-    ] = "random,scripted,noisy-expert,expert",
-    states: Annotated[
-        str,
+def _options() -> list[Option]:
+    from knotgym.generate.episodes.suite import SuiteConfig
+
+    config, listed = SuiteConfig(), {"read": words}
+    return [
+        *options_of(config, "tasks", tasks={**listed, "names": "--task"}),
+        *options_of(config, "nx policies", policies=listed),
+        *options_of(config, "states", ENVIRONMENT, states=listed),
         option(
-            "--states",
-            help="Sets of states, comma-separated: readable, random-walk.",
-            group=ENVIRONMENT,
+            "--episodes",
+            str,
+            "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; others"
+            " keep their default.",
+            default="",
+            show_default=",".join(f"{policy}={count}" for policy, count in config.episodes.items()),
         ),
-    ] = "readable,random-walk",
-    episodes: Annotated[
-        str,
-        typer.Option(
-            help=(
-                "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; others"
-                " keep their default."
-            ),
-            show_default="random=250,scripted=500,noisy-expert=150,expert=1000",
+        *options_of(config, "engine observation", ENVIRONMENT),
+        *options_of(config, "budget", "Who acts"),
+        MINARI_ROOT,
+        option(
+            "--scores",
+            list[Path],
+            "Results of `knotgym evaluate --out` to add to the card's table, besides those in"
+            " the folder `evaluations` next to the card; may be repeated.",
         ),
-    ] = "",
-    engine: EngineOption = "mujoco",
-    observation: ObservationOption = "state",
-    budget: BudgetOption = 1000,
-    out: Annotated[
-        Path | None, typer.Option(help="Minari root to write to; Minari's own by default.")
-    ] = None,
-    scores: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help=(
-                "Results of `knotgym evaluate --out` to add to the card's table, besides those in"
-                " the folder `evaluations` next to the card; may be repeated."
-            )
-        ),
-    ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(
-            help=(
-                "Random seed of every dataset. Not 0, the default of `evaluate`, whose episodes on"
-                " the train split would then start like those of the datasets."
-            )
-        ),
-    ] = 1,
-    workers: WorkersOption = 0,
-    executor: ExecutorOption = "local",
-    scheduler: SchedulerOption = "",
-    resume: ResumeOption = False,
-    restart: RestartOption = False,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-) -> None:
+        *options_of(config, "seed"),
+        *run_options(f"{EXECUTION} {EXISTING}"),
+    ]
+
+
+@command(_options)
+def suite(given: Given) -> None:
     """Collect the fixed benchmark of offline datasets, or a part of it.
 
     It has episodes of four policies for each of nine setups, on the train split of two sets of
@@ -101,23 +66,13 @@ def suite(
 
         knotgym suite --task tie --nx 3 --states readable --policies expert,random --resume
     """
-    with Progress(quiet) as progress:
-        from knotgym.generate.episodes.suite import SuiteConfig, make_suite
+    from knotgym.generate.episodes.suite import SuiteConfig, make_suite
 
-        config = SuiteConfig(
-            tasks=words(task),
-            nx=numbers(nx),
-            policies=words(policies),
-            states=words(states),
-            episodes=_sizes(episodes, words(policies)),
-            engine=engine,
-            observation=observation,
-            budget=budget,
-            seed=seed,
-        )
-        existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
-        options = run_options(executor, scheduler, workers, "", existing, quiet)
-        make_suite(config, out, options, scores=tuple(scores or ()), progress=progress)
+    more: dict[str, Any] = {}
+    if given["episodes"]:
+        more["episodes"] = _sizes(given["episodes"], given["policies"])
+    config, scores = given.config(SuiteConfig, more), given["scores"] or ()
+    make_suite(config, given["out"], given.run, scores=tuple(scores), progress=given.progress)
 
 
 def _sizes(text: str, policies: tuple[str, ...]) -> dict[str, int]:
@@ -126,8 +81,6 @@ def _sizes(text: str, policies: tuple[str, ...]) -> dict[str, int]:
     >>> _sizes("100", ("random", "expert"))
     {'random': 100, 'expert': 100}
     """
-    if not text:
-        return {}
     pairs = [word.partition("=") for word in words(text)]
     if len(pairs) == 1 and not pairs[0][1]:
         pairs = [(policy, "=", pairs[0][0]) for policy in policies]

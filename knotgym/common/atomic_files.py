@@ -5,8 +5,6 @@ output its name. Both look at the path itself (lstat): a symbolic link counts as
 it points to, and it is the link that gets replaced, never its target.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import io
@@ -35,10 +33,7 @@ class Occupied(KnotgymError, ValueError):
 def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: bool = False) -> None:
     """Check, before hours of work, that an output can be written and replaces nothing unasked.
 
-    Args:
-        path: path of the output.
-        folder: whether the output is a folder or a file. Neither ever replaces the other.
-        overwrite: whether the user asked to replace an existing output.
+    Neither a file nor a folder ever replaces the other.
 
     Raises:
         Occupied: something exists at `path` that may not be replaced.
@@ -64,10 +59,8 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
 
 
 def require_writable(path: str | os.PathLike[str]) -> None:
-    """Check, before hours of work, that `path` can be written, by a trial that leaves no trace.
-
-    Raises:
-        Unwritable: the path can't be written.
+    """Check by a trial that leaves no trace that `path` can be written; raise Unwritable
+    otherwise.
     """
     target, folder = Path(path), None
     try:
@@ -86,10 +79,7 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     """Yield a temporary path beside `path`; what is written there is renamed to `path` at the end.
 
     Write a file there or make a folder. On an error it is removed; if the process is killed, only a
-    folder named `.part-*` is left.
-
-    Raises:
-        Occupied: as for `move_into_place`.
+    folder named `.part-*` is left. Raises Occupied as `move_into_place` does.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -107,10 +97,8 @@ def move_into_place(part: Path, target: Path, *, overwrite: bool) -> None:
     """Rename a finished file or folder to `target`, on the same file system.
 
     Without `overwrite` nothing is replaced, not even what another process has put there in the
-    meantime. With it, the old output is removed only once the new one is in place.
-
-    Raises:
-        Occupied: something exists at `target` that may not be replaced.
+    meantime: that raises Occupied. With it, the old output is removed only once the new one is in
+    place.
     """
     is_folder = stat.S_ISDIR(part.lstat().st_mode)  # raises if nothing was written
     _require_free(target, is_folder, overwrite)
@@ -164,13 +152,10 @@ def remove(path: Path) -> None:
 
 
 def require_own(path: Path, error: type[KnotgymError] = Occupied) -> None:
-    """Check that a path, if it exists, isn't a link and belongs to the current user.
+    """Raise `error` if a path exists and is a link or belongs to another user.
 
-    Otherwise somebody else may have planted it in a shared folder. The contents of a folder aren't
-    checked; see `require_own_tree`.
-
-    Raises:
-        KnotgymError: of the class `error`, if the check fails.
+    Somebody else may have planted it in a shared folder. The contents of a folder aren't checked;
+    see `require_own_tree`.
     """
     try:
         found = os.lstat(path)
@@ -195,13 +180,10 @@ class LinkedFile(KnotgymError, ValueError):
 
 
 def require_no_links(root: Path, files: Iterable[Path]) -> None:
-    """Check that files of a folder aren't reached by links inside it.
+    """Raise LinkedFile if files of a folder are reached by links inside it.
 
     In a downloaded folder, such a link could make a private file of the user part of what is copied
     and published. The folder itself may be a link, because the user named it.
-
-    Raises:
-        LinkedFile: a file, or a folder between it and `root`, is a link.
     """
     for file in files:
         for step in (file, *file.parents):
@@ -215,16 +197,24 @@ def require_no_links(root: Path, files: Iterable[Path]) -> None:
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy the bytes of a regular file without following links.
-
-    Raises:
-        OSError: `source` is a link or not a regular file.
-    """
+    """Copy the bytes of a regular file; raise OSError for a link or anything else."""
     with open(os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(source))
         with open(target, "wb") as copy:
             shutil.copyfileobj(file, copy)
+
+
+def link_or_copy(source: str | os.PathLike[str], target: Path) -> None:
+    """Hard-link a file, or copy it where the disk has no hard links.
+
+    A hard link stores the bytes once. It is safe because our files are only ever replaced, never
+    modified in place. Symbolic links are resolved first, because hard links don't follow them.
+    """
+    try:
+        os.link(os.path.realpath(source), target)
+    except OSError:  # another disk, or one without links
+        shutil.copyfile(source, target)
 
 
 @contextmanager
@@ -296,11 +286,7 @@ class _Sink:
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """Return the hexadecimal SHA-256 of a file's bytes.
-
-    Raises:
-        OSError: the file doesn't exist, or isn't a regular file: a pipe or device may never end.
-    """
+    """Return the hexadecimal SHA-256 of a regular file's bytes; a pipe or device may never end."""
     if not Path(path).is_file() and Path(path).exists():
         raise OSError(f"{path} isn't a regular file")
     with open(path, "rb") as file:

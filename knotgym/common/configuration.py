@@ -4,14 +4,13 @@ A configuration is a frozen dataclass of numbers, strings, tuples and further co
 stored as JSON in every file that was made with it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
+from functools import partial
 from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -47,16 +46,11 @@ def check_numbers(
 
     Args:
         config: a dataclass.
-        counts: names of the fields that must be whole numbers of at least 1.
-        whole: names of those that must be whole numbers of at least 0.
-        positive: names of those that must be above 0.
-        non_negative: names of those that must be at least 0.
+        counts, whole: names of fields that must be whole numbers of at least 1, at least 0.
+        positive, non_negative: names of those that must be above 0, at least 0.
         shares: names of those that must be in [0, 1].
         ranges: names of those that must be pairs (least, most) of numbers of at least 0.
         error: the error class to raise.
-
-    Raises:
-        KnotgymError: of the class `error`, if a number is not valid.
     """
     least_whole = {**dict.fromkeys(counts, 1), **dict.fromkeys(whole, 0)}
     for name, least in least_whole.items():
@@ -75,15 +69,19 @@ def check_numbers(
                 raise error(f"{name} must be {expected}, got {value!r}")
 
 
-def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:
-    """Read a JSON file.
+def check_nx(nx: Sequence[int], most: int) -> None:
+    """Raise InvalidConfig unless there are crossing numbers, distinct and in [0, most]."""
+    if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
+        raise InvalidConfig(
+            f"nx takes distinct numbers of crossings from 0 to {most}, got"
+            f" {', '.join(map(str, nx)) or 'none'}"
+        )
 
-    Args:
-        path: a regular file; anything else isn't opened.
-        most: largest size that is read, bytes.
+
+def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:
+    """Read a JSON file of at most `most` bytes; anything but a regular file isn't opened.
 
     Raises:
-        OSError: the file can't be read.
         UnreadableJson: it isn't a regular file, too large, not JSON, or too deeply nested.
     """
     given = Path(path)
@@ -108,10 +106,7 @@ def as_json(config: Any) -> dict[str, Any]:
 def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Config:
     """Return a copy of a configuration with some fields replaced, in nested ones field by field.
 
-    Args:
-        config: a configuration; not modified.
-        changes: new values, in the form that `as_json` returns; other fields keep theirs.
-        where: name of the configuration in error messages.
+    `changes` have the form that `as_json` returns; `where` names the configuration in errors.
 
     Raises:
         InvalidConfig: an unknown field, or a value of the wrong type.
@@ -121,45 +116,51 @@ def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Conf
     >>> updated(TaskConfig(task="tie"), {"nx": 3}).nx
     3
     """
-    if not isinstance(changes, Mapping):
-        raise InvalidConfig(f"{where or 'settings'} must be an object, got {changes!r}")
     assert is_dataclass(config) and not isinstance(config, type)
-    hints = get_type_hints(type(config))
-    known = [field.name for field in fields(config)]
-    unknown = [name for name in changes if name not in known]
-    if unknown:
-        raise InvalidConfig(
-            f"{where or 'settings'}: no field {', '.join(map(repr, unknown))}; there is"
-            f" {', '.join(known)}"
-        )
-    values: dict[str, Any] = {}
-    for name, value in changes.items():
-        here, path = getattr(config, name), f"{where}.{name}" if where else name
-        if is_dataclass(here):
-            values[name] = updated(here, value, path)
-        else:
-            values[name] = _typed(value, hints[name], path)
-    return replace(config, **values)
+    current = partial(getattr, config)
+    return replace(config, **_fields(type(config), changes, where or "settings", where, current))
 
 
-def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
-    """Make a configuration of class `kind` from the JSON that `as_json` returned.
+def from_json(kind: type[Config], values: Mapping[str, Any], where: str = "") -> Config:
+    """Make a configuration of class `kind` from JSON, as `as_json` returns it or less.
+
+    Fields that aren't given get their defaults, in nested configurations too.
 
     Raises:
         InvalidConfig: an unknown field, or a value of the wrong type.
         KnotgymError: the configuration rejects a value.
     """
+    made: Any = kind
+    defaults = {field.name: field.default for field in fields(made)}
+    named = where or made.__name__
+    return kind(**_fields(kind, values, named, where, defaults.__getitem__))
+
+
+def _fields(
+    kind: type, values: Any, named: str, where: str, current: Callable[[str], Any]
+) -> dict[str, Any]:
+    """Convert JSON values to the types of a configuration's fields.
+
+    Args:
+        kind: a dataclass.
+        values: name -> value, unchecked.
+        named: name of the configuration in error messages.
+        where: path to it; "" for the outermost.
+        current: name -> value to update, if it is a configuration.
+    """
+    if not isinstance(values, Mapping):
+        raise InvalidConfig(f"{named} must be an object, got {values!r}")
     hints = get_type_hints(kind)
     if unknown := [name for name in values if name not in hints]:
-        raise InvalidConfig(f"{kind.__name__} has no field {', '.join(map(repr, unknown))}")
-    return kind(
-        **{
-            name: from_json(hints[name], value)
-            if is_dataclass(hints[name]) and isinstance(value, Mapping)
-            else _typed(value, hints[name], name)
-            for name, value in values.items()
-        }
-    )
+        raise InvalidConfig(
+            f"{named}: no field {', '.join(map(repr, unknown))}; there is {', '.join(hints)}"
+        )
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        here, path = current(name), f"{where}.{name}" if where else name
+        nested = is_dataclass(here) and not isinstance(here, type)
+        found[name] = updated(here, value, path) if nested else _typed(value, hints[name], path)
+    return found
 
 
 def differences(there: Any, asked: Any, where: str = "") -> Iterator[str]:
@@ -184,6 +185,8 @@ def _typed(value: Any, hint: Any, where: str) -> Any:
         if option is type(None):
             if value is None:
                 return None
+        elif is_dataclass(origin) and isinstance(value, Mapping):
+            return from_json(option, value, where)
         elif origin is tuple:
             if isinstance(value, (list, tuple)):
                 kinds = get_args(option)

@@ -30,13 +30,7 @@ def install_command(extra: str) -> str:
 
 
 class MissingExtra(KnotgymError, ImportError):
-    """An optional dependency isn't installed.
-
-    Args:
-        needed: the missing module or package.
-        how: the command that installs it.
-        user: the feature that needs it.
-    """
+    """An optional dependency, `needed` by `user`, isn't installed; `how` is the command for it."""
 
     def __init__(self, needed: str, how: str, user: str = "this") -> None:
         super().__init__(f"{user} needs {needed}, which isn't installed; install it: {how}")

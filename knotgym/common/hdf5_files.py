@@ -6,8 +6,6 @@ HDF5 library would follow links to any other file and allocate any array that a 
 links aren't followed, and data is read only after its type and size have been checked.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
@@ -85,15 +83,7 @@ class Column:
         return (rows, *(sizes[n] if isinstance(n, str) else n for n in self.shape or ()))
 
     def require_type(self, found: h5py.h5t.TypeID, dtype: Any) -> None:
-        """Check the type of stored data.
-
-        Args:
-            found: type in the file.
-            dtype: the NumPy type that h5py maps it to.
-
-        Raises:
-            UnexpectedContent: it doesn't match `kind`.
-        """
+        """Raise UnexpectedContent if a stored type, `dtype` in NumPy, doesn't match `kind`."""
         text = h5py.check_string_dtype(dtype) is not None or dtype.kind == "S"
         if isinstance(found, h5py.h5t.TypeEnumID) and dtype.kind != "b":  # h5py stores bool as enum
             matches = False
@@ -113,11 +103,7 @@ class Column:
         return dtype.kind in _CLASSES[wanted.kind] and np.can_cast(dtype, wanted)
 
     def require_values(self, values: NDArray[Any]) -> None:
-        """Check that numbers are in range and text has no control characters.
-
-        Raises:
-            UnexpectedContent: with the first value that isn't allowed.
-        """
+        """Raise UnexpectedContent if numbers are out of range or text has control characters."""
         if values.dtype.kind == "U":
             if not "".join(values.ravel().tolist()).isprintable():
                 raise UnexpectedContent(f"{self.name} holds control characters")
@@ -143,14 +129,10 @@ def opened_hdf5(
     """Open a file for reading, check its format, and turn errors from the block into `error`.
 
     Args:
-        path: path of the file.
+        path: path of the file; raises MissingFile if it doesn't exist.
         what: kind of file, such as "state file", for error messages.
-        format: required `format` attribute.
-        versions: supported format versions.
+        format, versions: required attribute `format`, and supported `format_version`s.
         error: error class for a corrupted file, or one of another format or version.
-
-    Raises:
-        MissingFile: the file doesn't exist.
     """
     require_regular(path, what, error)
     with foreign_bytes_as(error, f"{path} isn't a whole {what}"), h5py.File(path, "r") as file:
@@ -159,11 +141,9 @@ def opened_hdf5(
 
 
 def require_regular(path: str | os.PathLike[str], what: str, error: type[KnotgymError]) -> None:
-    """Check that a path is a regular file, because reading a pipe or a device may never end.
+    """Raise MissingFile if a path doesn't exist or is a folder, `error` if it is no regular file.
 
-    Raises:
-        MissingFile: the path doesn't exist, or is a folder.
-        KnotgymError: of the class `error`, if it is anything else.
+    Reading a pipe or a device may never end.
     """
     given = Path(path)
     if given.exists() and not given.is_file() and not given.is_dir():
@@ -186,11 +166,7 @@ def foreign_bytes_as(error: type[KnotgymError], complaint: str) -> Iterator[None
 def check_format(
     file: h5py.File, *, format: str, versions: Sequence[int], error: type[KnotgymError]
 ) -> int:
-    """Return the format version of an open file.
-
-    Raises:
-        KnotgymError: of the class `error`, if the file has another format or version.
-    """
+    """Return the format version of an open file; raise `error` for another format or version."""
     name, version = (
         read_attribute(file, Column(name, "any", ())) if name in file.attrs else "none"
         for name in ("format", "format_version")
@@ -217,11 +193,7 @@ def hdf5_format(path: str | os.PathLike[str]) -> str | None:
 
 
 def member(group: h5py.Group, name: str) -> Any:
-    """Return a group or dataset of a group, without following links.
-
-    Args:
-        group: an open group.
-        name: path in the group, such as "a/b" for `b` in the group `a`.
+    """Return a group or dataset of a group by its path, such as "a/b", without following links.
 
     Raises:
         UnexpectedContent: the path contains a link, or ends at neither a group nor a dataset.
@@ -262,8 +234,7 @@ def stored_column(
         name: name of the dataset in the group, if different from the column's.
 
     Raises:
-        UnexpectedContent: the dataset doesn't match the schema.
-        KeyError: it doesn't exist.
+        UnexpectedContent, KeyError: it doesn't match the schema, or doesn't exist.
     """
     data = member(group, name or column.name)
     if not isinstance(data, h5py.Dataset):
@@ -295,12 +266,7 @@ def read_column(
 def read_attribute(
     item: h5py.Group | h5py.Dataset, column: Column, sizes: MutableMapping[str, int] | None = None
 ) -> Any:
-    """Read and check an attribute: a str, a NumPy scalar, or an array, depending on the shape.
-
-    Raises:
-        UnexpectedContent: the attribute doesn't match the schema.
-        KeyError: it doesn't exist.
-    """
+    """Read and check an attribute: a str, a NumPy scalar, or an array, depending on the shape."""
     if column.name not in item.attrs:
         raise KeyError(f"the attribute {column.name} is missing")
     found = item.attrs.get_id(column.name)
@@ -314,11 +280,8 @@ def read_attribute(
 
 
 def require_stored_here(data: h5py.Dataset, name: str) -> None:
-    """Check that a dataset is stored in this file, and isn't far larger than its stored bytes.
-
-    Raises:
-        UnexpectedContent: it is in other files, has a filter other than those of _FILTERS, or is
-            more than MOST_EXPANDED times as large as its stored bytes.
+    """Raise UnexpectedContent if a dataset is in other files, has a filter other than those of
+    _FILTERS, or is more than MOST_EXPANDED times as large as its stored bytes.
     """
     made = data.id.get_create_plist()
     layout = made.get_layout()

@@ -1,32 +1,35 @@
 """Lazy imports of a package's public names (PEP 562), which keep `import knotgym` fast.
 
-A package lists its names twice by hand: once for type checkers and once for `lazy_exports`. A test
-compares both lists with `__all__`.
+A package lists its names once, as imports for type checkers; they become imports on first use.
 """
 
-from __future__ import annotations
-
+import ast
 import importlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 
-def lazy_exports(
-    package: str, exports: Mapping[str, str]
-) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Make the `__getattr__` and `__dir__` of a package.
+def lazy_exports(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Make the `__getattr__` and `__dir__` of a package, from its `__name__` and `__file__`.
 
-    Args:
-        package: the `__name__` of the package.
-        exports: maps a public name to its module, or to "module:name" if it is called `name` there.
+    The exported names are those that `file` imports in its block `if TYPE_CHECKING:`.
     """
+    blocks = [node for node in ast.parse(Path(file).read_text("utf-8")).body if _is_typing(node)]
+    imports = [node for block in blocks for node in ast.walk(block)]
+    exports = {
+        alias.asname or alias.name: (node.module, alias.name)
+        for node in imports
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }
 
     def __getattr__(name: str) -> Any:
         if name not in exports:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module, _, other = exports[name].partition(":")
-        found = getattr(importlib.import_module(module), other or name)
+        module, original = exports[name]
+        found = getattr(importlib.import_module(module), original)
         setattr(sys.modules[package], name, found)
         return found
 
@@ -34,3 +37,7 @@ def lazy_exports(
         return sorted({*vars(sys.modules[package]), *exports})
 
     return __getattr__, __dir__
+
+
+def _is_typing(node: ast.stmt) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"

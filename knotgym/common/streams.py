@@ -10,8 +10,6 @@ True
 False
 """
 
-from __future__ import annotations
-
 from enum import IntEnum, unique
 
 import numpy as np
@@ -62,18 +60,21 @@ class Stream(IntEnum):
     DRAWING = 40  # nx, code, number of the drawing
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
     START = 42  # the drawing of a knot that action sequences begin at
+    SELECTION = 43  # which rows are sampled (0), or how they are split (1)
+    IMPORT = 44  # nx, number of the curve: its noise survival
     LEARN_PICTURES = 50  # step of training the reader
-    LEARN_ROPE = 51  # fitting the rope model
     LEARN_PLACES = 52  # the start positions of ropes that are kept
+    LEARN_CLONE = 53  # step of training the clone
+    LEARN_HELD_OUT = 54  # the episodes held out of a clone's training
+    LEARN_PLAY = 55  # round and task, episode: the choices of a clone that plays
+    LEARN_PLAY_START = 56  # the same: the seed of that episode's start and goal
+    PASS_STARTS = 60  # task: the starts of play that counts passes
+    PASS_PLAY = 61  # round, episode of that play
     SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:
-    """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63).
-
-    Raises:
-        InvalidSeed: a number is out of range, or there are too many counters.
-    """
+    """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63)."""
     if len(counters) > COUNTERS:
         raise InvalidSeed(f"a stream has at most {COUNTERS} counters, got {counters}")
     numbers = (int(seed), *map(int, counters))

@@ -7,41 +7,11 @@ sequence.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rope.model import Array
-from knotgym.rope.simulation import Ids
-
-
-class Ropes(Protocol):
-    """Ropes that can be acted on and restored: a `Simulation`, or a learned model of one.
-
-    Attributes:
-        count: number of ropes.
-        points: float64 (count, beads, 3), metres.
-    """
-
-    count: int
-    points: Array
-
-    @property
-    def max_force(self) -> float:
-        """The force of an action of length 1, newtons."""
-
-    def states(self, ids: Any) -> Array:
-        """Copies of the full simulation states, float64 (len(ids), n)."""
-
-    def restore(self, states: Array, ids: Any) -> None:
-        """Set ropes to states that `states` returned."""
-
-    def actions(self, beads: Any, forces: Any, ids: Any) -> NDArray[np.float32]:
-        """Actions, float32 (len(ids), 6), that pull the given beads with forces in newtons."""
-
-    def act(self, actions: NDArray[np.float32], ids: Any) -> NDArray[np.bool_]:
-        """Take one action per rope; return which simulations stayed stable, bool (len(ids),)."""
+from knotgym.rope.simulation import Ids, Simulation
 
 
 @dataclass(frozen=True)
@@ -82,7 +52,7 @@ NO_ACTIONS = resting(0)
 
 
 def step_ropes(
-    ropes: Ropes,
+    ropes: Simulation,
     beads: NDArray[np.integer],
     forces: NDArray[np.floating],
     ids: Ids = None,

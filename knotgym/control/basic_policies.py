@@ -5,11 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.control.policy import Choice, Effort, PlanningPolicy, Policy, UnplannedPolicy
+from knotgym.control.demonstrator import Demonstrator, random_pass
+from knotgym.control.policy import NO_MACRO, Choice, Effort, Policy, UnplannedPolicy
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.actions import choices
+from knotgym.rope.actions import choices, quantized
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
+
+NOISE = "noise"  # reason for a random pull
+_WANDERING = 0.5  # share of noisy episodes that begin with a random pass
 
 
 class RandomPolicy(UnplannedPolicy):
@@ -75,9 +79,13 @@ class ScriptedPolicy(UnplannedPolicy):
 
 
 class NoisyPolicy(UnplannedPolicy):
-    """A planning policy with some actions replaced by uniform ones, after which it replans."""
+    """The demonstrator with some pulls replaced by random ones, after which it looks again.
 
-    def __init__(self, name: str, inner: PlanningPolicy, noise: float) -> None:
+    Half of the episodes begin with a random pass, so that learners see more than tidy ropes. The
+    reason for such a pull is NOISE, for a pull of the random pass `demonstrator.RANDOM`.
+    """
+
+    def __init__(self, name: str, inner: Demonstrator, noise: float) -> None:
         super().__init__(name)
         self._inner, self._noise = inner, noise
 
@@ -85,20 +93,25 @@ class NoisyPolicy(UnplannedPolicy):
         noise_rng, inner_rng = rng.spawn(2)
         super().begin(episodes, index, noise_rng)
         self._inner.begin(episodes, index, inner_rng)
+        if noise_rng.random() < _WANDERING:
+            beads = episodes.simulation.points.shape[1]
+            self._inner.begin_with(episodes, index, random_pass(beads, noise_rng))
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         noisy = np.array([self._rngs[int(index)].random() < self._noise for index in ids])
-        actions, moves = np.zeros((len(ids), 6), dtype=np.float32), ["noise"] * len(ids)
+        actions, moves = np.zeros((len(ids), 6), dtype=np.float32), [NOISE] * len(ids)
+        macros = np.tile(NO_MACRO, (len(ids), 1))
         planned = np.flatnonzero(~noisy)
         if len(planned):
-            actions[planned], reasons = self._inner.act(episodes, ids[planned])
-            for row, reason in zip(planned, reasons, strict=True):
-                moves[row] = reason
+            chosen = self._inner.act(episodes, ids[planned])
+            actions[planned], macros[planned] = chosen.actions, chosen.macros
+            for row, why in zip(planned, chosen.moves, strict=True):
+                moves[row] = why
         for row in np.flatnonzero(noisy):
             index = int(ids[row])
             self._inner.replan(index)
-            actions[row] = uniform_action(self._rngs[index])
-        return Choice(actions, moves)
+            actions[row] = random_pull(episodes, index, self._rngs[index])
+        return Choice(actions, moves, macros)
 
     def effort(self, index: int) -> Effort:
         return self._inner.effort(index)
@@ -117,13 +130,17 @@ class MixedPolicy(Policy):
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), [""] * len(ids)
+        macros = np.tile(NO_MACRO, (len(ids), 1))
         for policy in self._policies:
             own = np.flatnonzero([self._chosen[int(index)] is policy for index in ids])
             if len(own):
-                actions[own], reasons = policy.act(episodes, ids[own])
-                for row, reason in zip(own, reasons, strict=True):
+                chosen = policy.act(episodes, ids[own])
+                actions[own] = chosen.actions
+                if chosen.macros is not None:
+                    macros[own] = chosen.macros
+                for row, reason in zip(own, chosen.moves, strict=True):
                     moves[row] = reason
-        return Choice(actions, moves)
+        return Choice(actions, moves, macros)
 
     def name(self, index: int) -> str:
         return self._chosen[index].name(index)
@@ -135,3 +152,14 @@ class MixedPolicy(Policy):
 def uniform_action(rng: np.random.Generator) -> NDArray[np.float32]:
     """Draw an action uniformly from [-1, 1]^6, float32 (6,)."""
     return rng.uniform(-1, 1, 6).astype(np.float32)
+
+
+def random_pull(
+    episodes: EpisodeBatch, index: int, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Draw a pull of any bead with a quantized force, as an action float32 (6,)."""
+    simulation = episodes.simulation
+    bead = rng.integers(simulation.points.shape[1], size=1)
+    force = quantized(rng.uniform(-1, 1, (1, 3))) * simulation.max_force
+    pull: NDArray[np.float32] = simulation.actions(bead, force, [index])[0]
+    return pull

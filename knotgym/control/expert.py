@@ -1,7 +1,7 @@
-"""The expert: a policy that plans in the simulator from the rope's current state.
+"""The expert: a policy that plans in the chain engine and checks its plans in MuJoCo.
 
 Each episode has a budget of simulated actions for all its plans together. Once it is used up, the
-expert goes on without the simulator, with macro-actions chosen by guidance alone.
+expert goes on without looking ahead, with macro-actions chosen by guidance alone.
 """
 
 from __future__ import annotations
@@ -12,13 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.guidance import promising
-from knotgym.control.planner import REST, Plan, plan
+from knotgym.control.action_sequence import ActionSequence
+from knotgym.control.checked_plan import plan_checked
+from knotgym.control.guidance import Towards
+from knotgym.control.planner import REST, Plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.rope.engines import simulation
+from knotgym.rope.engines import CHAIN, simulation
 from knotgym.rope.macro_actions import WaypointController
 from knotgym.rope.simulation import Simulation
 
@@ -47,7 +49,7 @@ class _Progress:
 
 
 class Expert(Policy):
-    """Policy that leads every rope to its goal code; a `policy.PlanningPolicy`."""
+    """Policy that leads every rope to its goal code."""
 
     def __init__(
         self, config: PlannerConfig | None = None, graph: TransitionGraph | None = None
@@ -55,7 +57,8 @@ class Expert(Policy):
         """Take the planner's settings, and the graph of distances; None for the one that ships."""
         self.config = config or PlannerConfig()
         self._graph = graph
-        self._simulation: Simulation | None = None
+        self._chain: Simulation | None = None
+        self._check: Simulation | None = None
         self._progress: dict[int, _Progress] = {}
         self._controller = WaypointController(0, self.config.macro_actions)
 
@@ -69,14 +72,14 @@ class Expert(Policy):
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), []
         for row, index in enumerate(ids.tolist()):
             progress = self._progress[index]
-            if progress.plan is None or progress.step >= len(progress.plan.actions):
+            if progress.plan is None or progress.step >= len(progress.plan.pulls):
                 began = time.perf_counter()
                 left = int(episodes.config.horizon - episodes.steps[index])
                 progress.plan, progress.step = self._plan(episodes, index, progress, left), 0
                 progress.seconds += time.perf_counter() - began
                 progress.spent += progress.plan.spent
-            if progress.step < len(progress.plan.actions):
-                actions[row] = progress.plan.actions[progress.step]
+            if progress.step < len(progress.plan.pulls):
+                actions[row] = _action(episodes, index, progress.plan.pulls, progress.step)
                 moves.append(progress.plan.moves[progress.step])
                 progress.step += 1
             else:
@@ -100,25 +103,27 @@ class Expert(Policy):
         progress, began = self._progress[index], time.perf_counter()
         made = self._plan(episodes, index, progress, steps=episodes.config.horizon)
         effort = Effort(made.spent, time.perf_counter() - began)
-        if len(made.actions):
-            return made.actions[0], effort
+        if len(made.pulls):
+            return _action(episodes, index, made.pulls, 0), effort
         return self._act_without_plan(episodes, index, progress), effort
 
     def name(self, index: int) -> str:
-        return "expert"
+        return "planner"
 
     def effort(self, index: int) -> Effort:
         progress = self._progress[index]
         return Effort(progress.spent, progress.seconds)
 
     def _plan(self, episodes: EpisodeBatch, index: int, progress: _Progress, steps: int) -> Plan:
-        if self._simulation is None:
+        if self._chain is None or self._check is None:
             acting = episodes.simulation
-            self._simulation = simulation(acting.engine, self.config.batch_size, acting.rope)
+            self._chain = simulation(CHAIN, self.config.batch_size, acting.rope)
+            self._check = simulation(acting.engine, 1, acting.rope)
         # where the rope shows the goal already, only the rest of the hold is still to be planned
         hold, held = episodes.config.hold, int(episodes.held[index])
-        return plan(
-            self._simulation,
+        return plan_checked(
+            self._chain,
+            self._check,
             episodes.simulation.states([index])[0],
             episodes.goals[index],
             self._graph_used(),
@@ -128,7 +133,6 @@ class Expert(Policy):
             hold=max(1, hold - held) if held else hold,
             budget=self.config.budget - progress.spent,
             bound=episodes.tow_bound(index),
-            hauling=True,
         )
 
     def _act_without_plan(
@@ -143,7 +147,8 @@ class Expert(Policy):
         if self._controller.idle[index]:
             graph = self._graph_used()
             distances = graph.distances(episodes.goals[index], episodes.codes[index])
-            macro_action = promising(points[index], graph, distances, self.config, progress.rng)
+            towards = Towards(graph.steps(episodes.codes[index], distances))
+            macro_action = towards.propose(points[index], self.config, progress.rng)
             progress.kind = macro_action.kind
             self._controller.begin(index, macro_action)
             self._controller.advance(points)
@@ -154,3 +159,11 @@ class Expert(Policy):
         if self._graph is None:
             self._graph = shipped_transition_graph(self.config.graph)
         return self._graph
+
+
+def _action(
+    episodes: EpisodeBatch, index: int, pulls: ActionSequence, step: int
+) -> NDArray[np.float32]:
+    """The action, float32 (6,), that makes one pull of a plan."""
+    forces = pulls.forces[[step]].astype(np.float64) * episodes.simulation.max_force
+    return episodes.simulation.actions(pulls.beads[[step]], forces, [index])[0]

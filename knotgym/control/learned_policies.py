@@ -74,16 +74,8 @@ class ModelPolicy(UnplannedPolicy):
         )
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        seen = [episodes.observation(index) for index in ids.tolist()]
-        batch: Any
-        if isinstance(seen[0], dict):
-            batch = {
-                part: np.stack([observation[part] for observation in seen]) for part in seen[0]
-            }
-        else:
-            batch = np.stack(seen)
         try:
-            actions = list(np.asarray(self._model(batch)))
+            actions = list(np.asarray(self._model(episodes.observations(ids))))
         except Exception as error:  # every library raises its own type for an unfit input
             task = episodes.config
             shapes = _as_text(_shapes(observation_space(task)))

@@ -3,36 +3,34 @@
 This is a best-first search with random choices. A pool holds the states met so far, grouped by
 code. Each iteration picks a state from the pool, preferring codes that the transition graph puts
 near the goal, and applies one macro-action to it, in `batch_size` simulations side by side. The
-macro-action is either random or the best of several candidates, judged by surrogate rollouts; some
-candidates imitate macro-actions that made a useful change of code before. Ropes with many crossings
-may be hauled instead. Every state with a new code joins the pool.
+macro-action is either random or imitates one that made a useful change of code before. Ropes with
+many crossings may be hauled instead. Every state with a new code joins the pool.
 
-MuJoCo is deterministic, bit for bit, from a given integration state, so a plan that reaches the
-goal in the search reaches it in the episode too.
+Either engine can be searched in, and is deterministic from a given state. The chain is some forty
+times as fast as MuJoCo; `expert` checks there what was planned here.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.action_sequence import Ropes, step_ropes
-from knotgym.control.guidance import Promises, Towards, most_promising
+from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting
+from knotgym.control.guidance import Towards
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import Distances, TransitionGraph
 from knotgym.rope.macro_actions import (
     Haul,
     WaypointController,
     cumulative_shares,
-    propose,
     propose_haul,
 )
 from knotgym.rope.model import Array
+from knotgym.rope.simulation import Simulation
 from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
@@ -55,7 +53,7 @@ class Node:
         steps: actions from the root to here.
         before: parent node, None at the root.
         kind: kind of the macro-action that led here from the parent.
-        actions: actions of that macro-action up to here, k of float32 (6,).
+        pulls: that macro-action, up to here.
         tries: macro-actions started from here so far.
     """
 
@@ -64,7 +62,7 @@ class Node:
     steps: int = 0
     before: Node | None = None
     kind: str = ""
-    actions: tuple[NDArray[np.float32], ...] = ()
+    pulls: ActionSequence = NO_ACTIONS
     tries: int = 0
 
 
@@ -73,13 +71,13 @@ class Plan:
     """T actions and the reason for each.
 
     Attributes:
-        actions: float32 (T, 6).
+        pulls: the actions.
         moves: T reasons, in the words of `reason`.
         solved: whether the last state shows the goal.
         spent: number of actions simulated to find the plan.
     """
 
-    actions: NDArray[np.float32]
+    pulls: ActionSequence
     moves: tuple[str, ...]
     solved: bool
     spent: int
@@ -166,23 +164,28 @@ class _Branch:
         kind: of the macro-action.
         code: shown after the last action.
         haul: the haul under way, None for a macro-action that follows waypoints.
-        actions: taken so far, each float32 (6,).
+        beads, forces: pulled so far; a force is float32 (3,), in units of the largest.
     """
 
     node: Node
     kind: str
     code: GaussCode
     haul: Haul | None = None
-    actions: list[NDArray[np.float32]] = field(default_factory=list)
+    beads: list[int] = field(default_factory=list)
+    forces: list[NDArray[np.float32]] = field(default_factory=list)
 
     @property
     def steps(self) -> int:
         """Actions from the root to the current state."""
-        return self.node.steps + len(self.actions)
+        return self.node.steps + len(self.beads)
+
+    @property
+    def pulls(self) -> ActionSequence:
+        return ActionSequence(np.array(self.beads, dtype=np.int16), np.stack(self.forces))
 
 
 def plan(
-    simulation: Ropes,
+    simulation: Simulation,
     state: Array,
     goal: GaussCode,
     graph: TransitionGraph,
@@ -264,7 +267,7 @@ class _Search:
     The fields are arguments of `plan`.
     """
 
-    simulation: Ropes
+    simulation: Simulation
     state: Array
     goal: GaussCode
     graph: TransitionGraph
@@ -286,7 +289,6 @@ class _Search:
         self.pool = _Pool(self.distances, self.config, nx_as_hops=self.hauling)
         self.pool.add(root)
         self.towards: dict[GaussCode, Towards] = {}
-        self.promises: Promises = Counter()
         self.controller = WaypointController(self.simulation.count, self.config.macro_actions)
         self.branches: dict[int, _Branch] = {}  # by rope of the simulation
         self.spent = 0
@@ -316,10 +318,9 @@ class _Search:
         for row, branch in self.branches.items():
             if branch.haul is not None:
                 # instead of the controller's pull, which is left over from another branch
-                beads[row], forces[row] = branch.haul.pull(len(branch.actions))
-        actions, held = step_ropes(simulation, beads, forces, np.arange(count))
-        self.spent += count
-        held &= self._allowed(np.arange(count))
+                beads[row], forces[row] = branch.haul.pull(len(branch.beads))
+        pulled = forces.astype(np.float32)
+        held = self._pull(beads, pulled, np.arange(count))
         codes = label_many(simulation.points[:count])
         controller.advance(simulation.points)  # a waypoint just reached may be the last one
         idle = controller.idle
@@ -328,7 +329,8 @@ class _Search:
                 del self.branches[row]
                 continue
             branch, code = self.branches[row], codes[row]
-            branch.actions.append(actions[row])
+            branch.beads.append(int(beads[row]))
+            branch.forces.append(pulled[row])
             ended = (bool(idle[row]) and branch.haul is None) or self._is_over(branch)
             if self._is_worth_keeping(branch, code, ended):
                 node = self._keep(row, branch, code)
@@ -344,16 +346,21 @@ class _Search:
                 del self.branches[row]
         return None
 
-    def _allowed(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which ropes lie within the bound, bool (len(rows),)."""
-        if self.bound is None:
-            return np.ones(len(rows), dtype=bool)
-        return ~self.bound.exceeded(self.simulation.points[rows])
+    def _pull(
+        self, beads: NDArray[np.int64], forces: NDArray[np.float32], rows: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Act on ropes; return which stay stable and within the bound, bool (len(rows),)."""
+        newtons = np.clip(forces, -1, 1).astype(np.float64) * self.simulation.max_force
+        held = self.simulation.step(beads, newtons, rows)
+        self.spent += len(rows)
+        if self.bound is not None:
+            held = held & ~self.bound.exceeded(self.simulation.points[rows])
+        return held
 
     def _is_over(self, branch: _Branch) -> bool:
         """Tell whether the macro-action or the episode has used up its actions."""
         longest = self.config.longest if branch.haul is None else branch.haul.steps
-        return len(branch.actions) >= longest or branch.steps >= self.steps
+        return len(branch.beads) >= longest or branch.steps >= self.steps
 
     def _is_worth_keeping(self, branch: _Branch, code: GaussCode, ended: bool) -> bool:
         """Tell whether a state should join the pool.
@@ -377,20 +384,9 @@ class _Search:
         points = self.simulation.points[row]
         if self.hauling and node.code.nx >= HAULED_NX and self.rng.random() < HAULS:
             return _Branch(node, HAUL, node.code, propose_haul(len(points), self.rng))
-        if self.rng.random() < self.config.guided:
-            if node.code not in self.towards:
-                self.towards[node.code] = Towards(self.graph.steps(node.code, self.distances))
-            macro_action = most_promising(
-                points,
-                node.code,
-                self.towards[node.code],
-                self.distances,
-                self.config,
-                self.rng,
-                self.promises,
-            )
-        else:
-            macro_action = propose(points, self.rng, self.config.macro_actions)
+        if node.code not in self.towards:
+            self.towards[node.code] = Towards(self.graph.steps(node.code, self.distances))
+        macro_action = self.towards[node.code].propose(points, self.config, self.rng)
         self.controller.begin(row, macro_action)
         return _Branch(node, macro_action.kind, node.code)
 
@@ -402,7 +398,7 @@ class _Search:
             branch.steps,
             branch.node,
             branch.kind,
-            tuple(branch.actions),
+            branch.pulls,
         )
         if self.met is not None:
             self.met(node)
@@ -413,19 +409,14 @@ class _Search:
 
     def _hold_goal(self, row: int, node: Node) -> Node | None:
         """Rest for hold - 1 actions; return the node after them, or None if the goal is lost."""
-        still: tuple[NDArray[np.float32], ...] = ()
+        rows, still = np.array([row]), resting(self.hold - 1)
         for extra in range(1, self.hold):
-            actions, held = step_ropes(
-                self.simulation, np.array([0]), np.zeros((1, 3)), np.array([row])
-            )
-            self.spent += 1
-            still = (*still, actions[0])
-            held &= self._allowed(np.array([row]))
+            held = self._pull(rows, np.zeros((1, 3), dtype=np.float32), rows)
             if not held[0] or node.steps + extra > self.steps:
                 return None
-            if not label_many(self.simulation.points[row : row + 1])[0].matches(self.goal):
+            if not label_many(self.simulation.points[rows])[0].matches(self.goal):
                 return None
-        if not still:
+        if not len(still):
             return node
         state = self.simulation.states([row])[0]
         return Node(state, node.code, node.steps + len(still), node, REST, still)
@@ -438,12 +429,10 @@ def _drawn(weights: Array, rng: np.random.Generator) -> int:
 
 def _plan_to(node: Node, solved: bool, spent: int) -> Plan:
     """Collect the actions from the root to a node, following the parents back."""
-    stretches: list[tuple[tuple[NDArray[np.float32], ...], str]] = []
+    pulls, moves = NO_ACTIONS, list[str]()
     while node.before is not None:
         # one reason for the whole macro-action: the change of code between its two ends
-        stretches.append((node.actions, reason(node.before.code, node.code, node.kind)))
+        pulls = node.pulls + pulls
+        moves += [reason(node.before.code, node.code, node.kind)] * len(node.pulls)
         node = node.before
-    stretches.reverse()
-    actions = [action for taken, _ in stretches for action in taken]
-    moves = tuple(move for taken, move in stretches for _ in taken)
-    return Plan(np.array(actions, dtype=np.float32).reshape(-1, 6), moves, solved, spent)
+    return Plan(pulls, tuple(moves[::-1]), solved, spent)

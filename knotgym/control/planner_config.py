@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
-from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
 from knotgym.rope.macro_actions import MacroActionConfig
 
@@ -15,11 +14,11 @@ class PlannerConfig:
     """Settings of the planner, see `planner` for the search that they control.
 
     Attributes:
-        budget: most actions simulated for one episode, over all its plans. A search restarts after
+        budget: simulated actions per episode for expert planning. A search restarts after
             `planner.ANEW` of them.
         batch_size: copies of the rope simulated side by side.
-        guided: share of macro-actions that are chosen by surrogate rollouts; the rest are random.
-        surrogate_rollouts: candidates compared for each macro-action chosen in this way.
+        guided: share of macro-actions that imitate counted ones, where there are any; the rest are
+            random.
         longest: most actions of one macro-action.
         kept: most states kept per code.
         greed: exponent of the preference for codes near the goal; 0 for no preference.
@@ -33,17 +32,14 @@ class PlannerConfig:
             dropped.
         stuck: macro-actions from a code after which other configurations with the same code are
             kept too.
-        trust: times a predicted change must have been chosen for its gain to count half.
         template_noise: standard deviation of a template's positions, in arcs.
         graph: settings of the distances.
         macro_actions: settings of the macro-actions.
-        surrogate: settings of the surrogate rollouts.
     """
 
-    budget: int = 20000
+    budget: int = 60000
     batch_size: int = 8
     guided: float = 0.8
-    surrogate_rollouts: int = 32
     longest: int = 10
     kept: int = 6
     greed: float = 4.0
@@ -54,18 +50,16 @@ class PlannerConfig:
     weariness: float = 10.0
     try_cost: float = 2.0
     stuck: int = 24
-    trust: float = 3.0
     template_noise: float = 0.1
     graph: TransitionGraphConfig = TransitionGraphConfig()
     macro_actions: MacroActionConfig = MacroActionConfig()
-    surrogate: SurrogateConfig = SurrogateConfig()
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            counts=("batch_size", "surrogate_rollouts", "longest", "kept"),
+            counts=("batch_size", "longest", "kept"),
             whole=("budget", "least_stride", "unknown_hops", "stuck"),
-            positive=("patience", "weariness", "trust"),
+            positive=("patience", "weariness"),
             non_negative=("greed", "stride", "try_cost", "template_noise"),
             shares=("guided",),
         )

@@ -3,10 +3,11 @@
 random          uniform in [-1, 1]^6
 constant        (1, 1, 1, 1, 1, 1) at every step, which tows the rope
 scripted        one macro-action after another, without a goal
-expert          plans in the simulator from the rope's current state, see `expert`
-noisy-expert    the expert, but each action is replaced by a random one with probability `noise`,
-                after which the expert replans
-mixed           draws one of random, scripted, noisy-expert and expert for each episode
+expert          does the same thing in the same state, see `demonstrator`
+noisy           the expert, but each pull is a random one with probability `noise`, after which it
+                looks again; half of the episodes begin with a random pass
+planner         plans in the chain engine from the rope's current state, see `expert`
+mixed           draws one of random, scripted, noisy and expert for each episode
 module:name     user code: a function of (observation) or (observation, info, generator), or an
                 object with `reset` and `act`, see `own_policies`; the module may lie in the
                 current folder
@@ -14,6 +15,7 @@ FOLDER          a learner that `knotgym train` wrote; `pretrained` for the one t
 FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC selects an
                 algorithm other than PPO), .onnx, or .pt (TorchScript)
 prompt:FILE     replays the actions in the transcripts of `knotgym prompt`
+recorded:DATASET  repeats the actions of a dataset's episodes, see `recorded_policy`
 
 `register_policy` adds a single name. A `PolicyFamily` handles every name of some form; packages
 provide families through the entry-point group `knotgym.policies`, and FOLDER and prompt:FILE are
@@ -41,11 +43,15 @@ from knotgym.control.basic_policies import (
     RandomPolicy,
     ScriptedPolicy,
 )
+from knotgym.control.demonstrator import Demonstrator, DemonstratorConfig
 from knotgym.control.expert import Expert
 from knotgym.control.learned_policies import MODEL_FILES, ModelPolicy, load_model
 from knotgym.control.own_policies import OwnPolicy, load_own, module_files
+from knotgym.control.pass_counts import PASSES
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
+from knotgym.control.recorded_policy import PREFIX as RECORDED
+from knotgym.control.recorded_policy import load_recording, recording_files
 from knotgym.control.transition_graph import TRANSITIONS
 
 __all__ = [
@@ -63,7 +69,7 @@ __all__ = [
 ]
 
 GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
-MIXED = ("random", "scripted", "noisy-expert", "expert")  # what a mixed policy draws from
+MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,15 +77,20 @@ class PolicyConfig:
     """Which policy acts, and its settings.
 
     Attributes:
-        policy: a name in one of the forms listed at the top of this module.
-        noise: probability that an action of the noisy expert is random.
-        shares: weights of random, scripted, noisy-expert and expert in a mixed policy.
-        planner: settings of the experts; the scripted policy uses its macro-actions.
+        policy: policy: random, constant, scripted, expert, noisy, planner, mixed or pretrained; a
+            folder written by `knotgym train`; a .zip (SB3), .onnx or .pt file; prompt:FILE, to
+            score transcripts of `knotgym prompt`; or module:name for your own code: a function of
+            (observation) or (observation, info, generator), or an object with reset and act.
+        noise: probability that a pull of the noisy policy is random.
+        shares: shares of random, scripted, noisy and expert episodes in mixed.
+        demonstrator: settings of the expert.
+        planner: settings of the planner; the scripted policy uses its macro-actions.
     """
 
     policy: str = "random"
     noise: float = 0.1
     shares: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
+    demonstrator: DemonstratorConfig = DemonstratorConfig()
     planner: PlannerConfig = PlannerConfig()
 
     def __post_init__(self) -> None:
@@ -98,7 +109,7 @@ class PolicyConfig:
         """Rough cost of an episode of 50 steps, in seconds on one core of the machine described in
         docs/validation.md. Policies that plan take longer.
         """
-        return 3.0 if "expert" in self.policy or self.policy == "mixed" else 0.5
+        return 3.0 if self.policy in ("expert", "noisy", "planner", "mixed") else 0.5
 
     @property
     def short(self) -> str:
@@ -187,7 +198,7 @@ def _family(name: str) -> PolicyFamily:
     """The first family whose form a name has. Entry points are read only if they are needed."""
     if _REGISTERED.matches(name):
         return _REGISTERED
-    families = (*_entry_point_families(), _MODEL_FILE, _OWN_CODE)
+    families = (_RECORDED, *_entry_point_families(), _MODEL_FILE, _OWN_CODE)
     for family in families:
         if family.matches(name):
             return family
@@ -245,6 +256,12 @@ _REGISTERED = PolicyFamily(
     make=lambda config: _constructors[config.policy](config),
     files=lambda name: {path.name: path for path in _files[name]},
 )
+_RECORDED = PolicyFamily(
+    form=f"{RECORDED}DATASET",
+    matches=lambda name: name.startswith(RECORDED),
+    make=lambda config: load_recording(config.policy),
+    files=recording_files,
+)
 _MODEL_FILE = PolicyFamily(
     form="a .zip, .onnx or .pt file", matches=_is_model_file, make=_model, files=_model_files
 )
@@ -260,20 +277,26 @@ def _scripted(config: PolicyConfig) -> Policy:
     return ScriptedPolicy(config.planner.macro_actions)
 
 
-def _noisy_expert(config: PolicyConfig) -> Policy:
-    return NoisyPolicy("noisy-expert", Expert(config.planner), config.noise)
+def _expert(config: PolicyConfig) -> Demonstrator:
+    return Demonstrator(config.demonstrator, config.planner)
+
+
+def _noisy(config: PolicyConfig) -> Policy:
+    return NoisyPolicy("noisy", _expert(config), config.noise)
 
 
 def _mixed(config: PolicyConfig) -> Policy:
-    expert = Expert(config.planner)  # shared by both: it keeps what it knows by episode
-    noisy = NoisyPolicy("noisy-expert", expert, config.noise)
+    expert = _expert(config)  # shared by both: it keeps what it knows by episode
+    noisy = NoisyPolicy("noisy", expert, config.noise)
     return MixedPolicy([RandomPolicy(), _scripted(config), noisy, expert], config.shares)
 
 
-_planner_files = (TRANSITIONS,) if TRANSITIONS.is_file() else ()
+_planner_files = tuple(path for path in (TRANSITIONS,) if path.is_file())
+_expert_files = (*_planner_files, *(path for path in (PASSES,) if path.is_file()))
 register_policy("random", lambda config: RandomPolicy())
 register_policy("constant", lambda config: ConstantPolicy())
 register_policy("scripted", _scripted)
-register_policy("expert", lambda config: Expert(config.planner), _planner_files)
-register_policy("noisy-expert", _noisy_expert, _planner_files)
-register_policy("mixed", _mixed, _planner_files)
+register_policy("expert", _expert, _expert_files)
+register_policy("noisy", _noisy, _expert_files)
+register_policy("planner", lambda config: Expert(config.planner), _planner_files)
+register_policy("mixed", _mixed, _expert_files)

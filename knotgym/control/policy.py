@@ -18,6 +18,9 @@ class InvalidPolicy(KnotgymError, ValueError):
     """The policy doesn't exist, can't be made, or returned invalid actions."""
 
 
+NO_MACRO = (0, -1, -1, 0)  # see `Choice.macros`
+
+
 class Choice(NamedTuple):
     """Actions for n episodes.
 
@@ -25,10 +28,14 @@ class Choice(NamedTuple):
         actions: actions of the task's view, see `knotgym.rope.action_views`; pulls are float32
             (n, 6), in [-1, 1].
         moves: n reasons of a word or two; "" where the policy gives none.
+        macros: int64 (n, 4), the macro-action that each pull is part of: whether it is the first
+            pull, then the bead, target and side; NO_MACRO where it is part of none. None if the
+            policy doesn't say.
     """
 
     actions: NDArray[Any]
     moves: list[str]
+    macros: NDArray[np.int64] | None = None
 
 
 def checked(
@@ -112,13 +119,6 @@ class Policy(Protocol):
 
     def effort(self, index: int) -> Effort:
         """The cost of planning in episode `index` so far."""
-
-
-class PlanningPolicy(Policy, Protocol):
-    """A policy whose plan can be invalidated from outside."""
-
-    def replan(self, index: int) -> None:
-        """Replan before the next action."""
 
 
 class UnplannedPolicy(Policy):

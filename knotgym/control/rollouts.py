@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.control.expert import Expert
-from knotgym.control.policy import Effort, Policy
+from knotgym.control.policy import NO_MACRO, Effort, Policy
 from knotgym.datasets.trajectory import MACRO_INFOS, Episode
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import Array
-
-_NO_MACRO = -1, -1, 0  # bead, target and side at the start
 
 
 class EpisodeStreams(NamedTuple):
@@ -72,6 +70,7 @@ class _Track:
     points: list[Array] = field(default_factory=list)
     infos: list[dict[str, object]] = field(default_factory=list)
     actions: list[NDArray[np.float32]] = field(default_factory=list)
+    macros: list[tuple[int, ...]] = field(default_factory=list)  # empty, or one per action
     expert_actions: list[NDArray[np.float32]] = field(default_factory=list)
     advice: Effort = Effort()  # cost of the expert's actions
     rewards: list[float] = field(default_factory=list)
@@ -81,12 +80,7 @@ class _Track:
     def see(self, episodes: EpisodeBatch, index: int, move: str) -> None:
         """Record the current state, and the reason for the action that led to it."""
         self.points.append(episodes.simulation.points[index].copy())
-        info = {**episodes.info(index), "move": move}
-        if episodes.config.action == "macro":
-            view = episodes.view
-            macro = view.macros[index].tolist() if view.pulls[index] else _NO_MACRO
-            info |= dict(zip(MACRO_INFOS, (view.pulls[index] == 1, *macro), strict=True))
-        self.infos.append(info)
+        self.infos.append({**episodes.info(index), "move": move})
 
     def ask(
         self, expert: Expert, episodes: EpisodeBatch, index: int, rng: np.random.Generator
@@ -139,9 +133,12 @@ def rollout(
                 tracks[index].ask(labeller, episodes, index, generator(Stream.EXPERT_LABEL, *key))
         deciding = under_way[~episodes.view.busy[under_way]]
         if len(deciding):
-            actions, reasons = policy.act(episodes, deciding)
-            episodes.view.begin(actions, deciding, episodes.codes)
-            moves |= dict(zip(deciding.tolist(), reasons, strict=True))
+            choice = policy.act(episodes, deciding)
+            episodes.view.begin(choice.actions, deciding)
+            moves |= dict(zip(deciding.tolist(), choice.moves, strict=True))
+            if choice.macros is not None:
+                for index, macro in zip(deciding.tolist(), choice.macros.tolist(), strict=True):
+                    tracks[index].macros.append(tuple(macro))
         # whatever the view, an episode is its pulls
         pulls = episodes.view.next_pulls(under_way).astype(np.float32)
         rewards, terminated, truncated = episodes.step(pulls, under_way)
@@ -151,6 +148,9 @@ def rollout(
             track.rewards.append(float(rewards[row]))
             track.terminations.append(bool(terminated[row]))
             track.truncations.append(bool(truncated[row]))
+            if task.action == "macro":
+                first = episodes.view.pulls[index] == 1
+                track.macros.append((first, *episodes.view.macros[index].tolist()))
             track.see(episodes, index, moves[index])
         under_way = under_way[~(terminated | truncated)]
     return [
@@ -180,11 +180,11 @@ def _episode(track: _Track, policy: str, seed: int) -> Episode:
     def column(name: str, dtype: type) -> NDArray[Any]:
         return np.array([info[name] for info in track.infos], dtype=dtype)
 
-    macros: dict[str, Any] = {
-        name: column(name, np.bool_ if name == "macro_start" else np.int64)
-        for name in MACRO_INFOS
-        if name in track.infos[0]
-    }
+    macros: dict[str, Any] = {}
+    if track.macros:
+        table = np.array([NO_MACRO, *track.macros], dtype=np.int64)
+        macros = dict(zip(MACRO_INFOS, table.T.copy(), strict=True))
+        macros["macro_start"] = macros["macro_start"].astype(bool)
     return Episode(
         start_qpos=track.start_qpos,
         points=np.stack(track.points),

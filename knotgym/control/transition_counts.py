@@ -49,11 +49,11 @@ _COLUMNS = (
     Column("template_side", "int8", ("templates",), least=-1),
     Column("template_places", "float16", ("templates", 2), finite=True),
 )
-_Element = tuple[bool, bool, bool]  # symmetry element: reverse, switch, reflect
+Element = tuple[bool, bool, bool]  # symmetry element: reverse, switch, reflect
 _BOTH = (False, True)
 # Element k is the one that `symmetry.images` applies for its k-th image. Read as bits of k, the
 # three flags make composition a bitwise xor, which `transition_graph` relies on.
-ELEMENTS: tuple[_Element, ...] = tuple(product(_BOTH, _BOTH, _BOTH))
+ELEMENTS: tuple[Element, ...] = tuple(product(_BOTH, _BOTH, _BOTH))
 
 
 class InvalidTransitions(KnotgymError, ValueError):
@@ -76,7 +76,7 @@ class MacroTemplate(NamedTuple):
     bead: float
     target: float
 
-    def transformed(self, element: _Element, arcs: int) -> MacroTemplate:
+    def transformed(self, element: Element, arcs: int) -> MacroTemplate:
         """The template for the image of the rope under a symmetry element.
 
         Args:
@@ -187,9 +187,9 @@ class TransitionCounts:
         Raises:
             InvalidTransitions: the group has a digest, and its values don't match it.
         """
-        columns = _read_columns(group)
+        columns = read_columns(group, _COLUMNS)
         if _DIGEST in group.attrs:
-            if read_attribute(group, Column(_DIGEST, "text", ())) != _digest(columns):
+            if read_attribute(group, Column(_DIGEST, "text", ())) != content_digest(columns):
                 raise InvalidTransitions(
                     f"{group.file.filename} is corrupted: the SHA-256 of its counts differs from"
                     " the one stored with them"
@@ -217,7 +217,7 @@ class TransitionCounts:
         with atomic_write(path) as temporary, h5py.File(temporary, "w") as file:
             file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
             self.write(file)
-            file.attrs[_DIGEST] = _digest(_read_columns(file))
+            file.attrs[_DIGEST] = content_digest(read_columns(file, _COLUMNS))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TransitionCounts:
@@ -318,7 +318,7 @@ def template_of(macro_action: MacroAction, arcs: ArcCoordinates) -> MacroTemplat
     return MacroTemplate(macro_action.kind, macro_action.side, bead, target)
 
 
-def transformed(code: GaussCode, element: _Element) -> GaussCode:
+def transformed(code: GaussCode, element: Element) -> GaussCode:
     """Apply a symmetry element to a code with chirality; applying it twice gives the code back."""
     reverse, switch, reflect = element
     code = code.reversed() if reverse else code
@@ -327,7 +327,7 @@ def transformed(code: GaussCode, element: _Element) -> GaussCode:
 
 
 @lru_cache(maxsize=200_000)
-def _elements(code: GaussCode) -> tuple[_Element, ...]:
+def _elements(code: GaussCode) -> tuple[Element, ...]:
     """All symmetry elements that bring a code to its canonical form."""
     wanted = canonical_form(code)
     return tuple(
@@ -335,13 +335,13 @@ def _elements(code: GaussCode) -> tuple[_Element, ...]:
     )
 
 
-def _read_columns(group: h5py.Group) -> dict[str, NDArray[Any]]:
-    """Read the columns that `TransitionCounts.write` wrote."""
+def read_columns(group: h5py.Group, schema: tuple[Column, ...]) -> dict[str, NDArray[Any]]:
+    """Read the columns of a group."""
     sizes: dict[str, int] = {}
-    return {column.name: read_column(group, column, sizes) for column in _COLUMNS}
+    return {column.name: read_column(group, column, sizes) for column in schema}
 
 
-def _digest(columns: dict[str, NDArray[Any]]) -> str:
+def content_digest(columns: dict[str, NDArray[Any]]) -> str:
     """SHA-256 of all columns with their names, types and shapes, hexadecimal."""
     whole = hashlib.sha256()
     for name, values in columns.items():

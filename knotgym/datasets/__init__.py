@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         read_table,
     )
     from knotgym.datasets.minari_dataset import MinariMetadata, compact, publish
+    from knotgym.datasets.subsets import delete, select, split
     from knotgym.datasets.trajectory import Episode, InvalidEpisode, relabel_all, relabelled
     from knotgym.datasets.verification import faults, verify
     from knotgym.states.state_file import (
@@ -35,34 +36,7 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(
-        __name__,
-        {
-            "Episode": "knotgym.datasets.trajectory",
-            "EpisodeReader": "knotgym.datasets.episode_reader",
-            "EpisodeWriter": "knotgym.datasets.episode_writer",
-            "InvalidEpisode": "knotgym.datasets.trajectory",
-            "InvalidEpisodeFile": "knotgym.datasets.episode_reader",
-            "InvalidImages": "knotgym.datasets.image_table",
-            "InvalidStates": "knotgym.states.state_file",
-            "MinariMetadata": "knotgym.datasets.minari_dataset",
-            "States": "knotgym.states.state_file",
-            "compact": "knotgym.datasets.minari_dataset",
-            "faults": "knotgym.datasets.verification",
-            "merge_states": "knotgym.states.state_file",
-            "publish": "knotgym.datasets.minari_dataset",
-            "read_rows": "knotgym.datasets.image_table",
-            "read_states": "knotgym.states.state_file",
-            "read_table": "knotgym.datasets.image_table",
-            "relabel_all": "knotgym.datasets.trajectory",
-            "relabelled": "knotgym.datasets.trajectory",
-            "shipped": "knotgym.states.state_file",
-            "show_episodes": "knotgym.datasets.episode_verification",
-            "verify": "knotgym.datasets.verification",
-            "verify_episodes": "knotgym.datasets.episode_verification",
-            "write_states": "knotgym.states.state_file",
-        },
-    )
+    __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "Episode",
@@ -75,6 +49,7 @@ __all__ = [
     "MinariMetadata",
     "States",
     "compact",
+    "delete",
     "faults",
     "merge_states",
     "publish",
@@ -83,8 +58,10 @@ __all__ = [
     "read_table",
     "relabel_all",
     "relabelled",
+    "select",
     "shipped",
     "show_episodes",
+    "split",
     "verify",
     "verify_episodes",
     "write_states",

@@ -11,10 +11,8 @@
 
 Everything else can be recomputed from `start_qpos`, `goal_points` and `infos/points`, all float64.
 
-`stored` is "pixels", "state", "both", "symbolic" or, in the compact form, "none".
+`stored` is "pixels", "state", "both", "symbolic", "marked" or, in the compact form, "none".
 """
-
-from __future__ import annotations
 
 import hashlib
 import json
@@ -55,20 +53,15 @@ GOAL_INFO = "infos/goal_gauss_code"  # the goal's code, repeated at every state
 Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
 _STEPS = ("actions", "rewards", "terminations", "truncations")
 _ATTRIBUTE_KINDS = {
-    "id": "integer",
-    "number": "integer",
-    "total_steps": "integer",
-    "seed": "integer",
-    "hold": "integer",
+    **dict.fromkeys(("id", "number", "total_steps", "seed", "hold"), "integer"),
+    **dict.fromkeys(("goal_gauss_code", "policy", "digest"), "text"),
     "relabelled": "bool",
-    "goal_gauss_code": "text",
-    "policy": "text",
-    "digest": "text",
 }
 _OBSERVED = {
     "pixels": Column("pixels", "uint8", ("states", None, None, None)),
     "state": Column("state", "float32", ("states", None), finite=True),
     "symbolic": Column("symbolic", "int16", ("states", 2, None)),
+    "marked": Column("marked", "float32", ("states", None), finite=True),
 }
 
 
@@ -195,8 +188,7 @@ class EpisodeReader:
     def states_path(self) -> Path:
         """Return the path of the state file that the episodes were reset from; it may not exist.
 
-        Raises:
-            InvalidEpisodeFile: a dataset names a path outside it (a single file may do so).
+        A dataset that names a path outside it raises InvalidEpisodeFile; a single file may do so.
         """
         beside, named = self.path.with_name("states.h5"), self.task.states
         if ships(named) or named is None:
@@ -220,9 +212,7 @@ class EpisodeReader:
     def episode(self, index: int) -> Episode:
         """Read a whole episode, without its observations.
 
-        Raises:
-            InvalidEpisodeFile: something is missing, unreadable or of the wrong shape; the message
-                names it.
+        What is missing, unreadable or of the wrong shape is named by InvalidEpisodeFile.
         """
         with self._naming(index):
             group = self.group(index)
@@ -263,13 +253,14 @@ class EpisodeReader:
             steps: which of its T + 1 states; an array must be increasing.
             goal_step: state of the episode to show as the goal instead of its own.
             goal_episode: position of the episode that `goal_step` is a state of; None for `index`.
-            observation: "pixels", "state", "both" or "symbolic"; "" for the task's.
+            observation: one of OBSERVATIONS; "" for the task's.
             picture: a `knotgym.rendering.picture.PictureConfig` to render with, instead of using
                 the stored pictures.
 
         Returns:
-            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
-            (n, 2, SYMBOLS); rendered from the vertices where the file stores no such observations.
+            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, int16
+            (n, 2, SYMBOLS), or float32 (n, marked.size(beads)); rendered from the vertices where
+            the file stores no such observations.
         """
         wanted = observation or self.task.observation
         if wanted not in OBSERVATIONS:
@@ -280,14 +271,20 @@ class EpisodeReader:
             goal_episode = index
         part_of_both = self.stored == "both" and wanted in ("pixels", "state")
         with self._naming(index):
-            if (self.stored == wanted or part_of_both) and picture is None:
+            # the frame of a marked observation depends on the goal
+            kept = goal_step is None or wanted != "marked"
+            if (self.stored == wanted or part_of_both) and picture is None and kept:
                 return self._stored(index, steps, goal_step, goal_episode, wanted)
             seen = _at(self._stored_points(index), steps)
             if goal_step is None:
                 goal = self._array(index, "goal_points")
             else:
                 goal = self._stored_points(goal_episode)[goal_step]
-        return self._drawn(seen, goal, wanted, picture)
+        # imported here, so that loading states doesn't need OpenCV
+        from knotgym.envs.observations import observe, picture_config
+
+        picture = picture or picture_config(self.task)
+        return observe(seen, goal, wanted, picture, self.task.layout)
 
     def stored_observations(self, index: int) -> dict[str, h5py.Dataset]:
         """Return the HDF5 datasets of an episode's stored observations, by name: none, 1 or 2."""
@@ -320,21 +317,11 @@ class EpisodeReader:
         if goal_step is not None:
             data = data if goal_episode == index else self.stored_observations(goal_episode)
             for name, array in seen.items():
-                # axis along which an observation is [rope, goal]
-                side = 1
-                if name == "pixels":
-                    side = 2 if self.task.layout == "beside" else 3
-                half = array.shape[side] // 2
-                goal = data[name][goal_step][None]
-                np.moveaxis(array, side, 0)[half:] = np.moveaxis(goal, side, 0)[:half]
+                # the goal's half of a view on the array becomes the rope's half at goal_step
+                axis = goal_axis(self.task.layout) if name == "pixels" else 1
+                goal = np.split(data[name][goal_step][None], 2, axis)[0]
+                np.split(array, 2, axis)[1][:] = goal
         return seen if wanted == "both" else seen[wanted]
-
-    def _drawn(self, seen: NDArray[Any], goal: NDArray[Any], wanted: str, picture: Any) -> Any:
-        # imported here, so that loading states doesn't need OpenCV
-        from knotgym.envs.observations import observe, picture_config
-
-        drawn = picture or picture_config(self.task)
-        return observe(seen, goal, wanted, drawn, self.task.layout)
 
     def _naming(self, index: int) -> AbstractContextManager[None]:
         """Prefix errors with the path and the episode."""
@@ -352,6 +339,11 @@ class EpisodeReader:
         if name in ONCE:
             return np.asarray(read_attribute(group, wanted, sizes))
         return read_column(group, wanted, sizes, dataset_path(name))
+
+
+def goal_axis(layout: str) -> int:
+    """The axis of (n, height, width, channels) pictures along which the goal follows the rope."""
+    return 2 if layout == "beside" else 3
 
 
 def episode_file(source: Any) -> Path:

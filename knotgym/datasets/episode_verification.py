@@ -4,8 +4,6 @@ Points, rewards and observations must agree bit for bit; codes must agree with t
 labellers.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -48,13 +46,7 @@ _BATCH = 64  # episodes replayed side by side
 def replay(
     episodes: Sequence[Episode], task: TaskConfig, threads: int = 1, count: Count = uncounted
 ) -> list[int | None]:
-    """Replay episodes from their starts.
-
-    Args:
-        episodes: episodes of one task, replayed in parallel in one simulation.
-        task: the task, which names the engine and the rope.
-        threads: threads of the simulation, 0 for all cores.
-        count: progress callback, called after each step of the simulation.
+    """Replay episodes of one task from their starts, side by side in one simulation.
 
     Returns:
         For each episode the first state that differs in any bit, or that needed another share of
@@ -246,13 +238,12 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
     if beside.is_file():
         found = read_json(beside)
         entries = found if isinstance(found, dict) else {}
-        for name, right in {
-            "total_episodes": len(reader),
-            "total_steps": int(reader.lengths.sum()),
-            "jpeg_encoding": False,
-        }.items():
-            if entries.get(name) != right:
-                faults.append(f"{beside}: {name} is {entries.get(name)}, should be {right}")
+        counts = {"total_episodes": len(reader), "total_steps": int(reader.lengths.sum())}
+        faults += [
+            f"{beside}: {name} is {entries.get(name)}, should be {right}"
+            for name, right in {**counts, "jpeg_encoding": False}.items()
+            if entries.get(name) != right
+        ]
     return faults
 
 

@@ -6,8 +6,6 @@ compresses as well as a higher level does with one frame per chunk, and reading 
 than 1 ms.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -66,12 +64,10 @@ class EpisodeWriter:
     def __init__(
         self, path: str | os.PathLike[str], task: TaskConfig, *, compact: bool = False
     ) -> None:
-        """Prepare a file of episodes of one task.
+        """Prepare a file of episodes of one task; an existing file is replaced.
 
-        Args:
-            path: path of the file; an existing file is replaced.
-            task: the environment; `task.observation` says which observations are stored.
-            compact: store no observations; they are rendered when read.
+        `task.observation` says which observations are stored; with `compact` none are, and they are
+        rendered when read.
         """
         self.path = Path(path)
         self.task = task
@@ -100,12 +96,9 @@ class EpisodeWriter:
             _write_index(self._file, self._index)
 
     def add(self, episode: Episode, number: int | None = None) -> None:
-        """Write an episode.
+        """Write an episode of the writer's task.
 
-        Args:
-            episode: an episode of the writer's task.
-            number: its number among the episodes of all files to be merged; by default one more
-                than the previous one's.
+        `number` counts the episodes of all files to be merged; by default one more than the last.
         """
         number = self._next if number is None else number
         self._next = number + 1
@@ -144,15 +137,15 @@ def merge_episodes(
     Args:
         sources: what `EpisodeReader` takes; all of one task and rope.
         target: path of the merged file; an existing file is replaced.
-        store: observations in the target, "pixels", "state", "both", "symbolic" or "none"; rendered
-            where the sources store others. None keeps those of the sources.
+        store: observations in the target, one of STORED; rendered where the sources store others.
+            None keeps those of the sources.
         concatenate: append the sources one after another; otherwise order episodes by their number,
             as for the shards of one run.
         distinct: refuse two equal episodes.
         task: task of the target, for episodes that are assigned to another split: `split` and
             `states` of the sources may then differ.
         attributes: further attributes of the target file.
-        count: progress callback, called before each episode.
+        count: progress callback.
 
     Raises:
         InvalidEpisodeFile: the sources can't be combined, two episodes have the same number, or two
@@ -163,6 +156,7 @@ def merge_episodes(
     readers = [EpisodeReader(source) for source in sources]
     _require_one_kind(readers, task)
     first = readers[0]
+    # every check comes before the target is created
     order = _in_order(readers, concatenate)
     if distinct:
         _require_distinct(order)
@@ -356,6 +350,7 @@ def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
     if source.chunks is None:
         h5py.Dataset(copied)[()] = source[()]
         return
+    # one raw chunk at a time, as it is compressed; `mask` says which filters were skipped
     axes = zip(source.shape, source.chunks, strict=True)
     for start in product(*(range(0, size, chunk) for size, chunk in axes)):
         mask, stored = source.id.read_direct_chunk(start)

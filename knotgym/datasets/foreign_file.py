@@ -4,8 +4,6 @@ Some corrupted files make the library crash or loop forever, which no check in P
 Reading the whole file in a subprocess first turns that into an error message.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterable, Sequence
@@ -27,9 +25,7 @@ class HarmfulFile(KnotgymError, OSError):
 def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
     """Read files completely in one subprocess; skip those that aren't HDF5.
 
-    Args:
-        paths: paths of any files.
-        limit: time limit in seconds, before the allowance for the files' size.
+    `limit` is the time limit in seconds, before the allowance for the files' size.
 
     Raises:
         HarmfulFile: a file makes the library crash or hang.

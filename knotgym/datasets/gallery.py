@@ -1,7 +1,5 @@
 """Contact sheets: knot diagrams of states and of final states of episodes, and pictures."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence
@@ -30,25 +28,16 @@ _FONT, _LETTERS, _GREY = cv2.FONT_HERSHEY_SIMPLEX, 0.4, (40, 40, 40)
 
 
 class Tile(NamedTuple):
-    """A picture in a contact sheet.
+    """A picture in a contact sheet."""
 
-    Attributes:
-        picture: uint8 (size, size, 3), RGB.
-        captions: lines of text below; long lines are wrapped.
-        colour: RGB of the text. Unless it is WHITE, the picture gets a frame of this colour.
-    """
-
-    picture: NDArray[np.uint8]
-    captions: Sequence[str]
+    picture: NDArray[np.uint8]  # uint8 (size, size, 3), RGB
+    captions: Sequence[str]  # lines of text below; long lines are wrapped
+    # RGB of the text. Unless it is WHITE, the picture gets a frame of this colour.
     colour: tuple[int, int, int] = WHITE
 
 
 def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
-    """Arrange pictures of one size in rows of at most `columns`.
-
-    Returns:
-        uint8 (height, width, 3), RGB.
-    """
+    """Arrange pictures of one size in rows of at most `columns`: uint8 (height, width, 3), RGB."""
     size = len(tiles[0].picture) if tiles else _TILE
     wrapped = [[part for line in one.captions for part in _wrapped(line, size)] for one in tiles]
     wide = size + 2 * _EDGE

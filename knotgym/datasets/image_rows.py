@@ -3,8 +3,6 @@
 The same rows give the same bytes on any worker.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from knotgym.rope.model import Array
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
+from knotgym.topology.notation import dt_text, pd_text
 from knotgym.topology.reference_labeller import pyknotid_code
 
 _RGB = ("first", "last", "background")
@@ -34,17 +33,12 @@ class UntrueLabel(KnotgymError, RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A picture to render.
+    """A picture to render."""
 
-    Attributes:
-        points: float64 (beads, 3), metres.
-        code: the Gauss code that it must show, with chirality.
-        source: as in `image_table.COLUMNS`; `seed` and `row` seed its appearance and its noise.
-    """
-
-    points: Array
-    code: GaussCode
+    points: Array  # float64 (beads, 3), metres
+    code: GaussCode  # the Gauss code that it must show, with chirality
     split: str
+    # as in `image_table.COLUMNS`; `seed` and `row` seed its appearance and its noise.
     source: dict[str, Any]
 
 
@@ -59,11 +53,7 @@ class TableFile:
 
 
 def write_table_file(file: TableFile) -> Path:
-    """Write a file of the table atomically, unless it exists with the right checksum.
-
-    Raises:
-        UntrueLabel: one of the two labellers reads another code than that of the row.
-    """
+    """Write a file of the table atomically, unless it exists with the right checksum."""
     if not (
         file.path.is_file()
         and file.seal.is_file()
@@ -104,6 +94,8 @@ def labels(points: Array, crossings: Crossings, look: Appearance) -> dict[str, A
     return {
         "gauss_code": str(crossings.code),
         "gauss_code_chiral": crossings.code.chiral,
+        "pd_code": pd_text(crossings.code),
+        "dt_code": dt_text(crossings.code),
         "nx": crossings.nx,
         "knot": knot_type(crossings.code),
         "points": points.ravel().tolist(),

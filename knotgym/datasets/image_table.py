@@ -7,14 +7,14 @@ down. Pictures are lossless PNG in the layout of Hugging Face's Image feature. p
 on demand.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import json
 import os
 import struct
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -38,55 +38,12 @@ _MOST_EXPANDED = 1000  # limit of uncompressed bytes per stored byte
 _LARGEST = 4096  # pixels, side of the largest picture that is decoded
 _PNG = b"\x89PNG\r\n\x1a\n"
 
-# The type of a column is a type name, {name: type} for a struct, or [type, length or None] for a
-# list. The schemas of pyarrow and of Hugging Face are both derived from this one.
-COLUMNS: dict[str, Any] = {
-    "image": "image",
-    "gauss_code": "string",
-    "gauss_code_chiral": "string",
-    "nx": "int64",
-    "knot": "string",
-    "points": ["float64", 300],
-    "crossings": [
-        {
-            "x": "float64",
-            "y": "float64",
-            "over_place": "float64",
-            "under_place": "float64",
-            "sign": "int8",
-        },
-        None,
-    ],
-    "split": "string",
-    "accepted": "bool",
-    "grade": "string",
-    "quality": dict.fromkeys(UNITS, "float64"),
-    "appearance": {
-        "size": "int32",
-        "turn": "float64",
-        "zoom": "float64",
-        "width": "float64",
-        "colours": "string",
-        "first": ["uint8", 3],
-        "last": ["uint8", 3],
-        "background": ["uint8", 3],
-        "noise": "float64",
-        "blur": "float64",
-        "seed": "int64",
-    },
-    "source": {
-        "walk": "int64",
-        "pulls": "int64",
-        "rounds": "int64",
-        "reflect": "bool",
-        "switch": "bool",
-        "reverse": "bool",
-        "base_shift": "int64",
-        "family": "int64",
-        "seed": "int64",
-        "row": "int64",
-    },
-}
+# `columns.toml` has the types of Arrow; the schemas of pyarrow and Hugging Face derive from it
+TABLES: dict[str, Any] = tomllib.loads(
+    (files("knotgym.datasets") / "columns.toml").read_text("utf-8")
+)
+TABLES["pictures"]["quality"]["type"] = dict.fromkeys(UNITS, "float64")
+COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["pictures"].items()}
 
 
 class InvalidImages(KnotgymError, ValueError):
@@ -94,36 +51,27 @@ class InvalidImages(KnotgymError, ValueError):
 
 
 def arrow(module: str = "pyarrow") -> Any:
-    """Import pyarrow, or one of its modules.
-
-    Raises:
-        MissingExtra: it isn't installed.
-    """
+    """Import pyarrow, or one of its modules; raise MissingExtra if it isn't installed."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise MissingExtra(module, install_command("huggingface"), "Parquet") from error
 
 
-def schema() -> Any:
-    """Return the pyarrow schema of a shard, with Hugging Face features in its metadata."""
+def schema(columns: Mapping[str, Any] = COLUMNS) -> Any:
+    """Return the pyarrow schema of columns, with Hugging Face features in its metadata."""
     pa = arrow()
-    features = {name: feature(kind) for name, kind in COLUMNS.items()}
-    metadata = {
-        "huggingface": json.dumps({"info": {"features": features}}, sort_keys=True),
-        "knotgym": json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION}, sort_keys=True),
-    }
+    features = {name: feature(kind) for name, kind in columns.items()}
     return pa.schema(
-        [(name, arrow_type(pa, kind)) for name, kind in COLUMNS.items()], metadata=metadata
+        [(name, arrow_type(pa, kind)) for name, kind in columns.items()],
+        metadata={"huggingface": json.dumps({"info": {"features": features}}, sort_keys=True)},
     )
 
 
 def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a shard atomically; the same rows give the same bytes.
+    """Write a shard atomically from rows with all of COLUMNS, `image` as PNG bytes.
 
-    Args:
-        path: the new file.
-        rows: all columns of COLUMNS by name, `image` as PNG bytes.
+    The same rows give the same bytes.
     """
     full = [{**row, "image": {"bytes": row["image"], "path": None}} for row in rows]
     write_table(path, arrow().Table.from_pylist(full, schema=schema()))
@@ -156,11 +104,7 @@ def encode(image: NDArray[np.uint8]) -> bytes:
 
 
 def decode(data: bytes) -> NDArray[np.uint8]:
-    """Decode a PNG to uint8 (size, size, 3), RGB.
-
-    Raises:
-        InvalidImages: it isn't a PNG, or larger than knotgym writes.
-    """
+    """Decode a PNG of at most _LARGEST pixels a side to uint8 (size, size, 3), RGB."""
     if len(data) < 33 or data[:8] != _PNG:
         raise InvalidImages(f"{len(data)} bytes that aren't a PNG picture")
     width, height = struct.unpack(">II", data[16:24])
@@ -189,11 +133,7 @@ def file_stem(split: str) -> str:
 
 
 def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]:
-    """List the shards of a folder, or the one file, in order.
-
-    Args:
-        path: a shard, or a folder with shards in it or in its `data`.
-        split: list the shards of this split only.
+    """List the shards of a folder or of the folder `data` in it, or the one file, in order.
 
     Raises:
         MissingFile: nothing exists at path.
@@ -318,11 +258,7 @@ def _named(file: Any) -> dict[str, Any]:
 
 
 def _require_schema(file: Any, stored: int) -> None:
-    """Refuse a shard with other columns or types, or with sizes that its stored bytes can't hold.
-
-    Raises:
-        InvalidImages: the shard is refused.
-    """
+    """Refuse a shard with other columns or types, or with sizes that its bytes can't hold."""
     found = file.schema_arrow
     for wanted in schema():
         at = found.get_all_field_indices(wanted.name)
@@ -333,6 +269,7 @@ def _require_schema(file: Any, stored: int) -> None:
             raise InvalidImages(f"column {wanted.name} is {kind}, should be {wanted.type}")
     metadata = file.metadata
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    # the footer's own figures: nothing is allocated before they are found plausible
     size = sum(group.total_byte_size for group in groups)
     rows = sum(group.num_rows for group in groups)
     if rows != metadata.num_rows or not 0 <= rows * _LEAST_ROW <= stored:
@@ -359,7 +296,7 @@ def arrow_type(pa: Any, kind: Any) -> Any:
     if isinstance(kind, dict):
         return pa.struct([(name, arrow_type(pa, inner)) for name, inner in kind.items()])
     if isinstance(kind, list):
-        return pa.list_(arrow_type(pa, kind[0]), -1 if kind[1] is None else kind[1])
+        return pa.list_(arrow_type(pa, kind[0]), kind[1] or -1)
     if kind == "image":
         return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     return {"string": pa.string(), "bool": pa.bool_()}.get(kind) or getattr(pa, kind)()
@@ -370,9 +307,5 @@ def feature(kind: Any) -> Any:
     if isinstance(kind, dict):
         return {name: feature(inner) for name, inner in kind.items()}
     if isinstance(kind, list):
-        return {
-            "feature": feature(kind[0]),
-            "length": -1 if kind[1] is None else kind[1],
-            "_type": "List",
-        }
+        return {"feature": feature(kind[0]), "length": kind[1] or -1, "_type": "List"}
     return {"_type": "Image"} if kind == "image" else {"dtype": kind, "_type": "Value"}

@@ -5,11 +5,8 @@ system's own mathematics library. A sum in another order differs by rounding, wh
 simulation amplifies to millimetres.
 """
 
-from __future__ import annotations
-
 import platform
-from collections.abc import Iterable, Sequence
-from functools import cache
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,32 +17,23 @@ from knotgym.common.configuration import read_json
 _REPORTS = ("manifest.json", "data/collection.json", "collection.json")
 
 
-@cache
-def _found() -> tuple[tuple[str, str], ...]:
+def machine() -> dict[str, str]:
+    """Describe this machine: `system`, `processor`, the `instructions` that NumPy uses beyond its
+    baseline, the `blas` it was built with, and the `libc`, whose mathematics MuJoCo uses.
+    """
     try:
         config: Any = np.show_config(mode="dicts")
-        blas = config["Build Dependencies"]["blas"]
-        blas = f"{blas['name']} {blas['version']}"
+        blas = "{name} {version}".format(**config["Build Dependencies"]["blas"])
         instructions = " ".join(config["SIMD Extensions"]["found"])
     except (TypeError, KeyError):  # another NumPy version reports it differently
         blas = instructions = "unknown"
-    return (
-        ("system", platform.system()),
-        ("processor", platform.machine()),
-        ("instructions", instructions),
-        ("blas", blas),
-        ("libc", " ".join(platform.libc_ver())),
-    )
-
-
-def machine() -> dict[str, str]:
-    """Describe this machine.
-
-    Returns:
-        `system`, `processor`, the `instructions` that NumPy uses beyond its baseline, the `blas` it
-        was built with, and the `libc`, whose mathematics MuJoCo uses.
-    """
-    return dict(_found())
+    return {
+        "system": platform.system(),
+        "processor": platform.machine(),
+        "instructions": instructions,
+        "blas": blas,
+        "libc": " ".join(platform.libc_ver()),
+    }
 
 
 def distinct(reports: Iterable[Any]) -> list[dict[str, str]]:
@@ -72,10 +60,9 @@ def others(folder: Path) -> str:
 
 
 def _difference(one: dict[str, str], here: dict[str, str]) -> str:
-    names: Sequence[str] = sorted(one.keys() | here.keys())
     return ", ".join(
         f"{name} {one.get(name, 'unknown') or 'none'} (here {here.get(name, 'unknown') or 'none'})"
-        for name in names
+        for name in sorted(one.keys() | here.keys())
         if one.get(name) != here.get(name)
     )
 

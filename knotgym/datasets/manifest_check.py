@@ -1,15 +1,15 @@
-"""Read the manifest of a run's folder and compare its checksums."""
+"""Write and read the manifest of a run's folder, and compare its checksums."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.atomic_files import sha256
+from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import read_json
 from knotgym.common.errors import KnotgymError, one_line, printable
+from knotgym.datasets.machine import machine
 from knotgym.states.state_file import leads_out
 
 _NUMBER = (Real,)
@@ -45,6 +45,34 @@ def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         return {}, [f"manifest.json can't be read: {one_line(error)}"]
     return {**manifest, **checked}, []
+
+
+def write_manifest(
+    folder: Path,
+    format: str,
+    request: Mapping[str, Any],
+    machines: Sequence[dict[str, str]] | None,
+    **entries: Any,
+) -> None:
+    """Write `manifest.json` into a folder, with the checksum of every other file in it.
+
+    `machines` made the data; None for this machine.
+    """
+    found = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*"))}
+    manifest = {
+        "format": format,
+        "format_version": 1,
+        **request,
+        "machines": machines or [machine()],
+        **entries,
+        "files": {
+            name: sha256(path)
+            for name, path in found.items()
+            if path.is_file() and path.name != "manifest.json"
+        },
+    }
+    with atomic_write(folder / "manifest.json") as temporary:
+        temporary.write_text(json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8")
 
 
 def run_report(manifest: Mapping[str, Any]) -> dict[str, Any]:

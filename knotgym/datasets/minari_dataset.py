@@ -8,14 +8,11 @@ The files are written here, because Minari would store pictures as JPEG and drop
 when datasets are combined.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import os
 import re
-import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -24,7 +21,7 @@ from typing import Any
 import gymnasium
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, require_output, sha256
+from knotgym.common.atomic_files import atomic_write, link_or_copy, require_output, sha256
 from knotgym.common.configuration import as_json
 from knotgym.common.hdf5_files import foreign_bytes_as
 from knotgym.datasets.episode_reader import Count, EpisodeReader, InvalidEpisodeFile, uncounted
@@ -94,6 +91,7 @@ def publish(
     overwrite: bool = False,
     states: str | os.PathLike[str] | None = None,
     task: TaskConfig | None = None,
+    attributes: Mapping[str, str] | None = None,
     count: Count = uncounted,
 ) -> Path:
     """Merge episode files, including compact ones, into a Minari dataset; write it atomically.
@@ -108,7 +106,7 @@ def publish(
         overwrite: replace an existing dataset of this id.
         states: a state file to include; a task whose `states` is the dataset's id resets from it,
             even after the dataset is moved.
-        task, count: as for `merge_episodes`.
+        task, attributes, count: as for `merge_episodes`.
 
     Returns:
         The dataset's folder.
@@ -136,7 +134,7 @@ def publish(
             concatenate=concatenate,
             distinct=distinct,
             task=task,
-            attributes={"metadata": json.dumps(asdict(metadata))},
+            attributes={**(attributes or {}), "metadata": json.dumps(asdict(metadata))},
             count=count,
         )
         merged = EpisodeReader(temporary)
@@ -147,7 +145,7 @@ def publish(
         }
         merged.close()
         if states is not None:
-            _carry(states, data / "states.h5")
+            link_or_copy(states, data / "states.h5")
         size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
         entries["dataset_size"] = round(size / 1e6, 1)
         text = json.dumps(entries, sort_keys=True, separators=(",", ":"))
@@ -177,19 +175,6 @@ def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -
     ]
 
 
-def _carry(states: str | os.PathLike[str], target: Path) -> None:
-    """Hard-link a state file into a dataset, or copy it where the disk has no hard links.
-
-    A hard link stores the bytes once and still moves with the dataset. It is safe because our files
-    are only ever replaced, never modified in place. Symbolic links are resolved first, because hard
-    links don't follow them.
-    """
-    try:
-        os.link(os.path.realpath(states), target)
-    except OSError:  # another disk, or one without links
-        shutil.copyfile(states, target)
-
-
 def merge_datasets(
     sources: Sequence[Any],
     dataset_id: str,
@@ -198,19 +183,15 @@ def merge_datasets(
     *,
     overwrite: bool = False,
 ) -> Path:
-    """Merge datasets of one task and split into a new one, without encoding anything again.
+    """Merge datasets of one task and split into a new one, and return its folder.
 
-    Minari's own `combine_datasets` converts pictures to JPEG and drops the evaluation split.
+    Nothing is encoded again; Minari's own `combine_datasets` converts pictures to JPEG and drops
+    the evaluation split.
 
     Args:
         sources: datasets or episode files that share no episode.
         dataset_id: id of the new dataset.
-        out: root folder of Minari datasets; None for Minari's own.
-        count: progress callback, called before each episode.
-        overwrite: replace an existing dataset of this id.
-
-    Returns:
-        The dataset's folder.
+        out, count, overwrite: as for `publish`.
 
     Raises:
         InvalidEpisodeFile: the sources can't be combined.
@@ -234,15 +215,12 @@ def merge_datasets(
         values = {getattr(one, name) for one in known}
         same[name] = values.pop() if len(values) == 1 and len(known) == len(sources) else None
     policies = [one.algorithm_name for one in known] or [str(first.attributes(0)["policy"])]
+    described = [f"Merged of {', '.join(one.dataset_id for one in known) or 'episode files'}."]
+    described += [f"{one.dataset_id}: {one.description}" for one in known]
     metadata = MinariMetadata(
         dataset_id=dataset_id,
         algorithm_name=", ".join(dict.fromkeys(policies)),
-        description="\n\n".join(
-            [
-                f"Merged of {', '.join(one.dataset_id for one in known) or 'episode files'}.",
-                *(f"{one.dataset_id}: {one.description}" for one in known),
-            ]
-        ),
+        description="\n\n".join(described),
         author=tuple({name for one in known for name in one.author}),
         author_email=tuple({name for one in known for name in one.author_email}),
         eval_split=known[0].eval_split if known else "test",
@@ -251,17 +229,8 @@ def merge_datasets(
     )
     for reader in readers:
         reader.close()
-    return publish(
-        sources,
-        metadata,
-        out,
-        concatenate=True,
-        distinct=True,
-        states=carried,
-        task=task,
-        count=count,
-        overwrite=overwrite,
-    )
+    how: dict[str, Any] = {"concatenate": True, "distinct": True, "overwrite": overwrite}
+    return publish(sources, metadata, out, states=carried, task=task, count=count, **how)
 
 
 def _states_digest(reader: EpisodeReader) -> str:
@@ -282,24 +251,14 @@ def compact(
 ) -> None:
     """Write a dataset's compact form: one file of episodes and metadata, without observations.
 
-    `publish([target], metadata_of(target))` restores the dataset.
-
-    Args:
-        source: what `EpisodeReader` takes.
-        target: path of the compact file.
-        count: progress callback, called before each episode.
-        overwrite: replace an existing file.
+    `publish([target], metadata_of(target))` restores the dataset. `source` is what `EpisodeReader`
+    takes, `count` a progress callback; with `overwrite` an existing file is replaced.
     """
     require_output(target, folder=False, overwrite=overwrite)
     metadata = metadata_of(source)
     with atomic_write(target, overwrite=overwrite) as temporary:
-        merge_episodes(
-            [source],
-            temporary,
-            store="none",
-            attributes={} if metadata is None else {"metadata": json.dumps(asdict(metadata))},
-            count=count,
-        )
+        attributes = {} if metadata is None else {"metadata": json.dumps(asdict(metadata))}
+        merge_episodes([source], temporary, store="none", attributes=attributes, count=count)
 
 
 def metadata_of(source: Any) -> MinariMetadata | None:

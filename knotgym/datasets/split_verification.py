@@ -6,8 +6,6 @@ default scale stays below 6 mm, and nothing is that close to two states of a cur
 loop, where action sequences begin, belongs to no split.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable
 from typing import Any
@@ -31,9 +29,8 @@ _SAME = 1e-6  # metres; above the rounding of `distances`, far below what any st
 def split_faults(reader: EpisodeReader) -> list[str]:
     """List the episodes whose start or goal isn't of the task's split.
 
-    Configurations are compared with the states that the task resets from: the dataset's own, else
-    those that its `states` names, else the shipped ones. A single episode file whose states aren't
-    found is skipped; a dataset without its states is a fault.
+    They are compared with the states that the task resets from. A single episode file whose states
+    aren't found is skipped; a dataset without its states is a fault.
     """
     try:
         sides = _sides(reader)
@@ -45,12 +42,12 @@ def split_faults(reader: EpisodeReader) -> list[str]:
         checked = _Side(name, states, reader)
         for index, row in enumerate(reader.rows):
             try:
-                split, own = checked.judge(index)
+                split, fault = checked.judge(index)
             except (OSError, KeyError, ValueError, RuntimeError):
                 continue  # `verify_episodes` reports unreadable episodes
             if split is not None:
                 found.setdefault(split, set()).add(row)
-            faults += [f"{reader.path}, episode {row}: {fault}" for fault in own]
+            faults += [f"{reader.path}, episode {row}: {fault}"] if fault else []
     mixed = {split: rows for split, rows in found.items() if rows}
     if len(mixed) > 1:
         listed = "; ".join(f"{split}: {_ranges(rows)}" for split, rows in mixed.items())
@@ -99,41 +96,37 @@ class _Side:
         if name == "start" and "start_qpos" in states.source:
             self.origins = {one.tobytes() for one in states.source["start_qpos"][self.mine]}
 
-    def judge(self, index: int) -> tuple[str | None, list[str]]:
-        """Return the split of an episode's start or goal (None if unknown) and its faults."""
+    def judge(self, index: int) -> tuple[str | None, str]:
+        """Return the split of an episode's start or goal, None if unknown, and its fault or ""."""
         named = self.reader.attributes(index).get(f"options/{self.name}")
-        right, states = self.reader.task.split, self.states
+        task, states = self.reader.task, self.states
         if named is not None and not 0 <= named < len(states):
-            return None, [f"its {self.name} is row {named}, of {len(states)} states"]
+            return None, f"its {self.name} is row {named}, of {len(states)} states"
         row = self._row_at(index)
-        if row is None:
-            if named is None:
-                return None, []
-            split = str(self.splits[named])
-            if split == right:
-                return split, []
-            return split, [f"its {self.name} is row {named} by its options, of the {split} split"]
-        split = str(self.splits[row])
-        if split != right:
-            return split, [
-                f"its {self.name} is row {row} of the states, of the {split} split; the dataset"
-                f" says {right}"
-            ]
-        if named is not None and self.splits[named] != right:
-            return split, [f"options/{self.name} is row {named}, of the {self.splits[named]} split"]
-        if named is not None and self.name == "goal":
-            goal = self.reader.column(index, "goal_points")
-            if not np.array_equal(goal, states.points[named]):
-                return split, [f"its goal isn't row {named}, as options/goal says"]
-            if self.reader.task.max_goals is not None and named not in self.allowed:
-                few = self.reader.task.max_goals
-                return split, [f"its goal is row {named}, not of the first {few}, max_goals"]
-        return split, []
+        if row is None and named is None:
+            return None, ""
+        at = named if row is None else row
+        split, fault = str(self.splits[at]), ""
+        if split != task.split:
+            fault = f"its {self.name} is row {at} " + (
+                f"by its options, of the {split} split"
+                if row is None
+                else f"of the states, of the {split} split; the dataset says {task.split}"
+            )
+        elif row is not None and named is not None and self.splits[named] != task.split:
+            fault = f"options/{self.name} is row {named}, of the {self.splits[named]} split"
+        elif row is not None and named is not None and self.name == "goal":
+            if not np.array_equal(self.reader.column(index, "goal_points"), states.points[named]):
+                fault = f"its goal isn't row {named}, as options/goal says"
+            elif task.max_goals is not None and named not in self.allowed:
+                fault = f"its goal is row {named}, not of the first {task.max_goals}, max_goals"
+        return split, fault
 
     def _row_at(self, index: int) -> int | None:
         """Return the row of the state that the start or goal matches, or None."""
         what = "start_qpos" if self.name == "start" else "goal_points"
         stored = self.reader.column(index, what)
+        # episodes share few starts and goals: each is looked up once
         key = stored.tobytes()
         if key in self.origins:
             return None
@@ -145,6 +138,7 @@ class _Side:
     def _nearest(self, points: NDArray[np.float64]) -> int | None:
         if points.shape != self.states.points.shape[1:] or not np.isfinite(points).all():
             return None
+        # demonstrations start at the plain loop, which is of no split
         loop = self.rope.loop()
         loops = np.stack([loop, loop * (-1, 1, 1)])  # walked either way
         if self.name == "start" and distances(points, loops).min() < _SAME:

@@ -1,9 +1,8 @@
 """Verify state files and the folders that `knotgym generate` writes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,9 @@ from knotgym.states.splits import overlap
 from knotgym.states.state_file import InvalidStates, States, content_digest, read_states
 from knotgym.states.state_measures import (
     quality_faults,
+    recomputed_faults,
     repeated_sources,
+    second_labeller_faults,
     source_faults,
     spread_faults,
     stream_of,
@@ -36,7 +37,7 @@ from knotgym.states.state_measures import (
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
-from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.topology.notation import dt_text, pd_text
 
 _BATCH = 64  # rows replayed in one simulation
 # metres; tolerance for a start that is drawn again from its seed: other processors round
@@ -48,10 +49,7 @@ _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would 
 
 
 def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
-    """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, checksum.
-
-    `count` is called before each row and after each replayed step.
-    """
+    """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, digest."""
     rope = Rope()
     if states.attributes.get("rope") != rope.config.fingerprint:
         yield (
@@ -86,8 +84,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
 def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
-    Manifest and checksums come first, then the rows, the demonstrations and the splits. `count` is
-    called before each row and episode and after each replayed step.
+    Manifest and checksums come first, then the rows, the demonstrations and the splits.
     """
     manifest, faults = read_manifest(folder)
     yield from faults
@@ -105,28 +102,12 @@ def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
         if not own:
             name = dataset.relative_to(folder / "minari").parents[1].as_posix()
             yield from demonstration_faults(states, name, EpisodeReader(dataset))
-    if not manifest:
-        return
-    if manifest["config"].get("split_by") == "code":
-        train, test = (set(states.gauss_code[states.split == split]) for split in STATE_SPLITS)
-        for code in sorted(train & test):
-            yield f"code {code or 'loop'} is in both splits, which should share no code"
-    yield from _misplaced(states, manifest)
-    summary = manifest.get("summary")
-    counts = summary.get("nx") if isinstance(summary, dict) else None
-    for nx, count in counts.items() if isinstance(counts, dict) else ():
-        if isinstance(count, dict):
-            yield from overlap_faults(states, {nx: count.get("overlap")}, "manifest.json")
+    if manifest:
+        yield from _split_faults(states, manifest)
 
 
 def overlap_faults(states: States, stored: Mapping[str, Any], where: str) -> Iterator[str]:
-    """Compare a stored overlap of train and test with `splits.overlap`.
-
-    Args:
-        states: the states.
-        stored: nx -> the overlap, as the file `where` has it.
-        where: name of that file.
-    """
+    """Compare overlaps of train and test, nx -> `splits.overlap`, as the file `where` has them."""
     for nx in sorted(set(states.nx.tolist())):
         found = stored.get(str(nx))
         if not isinstance(found, dict):
@@ -188,17 +169,16 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
         return
     crossings = find_crossings(points)
     code = crossings.code
-    for name, stored, right in (
-        ("gauss_code", states.gauss_code[row], str(code)),
-        ("gauss_code_chiral", states.gauss_code_chiral[row], code.chiral),
-        ("nx", states.nx[row], code.nx),
-        ("knot", states.knot[row], knot_type(code)),
-    ):
-        if stored != right:
-            yield f"{name} is {stored!s}, recomputed {right}"
-    second = pyknotid_code(points)
-    if second != code:
-        yield f"pyknotid reads {second.chiral} where ours is {code.chiral}"
+    right = {
+        "gauss_code": str(code),
+        "gauss_code_chiral": code.chiral,
+        "pd_code": pd_text(code),
+        "dt_code": dt_text(code),
+        "nx": code.nx,
+        "knot": knot_type(code),
+    }
+    yield from recomputed_faults({name: getattr(states, name)[row] for name in right}, right)
+    yield from second_labeller_faults(points, code)
     if states.image is not None and not np.array_equal(states.image[row], draw(points)):
         yield "image is not the picture of points"
     if states.split[row] not in STATE_SPLITS:
@@ -238,11 +218,7 @@ class InvalidSource(KnotgymError, ValueError):
 
 
 def actions_of(states: States, row: int) -> NDArray[np.float32]:
-    """Return the actions that lead from a row's start to its state, float32 (steps, 6).
-
-    Raises:
-        InvalidSource: an action is out of range, or the seed isn't that of a random walk.
-    """
+    """Return the actions that lead from a row's start to its state, float32 (steps, 6)."""
     steps = int(states.source["steps"][row])
     if "actions" in states.source:
         actions: NDArray[np.float32] = states.source["actions"][row, :steps]
@@ -261,15 +237,14 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
     """Replay rows; return the final qpos (nq,) of each that could be replayed."""
     actions = {}
     for row in rows:
-        try:
+        with suppress(InvalidSource):  # a fault of the row
             actions[row] = actions_of(states, row)
-        except InvalidSource:
-            continue
     left = sorted(actions)
     if not left:
         return {}
     ropes = simulation(states.engine, len(left), rope, threads=0)
     ropes.lay(states.source["start_qpos"][left])
+    # rows of different lengths share a simulation: those that are done are not stepped
     whole = np.ones(len(left), dtype=bool)
     lengths = np.array([len(actions[row]) for row in left])
     for step in range(int(lengths.max())):
@@ -301,18 +276,27 @@ def _misshapen(states: States, rope: Rope) -> Iterator[str]:
             yield f"states.h5: {column.name} is of shape {values.shape}, should be ({should_be})"
 
 
-def _misplaced(states: States, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the rows whose split differs from the manifest's list."""
+def _split_faults(states: States, manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Compare the splits with the configuration, the list and the overlaps of a manifest."""
+    if manifest["config"].get("split_by") == "code":
+        train, test = (set(states.gauss_code[states.split == split]) for split in STATE_SPLITS)
+        for code in sorted(train & test):
+            yield f"code {code or 'loop'} is in both splits, which should share no code"
     listed = manifest.get("splits")
     if isinstance(listed, list):
         for row, (stored, right) in enumerate(zip(states.split.tolist(), listed, strict=False)):
             if stored != right:
                 yield f"states.h5 row {row}: split is {stored}, the manifest says {right}"
+    summary = manifest.get("summary")
+    counts = summary.get("nx") if isinstance(summary, dict) else None
+    for nx, count in counts.items() if isinstance(counts, dict) else ():
+        if isinstance(count, dict):
+            yield from overlap_faults(states, {nx: count.get("overlap")}, "manifest.json")
 
 
 def _leaks(states: States) -> Iterator[str]:
     """Yield near-duplicates and shared trajectories between train and test."""
-    train, test = np.flatnonzero(states.split == "train"), np.flatnonzero(states.split == "test")
+    train, test = (np.flatnonzero(states.split == split) for split in STATE_SPLITS)
     for i, k, apart in pairs_within(states.points[test], states.points[train]):
         yield (
             f"states.h5 rows {train[k]} (train) and {test[i]} (test) are near-duplicates:"

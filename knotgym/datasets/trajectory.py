@@ -9,8 +9,6 @@ infos    i0  i1  i2  i3     one entry per state; bead, force, applied_share, mov
                             is what the expert would do there
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -215,12 +213,9 @@ def goal_steps(codes: Sequence[str] | NDArray[np.str_], relabel: str, hold: int 
 def codes_in_bounds(
     codes: NDArray[np.str_], points: NDArray[np.float64], tow_limit: float | None
 ) -> NDArray[np.str_]:
-    """Drop the codes from the first state on that exceeds the bound on towing.
+    """Drop the codes, str (T + 1,), from the first state on that exceeds the bound on towing.
 
-    Args:
-        codes: str (T + 1,).
-        points: float64 (T + 1, beads, 3), metres.
-        tow_limit: see `TaskConfig`; None for no bound.
+    `points` is float64 (T + 1, beads, 3), metres; `tow_limit` that of `TaskConfig`.
     """
     if tow_limit is None:
         return codes

@@ -1,7 +1,5 @@
 """Verify a dataset of any kind: detect what a path or an id holds and run its checks."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -45,12 +43,7 @@ def faults(
     """Yield the faults that `verify` lists, each as soon as it is found.
 
     If only replays differ and the dataset was generated on another machine, a last line says how
-    that machine differs from this one.
-
-    Args:
-        source: as for `verify`.
-        each: replacement for `map` that may run in parallel, see `image_faults`.
-        count: progress callback.
+    that machine differs. `each` replaces `map` and may run in parallel, see `image_faults`.
     """
     elsewhere, wrong = False, False
     for fault in _faults(source, each, count):

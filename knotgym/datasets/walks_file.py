@@ -11,8 +11,6 @@ configuration can be reproduced without the archive.
     forces  float32 (w, T, 3)       its force / the largest force; shorter walks end with zeros
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,12 +43,7 @@ class InvalidWalks(KnotgymError, ValueError):
 
 
 class WalksMade(Protocol):
-    """Walks as a worker returns them.
-
-    Attributes:
-        numbers, bases: int64 (w,), numbers of the walk and of the state it starts from.
-        beads, forces: as in `Walks`.
-    """
+    """Walks as a worker returns them; see `generate.images.walks.Frames`."""
 
     @property
     def numbers(self) -> NDArray[np.int64]: ...
@@ -79,14 +72,13 @@ def walks_of(
 ) -> Walks:
     """Select the walks that are used, and the states that they start from.
 
-    Args:
-        states: float64 (n, nstate), the states that `bases` index.
-        made: all walks, in batches.
-        used: numbers of the walks to keep, at least one.
+    `states`, float64 (n, nstate), are those that `bases` index; `used` numbers the walks to keep,
+    at least one.
     """
     kept = [(piece, np.flatnonzero(np.isin(piece.numbers, [*used]))) for piece in made]
     kept = [(piece, rows) for piece, rows in kept if len(rows)]
     bases = np.concatenate([piece.bases[rows] for piece, rows in kept])
+    # states shared by several walks are stored once; `start` indexes them
     bases, start = np.unique(bases, return_inverse=True)
     return Walks(
         state=states[bases],
@@ -123,13 +115,7 @@ def write_walks(path: str | os.PathLike[str], walks: Walks) -> None:
 
 
 def read_walks(path: str | os.PathLike[str]) -> Walks:
-    """Read the file.
-
-    Raises:
-        MissingFile: there is no such file.
-        InvalidWalks: the file is foreign, truncated, of an unknown format version or of another
-            rope model.
-    """
+    """Read the file; raise InvalidWalks if it is foreign, truncated or of another rope model."""
     with opened_hdf5(
         path, what="file of walks", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidWalks
     ) as file:
@@ -157,18 +143,15 @@ def retrace(
 ) -> Array:
     """Replay walks; return the configuration before the first and after every step.
 
-    Args:
-        states: float64 (w, nstate), the states that they start from.
-        beads, forces, engine: as in `Walks`.
-
-    Returns:
-        float64 (w, T + 1, beads, 3), metres.
+    `states` is float64 (w, nstate), the states that they start from; the result is float64
+    (w, T + 1, beads, 3), metres.
     """
     simulation = simulation_of(len(states), RopeConfig(), engine)
     simulation.restore(states)
     largest = simulation.rope.config.max_force
     frames = [simulation.points.copy()]
     for step in range(beads.shape[1]):
+        # the same arithmetic as when the walk was made, or the last bits would differ
         newtons = largest * forces[:, step].astype(np.float64)
         simulation.act(simulation.actions(beads[:, step], newtons))
         frames.append(simulation.points.copy())

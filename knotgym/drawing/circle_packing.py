@@ -6,8 +6,6 @@ around it just close up. Straight lines between the centres of tangent circles t
 triangulation without crossings.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from numpy.typing import NDArray

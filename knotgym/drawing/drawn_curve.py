@@ -6,8 +6,6 @@ they cross, and the curve is cut into beads. The outer face, the relative sizes 
 position of the base bead and the rotation are random, so one code has many drawings.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -18,8 +18,6 @@ Lengths are fractions of the rope's length: the drawing is rescaled to total len
 iteration.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numba

@@ -6,8 +6,6 @@ node. The ring keeps the triangulation simple, without loops or double edges, al
 one or two sides and for faces that meet a crossing twice.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

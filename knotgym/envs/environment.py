@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.marked import size
 from knotgym.envs.observations import SYMBOLS
 from knotgym.envs.tasks import InvalidSetting, TaskConfig, UnknownKeyword
 from knotgym.rope.actions import choices
@@ -42,6 +43,7 @@ def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]
         "state": state,
         "both": spaces.Dict({"pixels": pixels, "state": state}),
         "symbolic": spaces.Box(-SYMBOLS, SYMBOLS, (2, SYMBOLS), np.int16),
+        "marked": spaces.Box(-np.inf, np.inf, (size(beads),), np.float32),
     }
     return choices[config.observation]
 
@@ -164,6 +166,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._done = np.zeros(num_envs, dtype=bool)
+        self._all = np.arange(num_envs)
 
     def __len__(self) -> int:
         """Return the number of ropes."""
@@ -190,14 +193,13 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
             raise InvalidSetting(
                 f"a list of seeds needs one for each of {self.num_envs} ropes, got {len(seeds)}"
             )
-        for i in np.flatnonzero(mask):
+        chosen = np.flatnonzero(mask)
+        for i in chosen:
             if seeds[i] is not None:
                 self._rngs[i] = np.random.default_rng(seeds[i])
-            self.episodes.begin(int(i), self._rngs[i], options)
+        self._begin(chosen, options)
         self._done[mask] = False
-        return self._observations(), self._infos(
-            {int(i): self.episodes.info(int(i)) for i in np.flatnonzero(mask)}
-        )
+        return self.episodes.observations(self._all), self._infos(chosen)
 
     def step(
         self, actions: NDArray[Any]
@@ -224,22 +226,20 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
                 actions[running], running
             )
         # next_step: what ended in the step before is reset in this one, and its action ignored
-        for i in np.flatnonzero(done):
-            self.episodes.begin(int(i), self._rngs[i])
+        self._begin(np.flatnonzero(done))
         self._done = terminated | truncated
-        final: dict[int, dict[str, Any]] = {}
-        if self._autoreset == _SAME_STEP:
-            for i in np.flatnonzero(self._done):
-                final[int(i)] = {
-                    "final_obs": self.episodes.observation(int(i)),
-                    "final_info": self.episodes.info(int(i)),
-                }
-                self.episodes.begin(int(i), self._rngs[i])
+        final: dict[str, Any] = {}
+        if self._autoreset == _SAME_STEP and self._done.any():
+            ended = np.flatnonzero(self._done)
+            last = np.full(self.num_envs, None, dtype=object)
+            for i in ended:
+                last[i] = self.episodes.observation(int(i))
+            final = {"final_obs": last, "final_info": self._infos(ended)}
+            final |= {f"_{name}": self._done.copy() for name in list(final)}
+            self._begin(ended)
             self._done[:] = False
-        infos = self._infos(
-            {i: {**self.episodes.info(i), **final.get(i, {})} for i in range(self.num_envs)}
-        )
-        return self._observations(), rewards, terminated, truncated, infos
+        infos = {**self._infos(self._all), **final}
+        return self.episodes.observations(self._all), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return one picture per rope, uint8 (views * size, 2 size, 3) each."""
@@ -247,21 +247,24 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
             return None
         return tuple(self.episodes.rgb(i) for i in range(self.num_envs))
 
-    def _observations(self) -> Any:
-        return stack_observations([self.episodes.observation(i) for i in range(self.num_envs)])
+    def _begin(self, ids: NDArray[np.int64], options: dict[str, Any] | None = None) -> None:
+        self.episodes.begin_many(ids, [self._rngs[i] for i in ids], options)
 
-    def _infos(self, each: dict[int, dict[str, Any]]) -> dict[str, Any]:
+    def _infos(self, ids: NDArray[np.int64]) -> dict[str, Any]:
+        """Return the infos of the ropes `ids` as Gymnasium does: arrays over all ropes, and masks.
+
+        The others have 0 or None.
+        """
         infos: dict[str, Any] = {}
-        for i, info in each.items():
-            infos = self._add_info(infos, info, i)
+        mask = np.zeros(self.num_envs, dtype=bool)
+        mask[ids] = True
+        for name, column in self.episodes.infos(ids).items():
+            array = np.zeros((self.num_envs, *column.shape[1:]), dtype=column.dtype)
+            if column.dtype == object:
+                array[:] = None
+            array[ids] = column
+            infos[name], infos[f"_{name}"] = array, mask.copy()
         return infos
-
-
-def stack_observations(each: list[Any]) -> Any:
-    """Stack the observations of ropes, arrays or dicts of arrays, along a new first axis."""
-    if isinstance(each[0], dict):
-        return {name: np.stack([one[name] for one in each]) for name in each[0]}
-    return np.stack(each)
 
 
 def task_config(task: str, settings: dict[str, Any]) -> TaskConfig:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.envs.knot_tasks import fitting_tasks, start_nx
+from knotgym.envs.marked import join, mark
 from knotgym.envs.observations import (
     SYMBOLS,
     numbers,
@@ -25,20 +24,16 @@ from knotgym.envs.observations import (
     symbols,
 )
 from knotgym.envs.reward import Outcome
+from knotgym.envs.task_states import SHIPPED, task_sides
 from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.rendering.picture import draw
 from knotgym.rope.action_views import ActionView
 from knotgym.rope.engines import simulation
-from knotgym.rope.model import Array, Rope, RopeConfig
+from knotgym.rope.model import Array, Rope
 from knotgym.rope.reset_noise import start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
-from knotgym.states.schema import CODE_SPLITS
-from knotgym.states.state_file import States, read_states, shipped, ships, states_file
-from knotgym.topology.crossings import label, label_many
+from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT
-
-OWN, SHIPPED = "own", "shipped"  # origin of states: the user's file, or a set that ships
 
 
 class EpisodeBatch:
@@ -68,7 +63,7 @@ class EpisodeBatch:
         self.simulation = simulation(config.engine, count, Rope(config.rope), threads)
         self.view = ActionView(config.action, self.simulation)
         self._picture = picture_config(config)
-        starts, goals = _sides(config)
+        starts, goals = task_sides(config)
         self._starts, self._goals = starts.states, goals.states
         self._start_nx = starts.nx
         self._rows = {
@@ -104,45 +99,68 @@ class EpisodeBatch:
             return rows
         return rows[self._goals.gauss_code[rows] != self._starts.gauss_code[start]]
 
+    def goal_codes(self) -> list[GaussCode]:
+        """Return the distinct codes of the goals, without chirality, in order of their text."""
+        return [
+            GaussCode.parse(code)
+            for code in sorted({*self._goals.gauss_code[self._rows["goal"]].tolist()})
+        ]
+
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
     ) -> None:
-        """Restart episode `index`: sample a start and a goal, and lay the rope.
+        """Restart episode `index`; see `begin_many`."""
+        self.begin_many(np.array([index]), [rng], options)
+
+    def begin_many(
+        self,
+        ids: NDArray[np.int64],
+        rngs: Sequence[np.random.Generator],
+        options: dict[str, Any] | None = None,
+    ) -> None:
+        """Restart the episodes `ids`: sample starts and goals, and lay the ropes.
 
         Args:
-            index: which episode.
-            rng: source of every draw.
+            ids: which episodes.
+            rngs: one for each of them, the source of its draws.
             options: `start` and `goal` choose rows of the respective state files.
 
         Raises:
             InvalidSetting: an option is unknown, or a row doesn't belong to the task.
         """
-        options = dict(options or {})
-        start = self._choose(options.pop("start", None), self.rows("start"), "start", rng)
-        goal = self._choose(options.pop("goal", None), self.goal_rows(start), "goal", rng)
-        if options:
+        if not len(ids):
+            return
+        given = dict(options or {})
+        own_start, own_goal = given.pop("start", None), given.pop("goal", None)
+        if given:
             raise InvalidSetting(
-                f"no reset option {', '.join(map(repr, options))}; there is start, goal"
+                f"no reset option {', '.join(map(repr, given))}; there is start, goal"
             )
-        self.start_row[index], self.goal_row[index] = start, goal
-        code = GaussCode.parse(str(self._starts.gauss_code_chiral[start]))
-        self.start_qpos[index] = start_qpos(
+        rows = []
+        for rng in rngs:
+            start = self._choose(own_start, self.rows("start"), "start", rng)
+            rows.append((start, self._choose(own_goal, self.goal_rows(start), "goal", rng)))
+        starts, goals = np.array(rows).T
+        self.start_row[ids], self.goal_row[ids] = starts, goals
+        self.start_qpos[ids] = start_qpos(
             self.simulation.rope,
-            self._starts.qpos[start],
-            self._starts.points[start],
-            code,
+            self._starts.qpos[starts],
+            self._starts.points[starts],
+            [_parsed(str(text)) for text in self._starts.gauss_code_chiral[starts]],
             self.config.reset_noise,
-            rng,
+            rngs,
         )
-        self.simulation.lay(self.start_qpos[[index]], [index])
-        self.origins[index] = centres(self.simulation.points[[index]])[0]
+        self.simulation.lay(self.start_qpos[ids], ids)
+        self.origins[ids] = centres(self.simulation.points[ids])
         # the chain engine closes the gaps of a state without noise, so it is read again
-        self.codes[index] = label(self.simulation.points[index])
-        self.goals[index] = GaussCode.parse(str(self._goals.gauss_code[goal]))
-        self.view.reset(index)
-        self.steps[index] = self.held[index] = 0
-        self.failed[index] = False
-        self.beads[index], self.forces[index], self.applied_shares[index] = -1, 0.0, 1.0
+        codes = label_many(self.simulation.points[ids])
+        for index, code, goal in zip(ids.tolist(), codes, goals.tolist(), strict=True):
+            self.codes[index] = code
+            self.goals[index] = _parsed(str(self._goals.gauss_code[goal]))
+        self.view.reset(ids)
+        self.steps[ids] = self.held[ids] = 0
+        self.failed[ids] = False
+        self.beads[ids], self.forces[ids], self.applied_shares[ids] = -1, 0.0, 1.0
 
     def act(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
         """Carry out one action of the view `config.action` in each episode of `ids`.
@@ -152,7 +170,7 @@ class EpisodeBatch:
         """
         if self.config.action == "pull":
             return self.step(actions, ids)
-        self.view.begin(actions, ids, self.codes)
+        self.view.begin(actions, ids)
         total = Outcome(
             np.zeros(len(ids)), np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
         )
@@ -174,11 +192,11 @@ class EpisodeBatch:
         self.failed[ids] = ~simulation.step(self.beads[ids], requested, ids)
         self.applied_shares[ids] = simulation.applied_shares[ids]
         self.forces[ids] = self.applied_shares[ids, None] * requested
-        for index, code in zip(ids, label_many(simulation.points[ids]), strict=True):
+        reached = np.zeros(len(ids), dtype=bool)
+        labelled = label_many(simulation.points[ids])
+        for row, (index, code) in enumerate(zip(ids.tolist(), labelled, strict=True)):
             self.codes[index] = code
-        reached = np.array(
-            [self.codes[index].matches(self.goals[index]) for index in ids], dtype=bool
-        )
+            reached[row] = code.visits == self.goals[index].visits
         towed = np.zeros(len(ids), dtype=bool)
         if self.config.tow_limit is not None:
             towed = (
@@ -189,7 +207,7 @@ class EpisodeBatch:
         outcome = self.config.reward_rule.outcome(
             self.held[ids], self.steps[ids], self.failed[ids], towed
         )
-        self.view.pulled(ids, self.codes, outcome.terminated | outcome.truncated)
+        self.view.pulled(ids, outcome.terminated | outcome.truncated)
         return outcome
 
     def tow_bound(self, index: int) -> TowBound | None:
@@ -200,13 +218,8 @@ class EpisodeBatch:
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         """Draw the rope on the left and its goal on the right: (views * size, 2 size, 3 or 4)."""
-        goal = int(self.goal_row[index])
-        if goal not in self._goal_images:
-            self._goal_images[goal] = draw(self._goals.points[goal], self._picture)
-        seen: NDArray[np.uint8] = pixels(
-            self.simulation.points[index][None], self._goal_images[goal], self._picture
-        )[0]
-        return seen
+        drawn: NDArray[np.uint8] = self._pictures(np.array([index]))[0]
+        return drawn
 
     def rgb(self, index: int) -> NDArray[np.uint8]:
         """Return the picture without depth: uint8 (views * size, 2 size, 3)."""
@@ -214,14 +227,12 @@ class EpisodeBatch:
 
     def state(self, index: int) -> NDArray[np.float32]:
         """Return the vertices of the rope, then of its goal: float32 (6 beads,), metres."""
-        seen: NDArray[np.float32] = state(
-            self.simulation.points[index][None], self._goals.points[self.goal_row[index]]
-        )[0]
+        seen: NDArray[np.float32] = self._states(np.array([index]))[0]
         return seen
 
     def symbols(self, index: int) -> NDArray[np.int16]:
         """Return the encoded Gauss codes of the rope and of its goal: int16 (2, SYMBOLS)."""
-        encoded: NDArray[np.int16] = symbols([self.codes[index]], self.goals[index])[0]
+        encoded: NDArray[np.int16] = symbols([self.codes[index]], [self.goals[index]])[0]
         return encoded
 
     def goal_points(self, index: int) -> Array:
@@ -230,13 +241,26 @@ class EpisodeBatch:
 
     def observation(self, index: int) -> Any:
         """Return the observation of episode `index`, of the kind `config.observation`."""
-        if self.config.observation == "pixels":
-            return self._pixels(index)
-        if self.config.observation == "state":
-            return self.state(index)
+        seen = self.observations(np.array([index]))
+        if isinstance(seen, dict):
+            return {name: array[0] for name, array in seen.items()}
+        return seen[0]
+
+    def observations(self, ids: NDArray[np.int64]) -> Any:
+        """Return the observations of the episodes `ids`: an array (n, ...), or a dict of such."""
         if self.config.observation == "symbolic":
-            return self.symbols(index)
-        return {"pixels": self._pixels(index), "state": self.state(index)}
+            every = ids.tolist()
+            return symbols([self.codes[i] for i in every], [self.goals[i] for i in every])
+        if self.config.observation == "marked":
+            goals = [self.goals[index] for index in ids.tolist()]
+            return join(mark(self.simulation.points[ids], goals))
+        seen: dict[str, NDArray[Any]] = {}
+        if self.config.observation != "state":
+            pictures = self._pictures(ids)
+            seen["pixels"] = stacked(pictures) if self.config.layout == "stacked" else pictures
+        if self.config.observation != "pixels":
+            seen["state"] = self._states(ids)
+        return seen if self.config.observation == "both" else seen[self.config.observation]
 
     def info(self, index: int) -> dict[str, Any]:
         """Return the `info` of episode `index`, the same keys at every step; arrays are copies.
@@ -245,36 +269,64 @@ class EpisodeBatch:
         `observations.numbers`; chirality is int16 (SYMBOLS // 2,), one sign per crossing; the
         origins of states are True for SHIPPED.
         """
-        code, goal = self.codes[index], self.goals[index]
-        info = {
-            "gauss_code": str(code),
-            "gauss_code_chiral": code.chiral,
-            "goal_gauss_code": str(goal),
-            "crossings": code.nx,
-            "is_success": bool(self.held[index] >= self.config.hold and not self.failed[index]),
-            "simulation_failed": bool(self.failed[index]),
-            "start": int(self.start_row[index]),
-            "goal": int(self.goal_row[index]),
-            **self._came_from,
-            "bead": int(self.beads[index]),
-            "force": self.forces[index].copy(),
-            "applied_share": float(self.applied_shares[index]),
+        return self.info_rows(np.array([index]))[0]
+
+    def info_rows(self, ids: NDArray[np.int64]) -> list[dict[str, Any]]:
+        """Return the `info` of each of the episodes `ids`."""
+        columns = self.infos(ids)
+        if self.config.numeric_infos:
+            values = [list(map(np.asarray, column)) for column in columns.values()]
+        else:
+            values = [
+                list(column) if column.ndim > 1 else column.tolist() for column in columns.values()
+            ]
+        return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
+
+    def infos(self, ids: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Return the `info` of the episodes `ids` as arrays (n, ...), which are copies."""
+        every = ids.tolist()
+        codes, goals = [self.codes[i] for i in every], [self.goals[i] for i in every]
+        if self.config.numeric_infos:
+            shown = [
+                np.array([numbers(code.visits) for code in codes]),
+                np.array([numbers(code.signs, SYMBOLS // 2) for code in codes]),
+                np.array([numbers(goal.visits) for goal in goals]),
+            ]
+            origins = [np.full(len(ids), one == SHIPPED) for one in self._came_from.values()]
+        else:
+            shown = [
+                np.array([_text(code) for code in codes], dtype=object),
+                np.array([_text(code, chiral=True) for code in codes], dtype=object),
+                np.array([_text(goal) for goal in goals], dtype=object),
+            ]
+            origins = [np.full(len(ids), one, dtype=object) for one in self._came_from.values()]
+        failed = self.failed[ids]
+        infos = {
+            **dict(zip(("gauss_code", "gauss_code_chiral", "goal_gauss_code"), shown, strict=True)),
+            "crossings": np.array([code.nx for code in codes]),
+            "is_success": (self.held[ids] >= self.config.hold) & ~failed,
+            "simulation_failed": failed,
+            "start": self.start_row[ids],
+            "goal": self.goal_row[ids],
+            **dict(zip(self._came_from, origins, strict=True)),
+            "bead": self.beads[ids],
+            "force": self.forces[ids],
+            "applied_share": self.applied_shares[ids],
         }
         if self.config.action == "macro":
-            info["macro_pulls"] = int(self.view.pulls[index])
-        if not self.config.numeric_infos:
-            return info
-        numeric = {
-            "gauss_code": numbers(code.visits),
-            "gauss_code_chiral": numbers(code.signs, SYMBOLS // 2),
-            "goal_gauss_code": numbers(goal.visits),
-            **{name: origin == SHIPPED for name, origin in self._came_from.items()},
-        }
-        return {name: np.asarray(numeric.get(name, value)) for name, value in info.items()}
+            infos["macro_pulls"] = self.view.pulls[ids]
+        return infos
 
-    def _pixels(self, index: int) -> NDArray[np.uint8]:
-        seen = self.picture(index)
-        return stacked(seen) if self.config.layout == "stacked" else seen
+    def _states(self, ids: NDArray[np.int64]) -> NDArray[np.float32]:
+        return state(self.simulation.points[ids], self._goals.points[self.goal_row[ids]])
+
+    def _pictures(self, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
+        goals = self.goal_row[ids].tolist()
+        for goal in set(goals) - self._goal_images.keys():
+            self._goal_images[goal] = draw(self._goals.points[goal], self._picture)
+        return pixels(
+            self.simulation.points[ids], [self._goal_images[goal] for goal in goals], self._picture
+        )
 
     def _choose(
         self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator
@@ -296,117 +348,14 @@ class EpisodeBatch:
         return int(row)
 
 
-class _TaskSide(NamedTuple):
-    """States of a task's starts or goals, their origin (OWN or SHIPPED), and their nx."""
-
-    states: States
-    origin: str
-    nx: int
+@lru_cache(maxsize=1024)
+def _parsed(text: str) -> GaussCode:
+    return GaussCode.parse(text)
 
 
-def state_origins(config: TaskConfig) -> dict[str, str]:
-    """Return the origin of a task's states, OWN or SHIPPED, for `start` and for `goal`.
-
-    Raises:
-        InvalidSetting: there are no such states.
-    """
-    starts, goals = _sides(config)
-    return {"start": starts.origin, "goal": goals.origin}
-
-
-def _sides(config: TaskConfig) -> tuple[_TaskSide, _TaskSide]:
-    """Return the states from which a task's starts and goals are sampled.
-
-    They come from the requested file. Only plain loops come from the set that ships, if the file
-    has none in either split.
-
-    Raises:
-        InvalidSetting: there are none, or starts and goals are of different knot types.
-    """
-    path = states_file(config.states)
-    own = _of_our_rope(path)
-    starts, goals = (_side(config, path, own, nx) for nx in (start_nx(config, own), config.goal_nx))
-    knots = [
-        sorted(set(side.states.knot[side.states.rows(side.nx, config.split)].tolist()))
-        for side in (starts, goals)
-    ]
-    if len({*knots[0], *knots[1]}) > 1:
-        raise InvalidSetting(
-            f"task {config.task!r} with nx = {config.nx} would start as {', '.join(knots[0])} and"
-            f" end as {', '.join(knots[1])}, and no action changes the knot type;"
-            f" {_fit(config, own)}"
-        )
-    codes = goals.states.gauss_code[goals.states.rows(goals.nx, config.split)[: config.max_goals]]
-    if starts.nx == goals.nx and len(set(codes.tolist())) < 2:
-        raise InvalidSetting(
-            f"a tie to nx = {goals.nx} starts at the simplest diagram of {knots[0][0]} in {path},"
-            f" which shows its only goal's code already; {_fit(config, own)}"
-        )
-    return starts, goals
-
-
-def _side(config: TaskConfig, path: Path, own: States, nx: int) -> _TaskSide:
-    """Return the states with nx crossings from which a side of the task is sampled."""
-    states, origin = own, SHIPPED if ships(config.states) else OWN
-    if nx == 0 and not (states.nx == 0).any():
-        path, origin = shipped(), SHIPPED
-        states = _of_our_rope(path)
-    if not len(states.rows(nx, config.split)):
-        if config.split in CODE_SPLITS and len(states.rows(nx, config.split[:-5])):
-            raise InvalidSetting(
-                f"split {config.split!r} has no state with nx = {nx} in {path}: there are too few"
-                " diagrams to hold one out; use split 'train' or 'test'"
-            )
-        if set(own.knot.tolist()) not in (set(), {UNKNOT}):
-            advice = _fit(config, own)
-        elif there := sorted(set(states.split[states.nx == nx].tolist())):
-            advice = f"Use split {' or '.join(map(repr, there))}"
-        else:
-            advice = f"Generate some: knotgym-generate --nx {nx}"
-        raise InvalidSetting(
-            f"no states with nx = {nx} in split {config.split!r} of {path}, needed by task"
-            f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}."
-            f" {advice}"
-        )
-    return _TaskSide(states, origin, nx)
-
-
-def _fit(config: TaskConfig, own: States) -> str:
-    """Return which tasks fit the states of a file, as text for errors."""
-    knots = sorted(set(own.knot.tolist()))
-    if len(knots) > 1:
-        return f"these states are {', '.join(knots)}: keep one type, with knotgym dataset select"
-    return f"tasks that fit these states of {knots[0]}: {fitting_tasks(own, config.split)}"
-
-
-def _of_our_rope(path: Path) -> States:
-    """Read the states of a file; raise InvalidSetting if they were made for another rope."""
-    states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
-    # states at rest don't depend on the integrator's step, so the default rope is compared
-    made_for, ours = states.attributes.get("rope"), RopeConfig().fingerprint
-    if made_for != ours:
-        raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {ours}")
-    beads = RopeConfig().beads
-    if states.points.shape[1] != beads:
-        raise InvalidSetting(
-            f"{path} has ropes of {states.points.shape[1]} vertices, its rope model {beads}"
-        )
-    return states
-
-
-def _contents(states: States) -> str:
-    """List the crossings and splits of a file, as in "nx 0 (train, test), 3 (test)"."""
-    splits = {
-        nx: ", ".join(dict.fromkeys(states.split[states.nx == nx].tolist()))
-        for nx in sorted(set(states.nx.tolist()))
-    }
-    return "nx " + ", ".join(f"{nx} ({of})" for nx, of in splits.items()) if splits else "no rows"
-
-
-@lru_cache(maxsize=4)
-def _read(path: Path, written: int) -> States:
-    """Read states without pictures, cached by the time at which the file was `written`."""
-    return read_states(path, images=False)
+@lru_cache(maxsize=2**14)
+def _text(code: GaussCode, chiral: bool = False) -> str:
+    return code.chiral if chiral else str(code)
 
 
 def _few(rows: Sequence[int] | NDArray[np.int64]) -> str:

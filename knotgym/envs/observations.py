@@ -1,4 +1,4 @@
-"""Observations of a rope and its goal: pictures side by side, vertices, or Gauss codes.
+"""Observations of a rope and its goal: pictures side by side, vertices, Gauss codes, or `marked`.
 
 The environment, the datasets and the loaders all use this module, so that stored observations equal
 the environment's byte for byte.
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.envs.marked import join, mark
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import PictureConfig, draw, draw_many
 from knotgym.topology.crossings import label, label_many
@@ -27,20 +28,24 @@ def picture_config(task: TaskConfig) -> PictureConfig:
 
 
 def pixels(
-    points: ArrayLike, goal_picture: NDArray[np.uint8], picture: PictureConfig
+    points: ArrayLike, goal_pictures: Sequence[NDArray[np.uint8]], picture: PictureConfig
 ) -> NDArray[np.uint8]:
-    """Draw ropes on the left and their common goal on the right; views are stacked vertically.
+    """Draw ropes on the left and their goals on the right; views are stacked vertically.
 
     Args:
         points: float64 (n, beads, 3), metres.
-        goal_picture: uint8 (views * size, size, 3 or 4), the goal as `draw` draws it.
+        goal_pictures: uint8 (views * size, size, 3 or 4) each, the goals as `draw` draws them.
         picture: settings of the pictures.
 
     Returns:
         uint8 (n, views * size, 2 size, 3); 4 channels with depth.
     """
-    ropes = draw_many(points, picture)
-    return np.concatenate([ropes, np.broadcast_to(goal_picture, ropes.shape)], axis=2)
+    height, size = len(picture.views) * picture.size, picture.size
+    seen = np.empty((len(goal_pictures), height, 2 * size, picture.channels), dtype=np.uint8)
+    draw_many(points, picture, out=seen[:, :, :size])
+    for one, goal in zip(seen, goal_pictures, strict=True):
+        one[:, size:] = goal
+    return seen
 
 
 def stacked(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -49,23 +54,23 @@ def stacked(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
-    """Concatenate the vertices of each rope with those of their common goal.
+    """Concatenate the vertices of each rope with those of its goal.
 
     Args:
         points: float64 (n, beads, 3), metres.
-        goal_points: float64 (beads, 3), metres.
+        goal_points: float64 (beads, 3), metres, a goal common to all; or (n, beads, 3).
 
     Returns:
         float32 (n, 6 beads), metres.
     """
-    ropes = np.asarray(points, dtype=np.float64)
-    ropes = ropes.reshape(len(ropes), -1)
-    goals = np.broadcast_to(np.ravel(goal_points), ropes.shape)
-    return np.concatenate([ropes, goals], axis=1).astype(np.float32)
+    ropes = np.asarray(points)
+    seen = np.empty((len(ropes), 2, *ropes.shape[1:]), dtype=np.float32)
+    seen[:, 0], seen[:, 1] = ropes, goal_points
+    return seen.reshape(len(ropes), -1)
 
 
-def symbols(codes: Sequence[GaussCode], goal: GaussCode) -> NDArray[np.int16]:
-    """Encode the Gauss codes of ropes, each with that of their common goal.
+def symbols(codes: Sequence[GaussCode], goals: Sequence[GaussCode]) -> NDArray[np.int16]:
+    """Encode the Gauss codes of ropes, each with that of its goal.
 
     A visit is +label over and -label under, as in `GaussCode.visits`; codes are padded with 0 to
     SYMBOLS visits, longer ones cut off there.
@@ -73,12 +78,12 @@ def symbols(codes: Sequence[GaussCode], goal: GaussCode) -> NDArray[np.int16]:
     Returns:
         int16 (n, 2, SYMBOLS), in [-SYMBOLS, SYMBOLS].
 
-    >>> symbols([GaussCode((1, -1), "c")], GaussCode(()))[0, :, :3].tolist()
+    >>> symbols([GaussCode((1, -1), "c")], [GaussCode(())])[0, :, :3].tolist()
     [[1, -1, 0], [0, 0, 0]]
     """
     encoded = np.zeros((len(codes), 2, SYMBOLS), dtype=np.int16)
-    for row, code in enumerate(codes):
-        encoded[row] = numbers(code.visits), numbers(goal.visits)
+    for row, pair in enumerate(zip(codes, goals, strict=True)):
+        encoded[row] = [numbers(code.visits) for code in pair]
     return encoded
 
 
@@ -102,18 +107,22 @@ def observe(
     Args:
         points: float64 (n, beads, 3), metres.
         goal_points: float64 (beads, 3), metres.
-        observation: "pixels", "state", "both" or "symbolic".
+        observation: "pixels", "state", "both", "symbolic" or "marked".
         picture, layout: settings of the pictures, see `TaskConfig`; used for pixels only.
 
     Returns:
-        `pixels` (rearranged by `stacked` if layout is "stacked"), `state`, a dict of both, or
-        `symbols`.
+        `pixels` (rearranged by `stacked` if layout is "stacked"), `state`, a dict of both,
+        `symbols`, or the joined parts of `mark`.
     """
+    if observation == "marked":
+        return join(mark(points, [label(np.asarray(goal_points))] * len(np.asarray(points))))
     if observation == "symbolic":
-        return symbols(label_many(np.asarray(points)), label(np.asarray(goal_points)))
+        codes = label_many(np.asarray(points))
+        return symbols(codes, [label(np.asarray(goal_points))] * len(codes))
     seen: dict[str, NDArray[Any]] = {}
     if observation != "state":
-        drawn = pixels(points, draw(goal_points, picture), picture)
+        ropes = np.asarray(points)
+        drawn = pixels(ropes, [draw(goal_points, picture)] * len(ropes), picture)
         seen["pixels"] = stacked(drawn) if layout == "stacked" else drawn
     if observation != "pixels":
         seen["state"] = state(points, goal_points)

@@ -16,7 +16,7 @@ from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig
 
-OBSERVATIONS = ("pixels", "state", "both", "symbolic")
+OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
 LAYOUTS = ("beside", "stacked")  # arrangement of the rope's and the goal's picture
 MAX_NX = 11  # crossings of the largest hard unknots; the rope hardly has room for more
@@ -47,36 +47,34 @@ class TaskConfig:
     Every field is JSON-serializable and a keyword of `gymnasium.make`.
 
     Attributes:
-        task: "unknot", "tie" or "convert".
-        nx: crossings of the tangled side; convert starts at nx - 1.
-        split: rows of the state file to sample from: "train" or "test"; or "train-code" or
-            "test-code", subsets of these two that share no code, even up to symmetry.
-        states: a set that ships, "readable" (the same as None), "random-walk" or "hard-unknots"; or
-            the path of a state file, or of the run that made it; or the id of a Minari dataset that
-            contains one. If a file has no plain loops, they come from the readable set.
-        engine: "mujoco", the reference; or "chain", the fast solver, see `rope.chain`.
-        observation: "pixels", "state", "both" or "symbolic".
+        task: task: tie, unknot or convert.
+        nx: number of crossings of the tangled side; convert starts at one less.
+        split: split of the states: train, test, train-code or test-code. The last two are subsets
+            of the others that share no code, even up to symmetry.
+        states: set of states: readable (default), random-walk or hard-unknots, which are included;
+            or a state file, or the folder of the run that made it, or the id of a Minari dataset
+            that contains one. If a file has no plain loops, they come from the readable set.
+        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
+        observation: observation: pixels, state, both, symbolic or marked.
         action: "pull", six numbers; "bead", a bead and binned forces; or "macro", a bead led past a
             strand by up to ten pulls. See `knotgym.rope.action_views`.
-        max_goals: sample goals from the first so many goal configurations of the split; None for
-            all.
-        horizon: steps until truncation; a macro-action is as many steps as it has pulls.
-        hold: consecutive steps for which the goal code must be shown.
-        tow_limit: largest distance of the rope's centre from its position at reset, metres. Beyond
-            it no state counts as the goal, and the episode is truncated. None for no limit. With
-            0.04, repeating one action hardly ever unties a rope (`benchmarks/towing.py`).
-        reset_noise: scale of the noise at reset, radians per joint and metres.
-        image_size: side of each half of the picture, pixels.
-        views: "top", "left" and "front", each at most once; pictures are stacked vertically.
-        depth: whether pictures have depth as a fourth channel, see `rendering.picture`.
+        max_goals: use only the first N goal states of the split, in file order; all by default.
+        image_size: side of each half of the picture (rope and goal), in pixels.
+        views: camera views in the picture, comma-separated: top, left, front.
+        depth: add depth as a fourth image channel.
+        horizon: steps before an episode is truncated. A macro-action is as many steps as it has
+            pulls.
+        hold: consecutive steps that the rope must show the goal code.
+        tow_limit: furthest that the rope's centre may be towed, in metres; no limit by default.
+            Beyond it no state counts as the goal, and the episode is truncated. With 0.04,
+            repeating one action hardly ever unties a rope.
+        reset_noise: scale of the noise added at reset, in radians per joint and in metres.
         layout: "beside", rope left and goal right, (size, 2 size, 3); or "stacked", the goal's
             channels after the rope's, (size, size, 6).
-        camera: "orthographic" or "perspective".
+        camera: projection: orthographic or perspective.
         renderer: "auto", "opencv" or "mujoco"; "mujoco" doesn't draw depth.
-        integrator_steps: MuJoCo steps into which an action's 0.192 s are divided; 24 as published.
-            20 steps take five sixths of the time; compared with 24, some bead ends up 0.2 mm away
-            after one action and 2 mm after ten (`benchmarks/physics.py`). With fewer than 20,
-            ropes under large forces blow up; with 20, two in 100,000 random steps did.
+        integrator_steps: MuJoCo steps per action; 20 is faster and gives slightly different
+            trajectories.
         success_reward: reward on success.
         failure_reward: reward at the horizon, or beyond `tow_limit`, without success.
         numeric_infos: whether `info` holds numbers instead of text, see `EpisodeBatch.info`.
@@ -127,6 +125,7 @@ class TaskConfig:
             ("horizon", 1, None),
             ("hold", 1, None),
             ("image_size", 16, 2048),
+            # an action takes 0.192 s; with fewer steps, ropes under large forces blow up
             ("integrator_steps", 20, 96),
         ):
             value = getattr(self, name)

@@ -13,14 +13,15 @@ if __name__ == "generate":
 
 if TYPE_CHECKING:
     from knotgym.common.atomic_files import Occupied
-    from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
-    from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation
+    from knotgym.common.configuration import InvalidConfig
+    from knotgym.generate.episodes.collect import CollectConfig, collect
+    from knotgym.generate.episodes.evaluate import EvaluateConfig
     from knotgym.generate.episodes.evaluate import run as evaluate
-    from knotgym.generate.episodes.suite import InvalidSuite, SuiteConfig, make_suite
+    from knotgym.generate.episodes.suite import SuiteConfig, make_suite
     from knotgym.generate.episodes.suite_scores import InvalidScores
     from knotgym.generate.images.image_recipe import make_images
-    from knotgym.generate.images.images_config import ImagesConfig, InvalidImagesConfig
-    from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+    from knotgym.generate.images.images_config import ImagesConfig
+    from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig
     from knotgym.generate.states.random_walk_recipe import walk_states
     from knotgym.generate.states.state_recipe import generate as make_states
@@ -28,46 +29,16 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(
-        __name__,
-        {
-            "CollectConfig": "knotgym.generate.episodes.collect",
-            "EvaluateConfig": "knotgym.generate.episodes.evaluate",
-            "GenerateConfig": "knotgym.generate.states.generate_config",
-            "ImagesConfig": "knotgym.generate.images.images_config",
-            "InvalidCollection": "knotgym.generate.episodes.collect",
-            "InvalidEvaluation": "knotgym.generate.episodes.evaluate",
-            "InvalidGenerateConfig": "knotgym.generate.states.generate_config",
-            "InvalidImagesConfig": "knotgym.generate.images.images_config",
-            "InvalidRun": "knotgym.runs.run_options",
-            "InvalidScores": "knotgym.generate.episodes.suite_scores",
-            "InvalidSuite": "knotgym.generate.episodes.suite",
-            "NotEnough": "knotgym.runs.run_options",
-            "Occupied": "knotgym.common.atomic_files",
-            "RandomWalkConfig": "knotgym.generate.states.random_walk",
-            "RunOptions": "knotgym.runs.run_options",
-            "SuiteConfig": "knotgym.generate.episodes.suite",
-            "collect": "knotgym.generate.episodes.collect",
-            "evaluate": "knotgym.generate.episodes.evaluate:run",
-            "make_images": "knotgym.generate.images.image_recipe",
-            "make_states": "knotgym.generate.states.state_recipe:generate",
-            "make_suite": "knotgym.generate.episodes.suite",
-            "walk_states": "knotgym.generate.states.random_walk_recipe",
-        },
-    )
+    __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "CollectConfig",
     "EvaluateConfig",
     "GenerateConfig",
     "ImagesConfig",
-    "InvalidCollection",
-    "InvalidEvaluation",
-    "InvalidGenerateConfig",
-    "InvalidImagesConfig",
+    "InvalidConfig",
     "InvalidRun",
     "InvalidScores",
-    "InvalidSuite",
     "NotEnough",
     "Occupied",
     "RandomWalkConfig",

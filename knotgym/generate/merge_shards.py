@@ -5,8 +5,6 @@ run's, but have the same distribution: of near-duplicates in two shards the late
 and states are split again into train and test so that the shares hold.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -56,10 +54,10 @@ from knotgym.states.state_file import (
 )
 from knotgym.topology.gauss import GaussCode
 
-_KINDS = {
-    "knotgym-manifest": "states",
-    "knotgym-collection": "episodes",
-    "knotgym-images-manifest": "images",
+_KINDS: dict[str, tuple[str, type[Any]]] = {  # format of a manifest -> kind, configuration
+    "knotgym-manifest": ("states", GenerateConfig),
+    "knotgym-collection": ("episodes", CollectConfig),
+    "knotgym-images-manifest": ("images", ImagesConfig),
 }
 _NEAR = "near_duplicates_between_shards"  # in the report of the whole
 
@@ -70,21 +68,13 @@ class InvalidMerge(KnotgymError, ValueError):
 
 @dataclass(frozen=True)
 class ShardFolder:
-    """The output folder of a shard.
-
-    Attributes:
-        folder: its path.
-        kind: "states", "episodes" or "images".
-        shard: its number.
-        request: request of the run without the shard; equal for all shards of a run.
-        manifest: the folder's manifest; for episodes, collection.json.
-    """
+    """The output folder of a shard."""
 
     folder: Path
-    kind: str
+    kind: str  # "states", "episodes" or "images"
     shard: Shard
-    request: dict[str, Any]
-    manifest: dict[str, Any]
+    request: dict[str, Any]  # request of the run without the shard; equal for all shards of a run
+    manifest: dict[str, Any]  # the folder's manifest; for episodes, collection.json
 
 
 def shard_folder_of(source: str) -> ShardFolder | None:
@@ -95,7 +85,7 @@ def shard_folder_of(source: str) -> ShardFolder | None:
             manifest = read_json(folder / name)
             request = {key: manifest[key] for key in LISTED}
             shard = Shard(**request.pop("shard"))
-            kind = _KINDS[manifest["format"]]
+            kind, _ = _KINDS[manifest["format"]]
         except (OSError, ValueError, KeyError, TypeError):
             continue
         return None if shard.is_whole else ShardFolder(folder, kind, shard, request, manifest)
@@ -103,12 +93,9 @@ def shard_folder_of(source: str) -> ShardFolder | None:
 
 
 def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool = False) -> Path:
-    """Merge all shards of a run and return the new folder.
+    """Merge all shards of a run, in any order, and return the new folder.
 
-    Args:
-        folders: all shards, in any order.
-        out: the folder to write; for episodes the Minari root, as in `knotgym collect`.
-        overwrite: replace an existing folder once the new one is complete.
+    For episodes `out` is the Minari root, as in `knotgym collect`.
 
     Raises:
         InvalidMerge: shards are missing, given twice, corrupted, of different runs, or have an
@@ -125,21 +112,36 @@ def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool =
             raise InvalidMerge(f"{first.folder} says that its id is {named!r}, which leads out")
         folder = out / named
     require_output(folder, folder=True, overwrite=overwrite)
+    whole = _Whole(
+        ordered,
+        report,
+        {**first.request, "shard": asdict(Shard())},
+        distinct(shard.manifest for shard in ordered),
+    )
     with atomic_write(folder, overwrite=overwrite) as part:
         merge = {"states": _states, "episodes": _episodes, "images": _images}[first.kind]
-        merge(ordered, report, part.with_name("whole")).rename(part)
+        merge(whole, part.with_name("whole")).rename(part)
     return folder
+
+
+@dataclass(frozen=True)
+class _Whole:
+    """The shards of a run in order, and what its manifest says."""
+
+    shards: Sequence[ShardFolder]
+    report: dict[str, Any]
+    request: dict[str, Any]
+    machines: list[dict[str, str]]
+
+    def files(self, name: str) -> list[Path]:
+        return [shard.folder / name for shard in self.shards]
 
 
 def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
     """Require all intact shards of one run, sorted by number."""
-    first = ordered[0]
-    for other in ordered[1:]:
-        if (other.kind, other.shard.of, other.request) != (
-            first.kind,
-            first.shard.of,
-            first.request,
-        ):
+    first, *others = ordered
+    for other in others:
+        if _run(other) != _run(first):
             raise InvalidMerge(
                 f"{first.folder} and {other.folder} are not shards of one run: they were asked for"
                 " different things"
@@ -167,15 +169,17 @@ def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
                 )
 
 
-def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
-    """Return the sum of the shards' reports.
+def _run(shard: ShardFolder) -> tuple[Any, ...]:
+    return shard.kind, shard.shard.of, shard.request
 
-    Raises:
-        InvalidMerge: a configuration or report is invalid.
+
+def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
+    """Return the sum of the shards' reports; raise InvalidMerge if one or the configuration is
+    invalid.
     """
     first = ordered[0]
     try:
-        from_json(_config_of(first), first.request["config"])
+        from_json(dict(_KINDS.values())[first.kind], first.request["config"])
         if first.kind == "episodes":
             return asdict(sum((Tally(**shard.manifest["tally"]) for shard in ordered), Tally()))
         reports = [shard.manifest["report"] for shard in ordered]
@@ -186,90 +190,61 @@ def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
         ) from error
 
 
-def _config_of(shard: ShardFolder) -> type[Any]:
-    if shard.kind == "states":
-        return GenerateConfig
-    return CollectConfig if shard.kind == "episodes" else ImagesConfig
-
-
-def _whole_request(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
-    """Return the request of the whole run."""
-    return {**ordered[0].request, "shard": asdict(Shard())}
-
-
-def _states(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path) -> Path:
-    request = _whole_request(ordered)
-    config = request["config"]
-    parts = [read_states(shard.folder / "states.h5") for shard in ordered]
+def _states(whole: _Whole, folder: Path) -> Path:
+    config = whole.request["config"]
+    parts = [read_states(file) for file in whole.files("states.h5")]
     every = merge_states(parts)
     kept = np.flatnonzero(apart(every.points))
     from_shard = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     from_shard = from_shard[merged_order(parts)][kept]
     chosen = every.taken(kept)
     folder.mkdir(parents=True)
-    report = {**report, _NEAR: len(every) - len(kept)}
     merged = _renumbered(chosen, config)
     write_states(folder / "states.h5", merged)
     # where the demonstration of each row is, in order
+    roots = whole.files("minari")
     datasets = [
-        ordered[k].folder / "minari" / name
+        roots[k] / name
         for k, name in zip(from_shard.tolist(), chosen.source["dataset"], strict=True)
     ]
     for nx, name in product(sorted(set(merged.nx.tolist())), STATE_SPLITS):
         mine = [row for row in merged.rows(nx, name).tolist() if merged.source["dataset"][row]]
-        if not mine:
-            continue
         sources = [
             Chosen(dataset, [int(chosen.source["trajectory"][row]) for row in rows])
             for dataset, rows in groupby(mine, datasets.__getitem__)
         ]
-        state_folder.publish_demonstrations(
-            nx,
-            name,
-            str(merged.knot[0]),
-            merged.engine,
-            sources,
-            len(mine),
-            folder / "minari",
-            folder / "states.h5",
-        )
-    files = [shard.folder / "archive.h5" for shard in ordered]
-    archives = [Archive.load(file) for file in files if file.is_file()]
+        if sources:
+            state_folder.publish_demonstrations(
+                *(nx, name, str(merged.knot[0]), merged.engine, sources, len(mine)),
+                *(folder / "minari", folder / "states.h5"),
+            )
+    archives = [Archive.load(file) for file in whole.files("archive.h5") if file.is_file()]
     if archives:
         search = from_json(SearchSettings, config["search"])
         _joined_archive(archives, search).save(folder / "archive.h5")
-    state_folder.finish(folder, merged, report, request, _machines(ordered))
+    report = {**whole.report, _NEAR: len(every) - len(kept)}
+    state_folder.finish(folder, merged, report, whole.request, whole.machines)
     return folder
 
 
-def _machines(ordered: Sequence[ShardFolder]) -> list[dict[str, str]]:
-    """Return the machines that made the shards."""
-    return distinct(shard.manifest for shard in ordered)
-
-
 def _renumbered(states: States, config: dict[str, Any]) -> States:
-    """Split the states again, and number the demonstrations of each nx and split."""
-    states = _split_anew(states, config)
-    numbered = state_folder.demonstrations_of(
-        states.nx, states.split, str(states.knot[0]), (states.source["dataset"] != "").tolist()
-    )
-    return replace(states, source={**states.source, **numbered})
-
-
-def _split_anew(states: States, config: dict[str, Any]) -> States:
-    """Split the states of all shards into train and test again."""
+    """Split the states of all shards again, and number the demonstrations of each nx and split."""
     # wide enough for both names, also if all shards have only one split
     splits = states.split.astype(np.array(STATE_SPLITS).dtype)
+    codes = [GaussCode.parse(text) for text in states.gauss_code]
     for nx in config["nx"]:
         mine = np.flatnonzero(states.nx == nx)
-        codes = [GaussCode.parse(text) for text in states.gauss_code[mine]]
         rng = generator(Stream.SPLIT, config["seed"], nx)
-        splits[mine] = split(codes, config["split_by"], config["train_share"], rng)
+        own = [codes[row] for row in mine]
+        splits[mine] = split(own, config["split_by"], config["train_share"], rng)
+    splits = kept_together(splits, states.points, codes)
+    demonstrated = (states.source["dataset"] != "").tolist()
+    knot = str(states.knot[0])
+    numbered = state_folder.demonstrations_of(states.nx, splits, knot, demonstrated)
     return replace(
         states,
-        split=kept_together(
-            splits, states.points, [GaussCode.parse(text) for text in states.gauss_code]
-        ),
+        split=splits,
+        source={**states.source, **numbered},
         attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
     )
 
@@ -295,49 +270,58 @@ def _joined_archive(archives: Sequence[Archive], search: SearchSettings) -> Arch
 
 def _report_of_states(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
     rejected: dict[str, Counter[str]] = {}
+    passed: dict[str, list[str]] = {}
     for report in reports:
         for nx, reasons in report["rejected"].items():
             rejected.setdefault(nx, Counter()).update(reasons)
-    passed: dict[str, list[str]] = {}
-    for report in reports:
         for nx, codes in report.get("passed_over", {}).items():
             passed.setdefault(nx, []).extend(codes)
     return {
         **reports[0],
         **({"passed_over": passed} if passed else {}),
-        "attempts": sum(report["attempts"] for report in reports),
-        "actions": sum(report["actions"] for report in reports),
+        **{name: sum(report[name] for report in reports) for name in ("attempts", "actions")},
         "rejected": {nx: dict(sorted(reasons.items())) for nx, reasons in rejected.items()},
         "growth": [],  # the curves of separate searches don't add up
     }
 
 
-def _episodes(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path) -> Path:
-    request = _whole_request(ordered)
-    config, tally = from_json(CollectConfig, request["config"]), Tally(**report)
-    files = [shard.folder / "main_data.hdf5" for shard in ordered]
-    machines = _machines(ordered)
-    return write_whole(config, files, tally, folder, request, concatenate=True, machines=machines)
+def _report_of_images(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    totals = {name: sum(report[name] for report in reports) for name in ("walks", "frames")}
+    for name in ("dropped", "refused"):
+        counts = sum((Counter(report[name]) for report in reports), Counter[str]())
+        totals[name] = dict(sorted(counts.items()))
+    return totals
 
 
-def _images(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path) -> Path:
-    request = _whole_request(ordered)
-    config = request["config"]
-    kept = _kept_rows([path for shard in ordered for path in shards(shard.folder)])
+def _episodes(whole: _Whole, folder: Path) -> Path:
+    config = from_json(CollectConfig, whole.request["config"])
+    return write_whole(
+        config,
+        whole.files("main_data.hdf5"),
+        Tally(**whole.report),
+        folder,
+        whole.request,
+        concatenate=True,
+        machines=whole.machines,
+    )
+
+
+def _images(whole: _Whole, folder: Path) -> Path:
+    most = whole.request["config"]["rows_per_file"]
+    kept = _kept_rows([path for shard in whole.shards for path in shards(shard.folder)])
     written: list[Path] = []
     for name in IMAGE_SPLITS:
-        mine = {
-            path: rows for path, rows in kept.items() if path.name.startswith(f"{file_stem(name)}-")
-        }
-        count = -(-sum(int(rows.sum()) for rows in mine.values()) // config["rows_per_file"])
+        stem = f"{file_stem(name)}-"
+        mine = {path: rows for path, rows in kept.items() if path.name.startswith(stem)}
+        count = -(-sum(int(rows.sum()) for rows in mine.values()) // most)
         chosen = (read_table(path).filter(arrow().array(rows)) for path, rows in mine.items())
-        for index, table in enumerate(_cut(chosen, config["rows_per_file"])):
+        for index, table in enumerate(_cut(chosen, most)):
             written.append(folder / shard_name(name, index, count))
             write_table(written[-1], table)
-    walks = [read_walks(shard.folder / "walks.h5") for shard in ordered]
+    walks = [read_walks(file) for file in whole.files("walks.h5")]
     write_walks(folder / "walks.h5", joined_walks(walks))
-    report = {**report, _NEAR: sum(int((~rows).sum()) for rows in kept.values())}
-    image_folder.write_card_and_manifest(folder, written, request, report, _machines(ordered))
+    report = {**whole.report, _NEAR: sum(int((~rows).sum()) for rows in kept.values())}
+    image_folder.write_card_and_manifest(folder, written, whole.request, report, whole.machines)
     return folder
 
 
@@ -347,19 +331,6 @@ def _kept_rows(tables: Sequence[Path]) -> dict[Path, NDArray[np.bool_]]:
     ends = np.cumsum([len(own) for own in points])
     kept = np.split(apart(np.concatenate(points)), ends[:-1])
     return dict(zip(tables, kept, strict=True))
-
-
-def _report_of_images(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    def summed(name: str) -> dict[str, int]:
-        counts = sum((Counter(report[name]) for report in reports), Counter[str]())
-        return dict(sorted(counts.items()))
-
-    return {
-        "walks": sum(report["walks"] for report in reports),
-        "frames": sum(report["frames"] for report in reports),
-        "dropped": summed("dropped"),
-        "refused": summed("refused"),
-    }
 
 
 def _cut(tables: Iterable[Any], most: int) -> Iterator[Any]:

@@ -2,7 +2,7 @@
 
 At each step it updates its hypotheses of the rope's shape and position from the picture, infers
 which bead its last action pulled, and either continues its plan or replans. Planning is that of
-`control.planner`, in the learned rope model.
+`control.planner`, in the chain engine.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from knotgym.control.planner import plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import TransitionGraph
-from knotgym.learn.imagination import Imagination, pack_state, passed_through
+from knotgym.learn.imagination import BEADS
 from knotgym.learn.reader import Reader
-from knotgym.learn.rope_model import BEADS, Dynamics
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses, perturb_heights
+from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
@@ -69,8 +69,8 @@ class AgentConfig:
         planner: of the imagined actions.
     """
 
-    budget: int = 1500
-    episode_budget: int = 12000
+    budget: int = 3000
+    episode_budget: int = 24000
     least_budget: int = 500
     max_plans: int = 6
     patience: int = 2
@@ -84,7 +84,7 @@ class AgentConfig:
     max_probes: int = 3
     probe_lift: float = 0.6
     hypotheses: HypothesesConfig = HypothesesConfig()
-    planner: PlannerConfig = PlannerConfig(batch_size=32, surrogate_rollouts=2)
+    planner: PlannerConfig = PlannerConfig(batch_size=32)
 
 
 @dataclass(eq=False)
@@ -123,21 +123,21 @@ class Agent:
     def __init__(
         self,
         reader: Reader,
-        dynamics: Dynamics,
         graph: TransitionGraph,
         starts: Array,
         config: AgentConfig | None = None,
     ) -> None:
         """Compose an agent; `starts` are start positions met in training, float64 (n, 3)."""
-        self.reader, self.dynamics, self.graph, self.starts = reader, dynamics, graph, starts
+        self.reader, self.graph, self.starts = reader, graph, starts
         self.config = config or AgentConfig()
-        self._imagination = Imagination(dynamics, self.config.planner.batch_size)
+        self._planning = ChainSimulation(self.config.planner.batch_size)
+        self._believed = ChainSimulation(max(self.config.copies, self.config.hypotheses.imagined))
         self._episodes: dict[int, _Episode] = {}
 
     def begin(self, index: int, rng: np.random.Generator, horizon: int) -> None:
         """Begin episode `index` of `horizon` steps; all of its random draws come from `rng`."""
         hypotheses = ShapeHypotheses(
-            self.reader, self.dynamics, self.starts, self.config.hypotheses, rng
+            self.reader, self._believed, self.starts, self.config.hypotheses, rng
         )
         self._episodes[index] = _Episode(rng, horizon, hypotheses)
 
@@ -233,9 +233,11 @@ class Agent:
         for _ in range(self.config.max_plans):
             if highest >= self.config.enough or left < self.config.planner.batch_size:
                 break
+            hypotheses = episode.hypotheses
+            self._planning.lay_points(hypotheses.ropes[:1], hypotheses.velocities[:1], [0])
             made = plan(
-                self._imagination,
-                pack_state(episode.hypotheses.ropes[0], episode.hypotheses.velocities[0]),
+                self._planning,
+                self._planning.states([0])[0],
                 episode.goal,
                 self.graph,
                 self.config.planner,
@@ -245,7 +247,12 @@ class Agent:
             )
             episode.imagined += made.spent
             left -= made.spent
-            pulls = [Pull(int(one[0]), one[3:].astype(np.float64)) for one in made.actions]
+            pulls = [
+                Pull(bead, force)
+                for bead, force in zip(
+                    made.pulls.beads.tolist(), made.pulls.forces.astype(np.float64), strict=True
+                )
+            ]
             # a plan that doesn't reach the goal is still better than none, which scores -1
             success_rate = self._success_rate(episode, pulls) if made.solved else -0.5
             if success_rate > highest and pulls:
@@ -263,8 +270,9 @@ class Agent:
         gains = np.exp(rng.normal(0, config.force_noise, (len(points), 1)))
         # copy 0 stays the most likely hypothesis itself
         points[1:] = perturb_heights(points[1:], config.height_noise, rng)
-        codes = label_many(points)
-        reached, torn = np.zeros((2, len(points)), dtype=bool)
+        chain, copies = self._believed, np.arange(len(points))
+        chain.lay_points(points, velocities, copies)
+        reached = np.zeros(len(points), dtype=bool)
         middle = episode.hypotheses.position.positions.mean(axis=0)
         for bead, force, named in pulls:
             # a pull by bead misses by a bead or so; a pull by point takes the bead nearest to it in
@@ -273,13 +281,10 @@ class Agent:
                 off = np.rint(rng.normal(0, config.bead_noise, len(points))).astype(np.int64)
                 beads = (bead + off) % BEADS
             else:
-                beads = np.linalg.norm(points + middle - named, axis=2).argmin(axis=1)
-            points, velocities = self.dynamics.step(points, velocities, beads, gains * force)
-            before, codes = codes, label_many(points)
-            # a copy whose strands passed through each other says nothing about the real rope, so
-            # it can't succeed any more
-            torn |= [passed_through(*pair) for pair in zip(before, codes, strict=True)]
-            reached |= ~torn & [code.matches(episode.goal) for code in codes]
-            if (reached | torn).all():
+                off = chain.points[copies] + middle - named
+                beads = np.linalg.norm(off, axis=2).argmin(axis=1)
+            chain.step(beads, chain.max_force * gains * force, copies)
+            reached |= [code.matches(episode.goal) for code in label_many(chain.points[copies])]
+            if reached.all():
                 break
         return float(reached.mean())

@@ -2,7 +2,6 @@
 
 policy.json             format, version, training data and configuration, checksum of the weights
 weights.safetensors     reader/*    float16, the networks' weights
-                        rope        float64 (105,), parameters of the rope model
                         places      float32 (n, 3), start positions of the training episodes, metres
 """
 
@@ -18,13 +17,13 @@ import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load, save
+from torch import Tensor
 
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import read_json
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import require_regular
 from knotgym.learn.reader import Reader
-from knotgym.learn.rope_model import FIRST_GUESS
 
 FORMAT, FORMAT_VERSION = "knotgym-policy", 1
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
@@ -40,12 +39,10 @@ class Learned(NamedTuple):
 
     Attributes:
         reader: network from pictures to vertices.
-        rope: float64 (105,), parameters of the rope model, laid out like `rope_model.FIRST_GUESS`.
         starts: float32 (n, 3), middles of ropes at the start of training episodes, metres.
     """
 
     reader: Reader
-    rope: NDArray[np.float64]
     starts: NDArray[np.float32]
 
 
@@ -55,8 +52,12 @@ def save_policy(folder: Path, learned: Learned, made: dict[str, Any]) -> None:
         f"reader/{name}": own.detach().to(torch.float16).contiguous()
         for name, own in learned.reader.state_dict().items()
     }
-    tensors["rope"] = torch.from_numpy(learned.rope)
     tensors["places"] = torch.from_numpy(learned.starts)
+    write_checkpoint(folder, tensors, made)
+
+
+def write_checkpoint(folder: Path, tensors: dict[str, Tensor], made: dict[str, Any]) -> None:
+    """Write weights and a card with their checksum; `made` adds to the card."""
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(folder / WEIGHTS) as part:
         part.write_bytes(save(tensors))
@@ -84,6 +85,37 @@ def load_policy(name: str) -> Learned:
         InvalidCheckpoint: it is missing, of another version, changed or truncated.
     """
     folder = policy_folder(name)
+    tensors = read_weights(folder)
+    try:
+        reader = Reader()
+        reader.load_state_dict(
+            {
+                key.removeprefix("reader/"): own.float()
+                for key, own in tensors.items()
+                if key.startswith("reader/")
+            }
+        )
+        starts = tensors["places"].numpy()
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise InvalidCheckpoint(
+            f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
+        ) from error
+    if starts.ndim != 2 or starts.shape[1:] != (3,) or starts.dtype != np.float32:
+        raise InvalidCheckpoint(
+            f"{folder / WEIGHTS}: places is {starts.dtype} {starts.shape}, should be float32 (n, 3)"
+        )
+    kinds = {own.dtype for key, own in tensors.items() if key.startswith("reader/")}
+    if kinds != {torch.float16}:
+        found = ", ".join(sorted(map(str, kinds)))
+        raise InvalidCheckpoint(f"{folder / WEIGHTS}: the reader is {found}, should be float16")
+    for name, values in {"places": tensors["places"], **reader.state_dict()}.items():
+        if not torch.isfinite(values).all():
+            raise InvalidCheckpoint(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
+    return Learned(reader.eval(), starts)
+
+
+def read_weights(folder: Path) -> dict[str, Tensor]:
+    """Read the weights of a checkpoint folder; raise InvalidCheckpoint as in `load_policy`."""
     card = read_card(folder)
     try:
         require_regular(folder / WEIGHTS, "weights", InvalidCheckpoint)
@@ -95,36 +127,11 @@ def load_policy(name: str) -> Learned:
             f"{folder / WEIGHTS} doesn't match the checksum in {CARD}: it was changed or truncated"
         )
     try:
-        tensors = load(content)
-        reader = Reader()
-        reader.load_state_dict(
-            {
-                key.removeprefix("reader/"): own.float()
-                for key, own in tensors.items()
-                if key.startswith("reader/")
-            }
-        )
-        rope, starts = tensors["rope"].numpy(), tensors["places"].numpy()
-    except (SafetensorError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        return load(content)
+    except (SafetensorError, ValueError) as error:
         raise InvalidCheckpoint(
             f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
         ) from error
-    if rope.shape != FIRST_GUESS.shape or starts.ndim != 2 or starts.shape[1:] != (3,):
-        raise InvalidCheckpoint(f"{folder / WEIGHTS} has arrays of the wrong shape")
-    if (rope.dtype, starts.dtype) != (np.float64, np.float32):
-        raise InvalidCheckpoint(
-            f"{folder / WEIGHTS}: rope is {rope.dtype} and places {starts.dtype}, should be float64"
-            " and float32"
-        )
-    kinds = {own.dtype for key, own in tensors.items() if key.startswith("reader/")}
-    if kinds != {torch.float16}:
-        found = ", ".join(sorted(map(str, kinds)))
-        raise InvalidCheckpoint(f"{folder / WEIGHTS}: the reader is {found}, should be float16")
-    own = {"rope": torch.from_numpy(rope), "places": torch.from_numpy(starts)}
-    for name, values in {**own, **reader.state_dict()}.items():
-        if not torch.isfinite(values).all():
-            raise InvalidCheckpoint(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
-    return Learned(reader.eval(), rope, starts)
 
 
 def read_card(folder: Path) -> dict[str, Any]:

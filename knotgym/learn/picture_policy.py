@@ -14,7 +14,6 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.agent import Agent, AgentConfig
 from knotgym.learn.checkpoint import PRETRAINED, load_policy
 from knotgym.learn.colour_reading import SIZE
-from knotgym.learn.rope_model import Dynamics
 
 
 class PicturePolicy(Policy):
@@ -28,22 +27,7 @@ class PicturePolicy(Policy):
         self._seconds: dict[int, float] = {}
 
     def suited(self, task: TaskConfig) -> TaskConfig:
-        differing = [
-            f"{name} {given} instead of {needed}"
-            for name, given, needed in (
-                ("views", ",".join(task.views), "top"),
-                ("depth", task.depth, False),
-                ("camera", task.camera, "orthographic"),
-                ("image_size", task.image_size, SIZE),
-                ("hold", task.hold, 1),
-                ("action", task.action, "pull"),
-            )
-            if given != needed
-        ]
-        if differing:
-            raise InvalidPolicy(
-                f"policy {self._name} can't act in this task, which has {', '.join(differing)}"
-            )
+        require_readable(task, self._name)
         return task
 
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
@@ -67,6 +51,26 @@ class PicturePolicy(Policy):
         return Effort(self._agent.imagined(index), self._seconds[index])
 
 
+def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> None:
+    """Require pictures that the reader can read, and an action view; raise InvalidPolicy if not."""
+    differing = [
+        f"{name} {given} instead of {needed}"
+        for name, given, needed in (
+            ("views", ",".join(task.views), "top"),
+            ("depth", task.depth, False),
+            ("camera", task.camera, "orthographic"),
+            ("image_size", task.image_size, SIZE),
+            ("hold", task.hold, 1),
+            ("action", task.action, action),
+        )
+        if given != needed
+    ]
+    if differing:
+        raise InvalidPolicy(
+            f"policy {policy} can't act in this task, which has {', '.join(differing)}"
+        )
+
+
 def learned_policy(folder: str, config: AgentConfig | None = None) -> PicturePolicy:
     """Load the policy of a checkpoint folder, or "pretrained", which ships with the package.
 
@@ -75,7 +79,5 @@ def learned_policy(folder: str, config: AgentConfig | None = None) -> PicturePol
     """
     learned = load_policy(folder)
     graph = shipped_transition_graph(TransitionGraphConfig())
-    agent = Agent(
-        learned.reader, Dynamics(learned.rope), graph, learned.starts.astype(np.float64), config
-    )
+    agent = Agent(learned.reader, graph, learned.starts.astype(np.float64), config)
     return PicturePolicy(agent, PRETRAINED if folder == PRETRAINED else "learned")

@@ -27,8 +27,13 @@ def _make(config: PolicyConfig) -> Policy:
                 f"the learner {config.policy} needs {library}, which isn't installed; install it:"
                 f" {install_command('learn')}"
             )
+    from knotgym.learn.checkpoint import policy_folder, read_card
+    from knotgym.learn.clone_policy import CLONE, load_clone
     from knotgym.learn.picture_policy import learned_policy
 
+    folder = policy_folder(config.policy)
+    if read_card(folder).get("learner") == CLONE:
+        return load_clone(folder)
     return learned_policy(config.policy)
 
 

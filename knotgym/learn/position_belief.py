@@ -20,7 +20,7 @@ _START_NOISE = 0.02
 # Prior probability that every particle is wrong and the rope lies where ropes start.
 _RESTART = 0.02
 # Standard deviation added after each pull, metres. It keeps resampled particles distinct and covers
-# the error of the rope model's predicted motion.
+# the error of the engine's predicted motion.
 _DRIFT = 0.004
 # Worth of pulling the intended bead, its neighbours, and theirs: neighbours move much alike.
 _NEAR = np.array([1.0, 0.7, 0.3])

@@ -5,7 +5,7 @@ Two bead networks work on what the colours tell (`colour_reading`).
 - `join` reads a picture without any prior guess. A picture shows heights only by foreshortened
   chords, which leave their sign open, and by crossings. So the network returns several readings
   that share x and y, each with its own heights and a log-probability.
-- `correct` refines a guess: a reading, or the rope model's prediction from before the picture was
+- `correct` refines a guess: a reading, or the engine's prediction from before the picture was
   taken. So heights that the picture doesn't show persist from earlier steps.
 
 Positions are in metres, z up, the rope's middle at the origin.
@@ -98,7 +98,7 @@ class Reader(nn.Module):
         Args:
             seen: n pictures.
             guesses: float64 (n, BEADS, 3), what each picture may show, metres.
-            moves: float64 (n, BEADS, 3), by how much the rope model moved the vertices to get
+            moves: float64 (n, BEADS, 3), by how much the engine moved the vertices to get
                 there, metres; where the picture disagrees, heights can be inferred. 0 for a guess
                 without a past.
         """

@@ -15,16 +15,17 @@ from torch import Tensor
 from torch.nn import functional
 
 from knotgym.common.streams import Stream, generator
+from knotgym.learn.imagination import BEADS, imagine
 from knotgym.learn.reader import PIXEL, Reader, look, waves
-from knotgym.learn.rope_model import BEADS, MAX_FORCE, Dynamics
 from knotgym.learn.training_data import TrainingData
 from knotgym.rendering.picture import draw
+from knotgym.rope.chain.chain_simulation import ChainSimulation
 
 Array = NDArray[np.float64]
 
 _RATE = 2e-3  # peak learning rate
 _HEIGHT = 0.02  # height error that counts like a pixel in x or y before weighting by 0.3, metres
-# Largest standard deviation of the errors put on states before the rope model predicts from them:
+# Largest standard deviation of the errors put on states before the engine predicts from them:
 # x, y, z, metres; and the highest number of waves of those errors round the loop.
 _GUESS_NOISE, _WAVES = np.array([0.0015, 0.0015, 0.02]), 12
 _OWN = 0.3  # share of guesses that are the reader's own readings, not predictions
@@ -41,13 +42,11 @@ class ReaderTraining:
         losses: losses of the two networks at each step.
     """
 
-    def __init__(
-        self, data: TrainingData, dynamics: Dynamics, steps: int, batch: int, seed: int
-    ) -> None:
-        """Create a reader to be trained for `steps` steps; `dynamics` predicts its guesses."""
+    def __init__(self, data: TrainingData, steps: int, batch: int, seed: int) -> None:
+        """Create a reader to be trained for `steps` steps on `batch` pictures each."""
         # more threads would sum in another order and round otherwise
         torch.set_num_threads(1)
-        self._data, self._dynamics = data, dynamics
+        self._data, self._chain = data, ChainSimulation(batch)
         self._steps, self._batch, self._seed = steps, batch, seed
         self.reader = Reader(seed=seed)
         self._optimizer = torch.optim.AdamW(self.reader.parameters(), lr=_RATE, weight_decay=1e-4)
@@ -60,7 +59,7 @@ class ReaderTraining:
             falling = 0.02 + 0.98 * (0.5 + 0.5 * math.cos(math.pi * self.step / self._steps))
             group["lr"] = _RATE * min(1.0, (self.step + 1) / 50) * falling
         rng = generator(Stream.LEARN_PICTURES, self._seed, self.step)
-        true, guesses, moves = _drawn(self._data, self._dynamics, self._batch, rng)
+        true, guesses, moves = _drawn(self._data, self._chain, self._batch, rng)
         seen = [look(draw(points)) for points in true]
         wanted = torch.from_numpy(true).float()
         readings, log_probabilities = self.reader.joined(seen)
@@ -104,22 +103,23 @@ class ReaderTraining:
 
 
 def _drawn(
-    data: TrainingData, dynamics: Dynamics, count: int, rng: np.random.Generator
+    data: TrainingData, chain: ChainSimulation, count: int, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
     """Draw true vertices, guesses and the guesses' moves, float64 (count, BEADS, 3) each.
 
-    A guess is the rope model's prediction of an action's effect from a perturbed state, as during
-    an episode. For the first state of an episode it is the perturbed state, and its moves are 0.
+    A guess is the chain engine's prediction of an action's effect from a perturbed state, as
+    during an episode. For the first state of an episode it is the perturbed state, and its moves
+    are 0.
     """
     rows = rng.integers(len(data.frames), size=count)
-    beads, forces = data.beads[rows], data.forces[rows] / MAX_FORCE
+    beads, forces = data.beads[rows], data.forces[rows] / chain.max_force
     begins = beads < 0
     true = data.frames[rows].astype(np.float64)
     # rows - 1 is the state before, except where an episode begins
     before = data.frames[rows - ~begins].astype(np.float64)
-    velocities = _velocities(data, dynamics, rows - ~begins)
+    velocities = _velocities(data, chain, rows - ~begins)
     before += rng.uniform(0, 1, (count, 1, 1)) * _GUESS_NOISE * waves(count, _WAVES, rng)
-    after, _ = dynamics.step(before, velocities, np.maximum(beads, 0), forces)
+    after, _ = imagine(chain, before, velocities, np.maximum(beads, 0), forces)
     after[begins] = before[begins]
     moves = after - before
     # positions relative to the rope's middle, as a camera that follows it shows them
@@ -131,15 +131,16 @@ def _drawn(
     return true, np.ascontiguousarray(after), np.ascontiguousarray(moves)
 
 
-def _velocities(data: TrainingData, dynamics: Dynamics, rows: NDArray[np.int64]) -> Array:
+def _velocities(data: TrainingData, chain: ChainSimulation, rows: NDArray[np.int64]) -> Array:
     """Estimate the velocities of states, float64 (n, BEADS, 3), m/s.
 
-    Datasets hold no velocities: the rope model repeats the action before, from rest.
+    Datasets hold no velocities: the engine repeats the action before, from rest.
     """
-    beads, forces = data.beads[rows], data.forces[rows] / MAX_FORCE
+    beads, forces = data.beads[rows], data.forces[rows] / chain.max_force
     begins = beads < 0
     before = data.frames[rows - ~begins].astype(np.float64)
-    _, velocities = dynamics.step(before, np.zeros_like(before), np.maximum(beads, 0), forces)
+    rest = np.zeros_like(before)
+    _, velocities = imagine(chain, before, rest, np.maximum(beads, 0), forces)
     velocities[begins] = 0.0
     return velocities
 

@@ -1,7 +1,7 @@
-"""A set of weighted hypotheses about the rope's shape, updated from pictures and a rope model.
+"""A set of weighted hypotheses about the rope's shape, updated from pictures and the chain engine.
 
 A picture hardly shows heights: a plain loop, for one, looks like its own mirror image. So the agent
-keeps several candidate ropes that the picture may show. After a pull, the rope model moves all of
+keeps several candidate ropes that the picture may show. After a pull, the chain engine moves all of
 them; how well the beads of each then match the next picture reweights them, as in a particle
 filter. Which bead was pulled is not visible either: it is inferred along with the rope's position
 (`position_belief`). Lengths are in metres, z up.
@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.learn.imagination import BEADS, imagine
 from knotgym.learn.position_belief import PositionBelief
 from knotgym.learn.reader import Reader
-from knotgym.learn.rope_model import BEADS, Dynamics
 from knotgym.rendering.picture import draw
+from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
@@ -57,6 +58,11 @@ class HypothesesConfig:
     blur: float = 0.003
     codes: int = 30
 
+    @property
+    def imagined(self) -> int:
+        """Most ropes that are imagined at once."""
+        return max(BEADS, self.ropes + self.varied)
+
 
 class ShapeHypotheses:
     """Weighted candidate ropes of one episode.
@@ -72,13 +78,16 @@ class ShapeHypotheses:
     def __init__(
         self,
         reader: Reader,
-        dynamics: Dynamics,
+        chain: ChainSimulation,
         starts: Array,
         config: HypothesesConfig,
         rng: np.random.Generator,
     ) -> None:
-        """Begin an episode; `starts` are the start positions met in training, float64 (n, 3)."""
-        self._reader, self._dynamics, self._config, self._rng = reader, dynamics, config, rng
+        """Begin an episode; `starts` are the start positions met in training, float64 (n, 3).
+
+        `chain` has as many ropes as `HypothesesConfig.imagined` says.
+        """
+        self._reader, self._chain, self._config, self._rng = reader, chain, config, rng
         self.position = PositionBelief(starts, rng)
         self.ropes = self.velocities = np.zeros((1, BEADS, 3))
         self.weights = np.ones(1)
@@ -101,11 +110,12 @@ class ShapeHypotheses:
         self._infer_pulled_bead(read[0], named, force)
 
         # Predict: every hypothesis, and copies with perturbed heights so that the set doesn't
-        # collapse, are moved by the rope model as the real rope was pulled.
+        # collapse, are moved by the engine as the real rope was pulled.
         rows = self._rng.choice(len(self.ropes), size=self._config.varied, p=self.weights)
         varied = perturb_heights(self.ropes[rows], self._config.wave, self._rng)
         before = np.concatenate([self.ropes, varied])
-        after, velocities = self._dynamics.step(
+        after, velocities = imagine(
+            self._chain,
             before,
             np.concatenate([self.velocities, self.velocities[rows]]),
             np.full(len(before), self.bead),
@@ -169,7 +179,8 @@ class ShapeHypotheses:
         for rope, velocity, weight in zip(
             self.ropes[:_CONSULTED], self.velocities, self.weights, strict=False
         ):
-            after, _ = self._dynamics.step(
+            after, _ = imagine(
+                self._chain,
                 np.tile(rope, (BEADS, 1, 1)),
                 np.tile(velocity, (BEADS, 1, 1)),
                 np.arange(BEADS),

@@ -1,4 +1,4 @@
-"""Train a learner: the rope model, then the reader; resumable and reproducible to the bit."""
+"""Train a learner, that is its reader; resumable and reproducible to the bit."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -22,16 +21,15 @@ from torch import Tensor
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, move_into_place, remove, require_output
-from knotgym.common.configuration import as_json, check_numbers, differences, read_json
+from knotgym.common.configuration import as_json, differences, read_json
 from knotgym.common.errors import one_line
 from knotgym.common.hdf5_files import require_regular
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.learn.checkpoint import CARD, Learned, load_policy, read_card, save_policy
-from knotgym.learn.fitting import STAGES, Stretches, fit
 from knotgym.learn.reader_training import ReaderTraining
-from knotgym.learn.rope_model import FIRST_GUESS, Dynamics
-from knotgym.learn.training_data import InvalidTraining, TrainingData, read_training_data
+from knotgym.learn.train_config import InvalidTraining, TrainConfig
+from knotgym.learn.training_data import TrainingData, read_training_data
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import REFUSE_EXISTING, Existing
 from knotgym.runs.staging import (
@@ -46,37 +44,6 @@ from knotgym.runs.staging import (
 UNDER_WAY, REQUEST = "training.safetensors", "training.json"
 _SEAL = "seal"  # name of the array that holds the digest of the others
 _CURVE_WINDOW = 50  # steps averaged in each row of the learning curve
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainConfig:
-    """Settings of a training.
-
-    Attributes:
-        steps: optimizer steps of the reader.
-        batch: pictures per step.
-        stretches: episode beginnings to which the rope model is fitted, at most.
-        tries: candidates for the rope model's shared parameters, in each of two searches.
-        places: start positions of episodes that are kept, at most.
-        save_every: steps between checkpoints.
-        seed: seed of all random draws.
-    """
-
-    steps: int = 3000
-    batch: int = 48
-    stretches: int = 100
-    tries: int = 150
-    places: int = 512
-    save_every: int = 200
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("steps", "batch", "stretches", "tries", "places", "save_every"),
-            whole=("seed",),
-            error=InvalidTraining,
-        )
 
 
 def train(
@@ -108,6 +75,41 @@ def train(
     if progress is None:
         with Progress(quiet) as progress:
             return train(datasets, out, config, existing=existing, progress=progress)
+    shown = progress
+    shown, made = progress, list[Learned]()
+
+    def read() -> tuple[TrainingData, str]:
+        data = read_training_data(datasets)
+        return data, data.digest
+
+    def make(data: TrainingData, request: dict[str, Any], folder: Path) -> None:
+        made.append(_trained(datasets, data, config, request, folder, shown))
+
+    run_training(datasets, out, config, existing, progress, read, make)
+    return made[0] if made else load_policy(str(out))
+
+
+Data = TypeVar("Data")
+
+
+def run_training(
+    datasets: Sequence[Any],
+    out: Path,
+    config: Any,
+    existing: Existing,
+    progress: Progress,
+    read: Callable[[], tuple[Data, str]],
+    make: Callable[[Data, dict[str, Any], Path], None],
+) -> None:
+    """Run a training in a staging folder, unless it is finished already; see `train` for errors.
+
+    Args:
+        datasets, out, existing, progress: as of `train`.
+        config: a dataclass of settings.
+        read: reads the datasets; returns what `make` takes, and its digest.
+        make: trains in a folder, resuming what it holds; writes the checkpoint to `made` in it.
+            Also takes the settings and the digest.
+    """
     finished = may_be_finished(out, existing) and (out / CARD).is_file()
     if not finished:
         require_output(out, folder=True, overwrite=existing.overwrite)
@@ -115,30 +117,24 @@ def train(
     for dataset in datasets:
         EpisodeReader(dataset).close()
     progress.stage("reading the episodes")
-    data = read_training_data(datasets)
-    request = {"config": as_json(config), "data_sha256": data.digest}
+    data, digest = read()
+    request = {"config": as_json(config), "data_sha256": digest}
     if finished:
-        differing = list(differences(_request_of(out), request))
+        card = read_card(out)
+        differing = list(differences({name: card.get(name) for name in request}, request))
         if not differing:
             discard(out)
             progress.say(f"{out} is finished already")
-            return load_policy(str(out))
+            return
         if not existing.overwrite:
             raise InvalidTraining(
                 f"{out} holds a training with other settings: {'; '.join(differing[:3])}; choose"
                 " another --out, or replace it by --overwrite"
             )
     with staging(out, existing) as folder:
-        learned = _trained(datasets, data, config, request, folder, progress)
+        make(data, request, folder)
         move_into_place(folder / "made", out, overwrite=existing.overwrite)
     shutil.rmtree(staging_folder(out))
-    return learned
-
-
-def _request_of(out: Path) -> dict[str, Any]:
-    """Return the settings and data digest of a finished training."""
-    card = read_card(out)
-    return {name: card.get(name) for name in ("config", "data_sha256")}
 
 
 def _trained(
@@ -151,13 +147,9 @@ def _trained(
 ) -> Learned:
     """Train in a staging folder, resuming what it holds; write the checkpoint to `made` in it."""
     began = time.perf_counter()
-    kept = _begin(folder, request)
-    if "rope" not in kept:
-        kept |= _fit_rope(data, config, progress)
-        _keep(folder, kept)
-    rope = kept["rope"].numpy()
-    training = ReaderTraining(data, Dynamics(rope), config.steps, config.batch, config.seed)
-    if "losses" in kept:
+    kept = begin_training(folder, request)
+    training = ReaderTraining(data, config.steps, config.batch, config.seed)
+    if kept:
         _restore(folder, training, kept)
 
     def status() -> Status:
@@ -169,28 +161,30 @@ def _trained(
         progress.show(status)
         training.advance()
         if training.step % config.save_every == 0 or training.step == config.steps:
-            _keep(folder, kept | training.state())
+            keep_training(folder, training.state())
     progress.show(status, last=True)
-    learned = Learned(training.reader.eval(), rope, _starts(data, config))
+    learned = Learned(training.reader.eval(), _starts(data, config))
     made_in = folder / "made"
     remove(made_in)
     made_in.mkdir()
-    _draw_curve(made_in, training.losses)
-    errors = 1000 * kept["fit"]
+    curve = [
+        (start + _CURVE_WINDOW, *np.mean(training.losses[start : start + _CURVE_WINDOW], axis=0))
+        for start in range(0, len(training.losses), _CURVE_WINDOW)
+    ]
+    draw_curve(made_in, ("join", "correct"), curve)
     made = {
         "knotgym": knotgym.__version__,
         **request,
         "data": ["/".join(Path(str(one)).parts[-3:]) for one in datasets],
         "episodes": len(data.starts),
         "frames": len(data.frames),
-        "fit_error_mm": dict(zip(STAGES, errors.round(decimals=3).tolist(), strict=True)),
         "seconds": round(time.perf_counter() - began),
     }
     save_policy(made_in, learned, made)
     return learned
 
 
-def _begin(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
+def begin_training(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
     """Begin a training in a staging folder, or load the checkpoint of the one to resume.
 
     Raises:
@@ -227,8 +221,6 @@ def _begin(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
         if isinstance(error, InvalidTraining):
             raise
         raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {one_line(error)}") from error
-    if kept.get("rope", torch.zeros(0)).shape != FIRST_GUESS.shape or "fit" not in kept:
-        raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: it has no rope model")
     return kept
 
 
@@ -239,7 +231,8 @@ def _restore(folder: Path, training: ReaderTraining, kept: dict[str, Tensor]) ->
         raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {error}") from error
 
 
-def _keep(folder: Path, kept: dict[str, Tensor]) -> None:
+def keep_training(folder: Path, kept: dict[str, Tensor]) -> None:
+    """Write the state of a training, sealed by its digest, into its staging folder."""
     kept = {name: own.contiguous() for name, own in kept.items()}
     seal = torch.tensor(list(_digest(kept)), dtype=torch.uint8)
     with atomic_write(folder / UNDER_WAY) as part:
@@ -255,27 +248,6 @@ def _digest(kept: dict[str, Tensor]) -> bytes:
     return whole.digest()
 
 
-def _fit_rope(data: TrainingData, config: TrainConfig, progress: Progress) -> dict[str, Tensor]:
-    """Fit the rope model: "rope", its parameters, and "fit", the stages' errors in metres."""
-    progress.stage("fitting the rope model")
-    rng = generator(Stream.LEARN_ROPE, config.seed)
-    errors: list[float] = []
-
-    def on_stage(stage: str, error: float) -> None:
-        errors.append(error)
-        progress.say(f"rope model, {stage}: {1000 * error:.2f} mm")
-
-    rope = fit(_subset(data.stretches, config.stretches, rng), rng, config.tries, on_stage)
-    return {"rope": torch.from_numpy(rope), "fit": torch.tensor(errors, dtype=torch.float64)}
-
-
-def _subset(stretches: Stretches, most: int, rng: np.random.Generator) -> Stretches:
-    """Draw at most `most` of the stretches."""
-    count = stretches.points.shape[1]
-    rows = np.sort(rng.permutation(count)[:most])
-    return Stretches(stretches.points[:, rows], stretches.beads[:, rows], stretches.forces[:, rows])
-
-
 def _starts(data: TrainingData, config: TrainConfig) -> NDArray[np.float32]:
     """Draw start positions of ropes' middles, float32 (n, 3), metres."""
     rng = generator(Stream.LEARN_PLACES, config.seed)
@@ -284,18 +256,20 @@ def _starts(data: TrainingData, config: TrainConfig) -> NDArray[np.float32]:
     return middles
 
 
-def _draw_curve(out: Path, losses: Sequence[tuple[float, float]]) -> None:
-    """Write `curve.csv` and `curve.png`, the losses of `join` (blue) and `correct` (orange)."""
-    rows = [
-        (
-            start + _CURVE_WINDOW,
-            *np.mean(losses[start : start + _CURVE_WINDOW], axis=0).round(5).tolist(),
-        )
-        for start in range(0, len(losses), _CURVE_WINDOW)
-    ]
+def draw_curve(
+    out: Path, names: tuple[str, str], curve: Sequence[tuple[int, float, float]]
+) -> None:
+    """Write `curve.csv` and `curve.png`: two losses, the first blue and the second orange.
+
+    Args:
+        out: folder to write to.
+        names: of the losses.
+        curve: step and both losses, at least one row.
+    """
+    rows = [(step, round(first, 5), round(second, 5)) for step, first, second in curve]
     with atomic_write(out / "curve.csv") as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(("step", "join", "correct"))
+        writer.writerow(("step", *names))
         writer.writerows(rows)
     width, height, edge = 640, 360, 40
     image = np.full((height, width, 3), 255, dtype=np.uint8)

@@ -9,17 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.learn.fitting import Stretches
-from knotgym.learn.rope_model import BEADS
+from knotgym.learn.imagination import BEADS
+from knotgym.learn.train_config import InvalidTraining
 from knotgym.rope.model import RopeConfig
-
-STRETCH = 4  # actions at the start of each episode to which the rope model is fitted
-
-
-class InvalidTraining(KnotgymError, ValueError):
-    """A training that can't run: its settings, its datasets or what it resumes are invalid."""
 
 
 class TrainingData(NamedTuple):
@@ -30,7 +23,6 @@ class TrainingData(NamedTuple):
         beads: int64 (n,), bead pulled by the action that led to each state; -1 for a first state.
         forces: float64 (n, 3), force of that action, newtons.
         starts: int64 (episodes,), index of each episode's first state.
-        stretches: the first STRETCH actions of every episode that has as many.
         digest: SHA-256 of all states and actions in order, hexadecimal.
     """
 
@@ -38,7 +30,6 @@ class TrainingData(NamedTuple):
     beads: NDArray[np.int64]
     forces: NDArray[np.float64]
     starts: NDArray[np.int64]
-    stretches: Stretches
     digest: str
 
 
@@ -55,11 +46,10 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
     frames: list[NDArray[np.float32]] = []
     beads: list[NDArray[np.int64]] = []
     forces: list[NDArray[np.float64]] = []
-    first = list[Stretches]()
     digest = hashlib.sha256()
     for dataset in datasets:
         reader = EpisodeReader(dataset)
-        _check(reader, dataset)
+        require_trainable(reader, dataset)
         for index in range(len(reader)):
             episode = reader.episode(index)
             digest.update(episode.points.tobytes())
@@ -67,31 +57,22 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
             frames.append(episode.points.astype(np.float32))
             beads.append(np.concatenate([[-1], episode.bead[1:]]))
             forces.append(episode.force)
-            if len(episode) >= STRETCH:
-                first.append(
-                    Stretches(
-                        episode.points[: STRETCH + 1],
-                        episode.bead[1 : STRETCH + 1],
-                        episode.force[1 : STRETCH + 1],
-                    )
-                )
         reader.close()
-    if not first:
-        raise InvalidTraining(
-            f"no episode of {', '.join(map(str, datasets))} has {STRETCH} actions; collect longer"
-            " episodes, such as by knotgym collect --policy scripted"
-        )
     return TrainingData(
         np.concatenate(frames),
         np.concatenate(beads),
         np.concatenate(forces),
         np.cumsum([0, *map(len, frames[:-1])]),
-        Stretches(*(np.stack(column, axis=1) for column in zip(*first, strict=True))),
         digest.hexdigest(),
     )
 
 
-def _check(reader: EpisodeReader, dataset: Any) -> None:
+def require_trainable(reader: EpisodeReader, dataset: Any) -> None:
+    """Require episodes of the train split with the rope that learners know.
+
+    Raises:
+        InvalidTraining: they are not.
+    """
     if not reader.task.split.startswith("train"):
         raise InvalidTraining(
             f"{dataset} is of the {reader.task.split} split, which is held out for evaluation;"

@@ -38,30 +38,13 @@ if TYPE_CHECKING:
     from knotgym.loaders.frame_cache import FrameCache, NoCache
     from knotgym.loaders.perception import images
     from knotgym.loaders.rows import arrays
-    from knotgym.loaders.transitions import NoLabels, NoMacroActions, Transitions
+    from knotgym.loaders.segments import NoLabels, NoMacroActions
+    from knotgym.loaders.transitions import Transitions
     from knotgym.loaders.windows import GoalSampling, InvalidWindow, Window
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(
-        __name__,
-        {
-            "FrameCache": "knotgym.loaders.frame_cache",
-            "GoalSampling": "knotgym.loaders.windows",
-            "InvalidWindow": "knotgym.loaders.windows",
-            "MissingExtra": "knotgym.common.errors",
-            "NoCache": "knotgym.loaders.frame_cache",
-            "NoLabels": "knotgym.loaders.transitions",
-            "NoMacroActions": "knotgym.loaders.transitions",
-            "Transitions": "knotgym.loaders.transitions",
-            "Window": "knotgym.loaders.windows",
-            "arrays": "knotgym.loaders.rows",
-            "images": "knotgym.loaders.perception",
-            "to_d3rlpy": "knotgym.loaders.converters",
-            "to_tensordict": "knotgym.loaders.converters",
-            "torch_dataset": "knotgym.loaders.converters",
-        },
-    )
+    __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "FrameCache",

@@ -11,8 +11,6 @@ settings, and the versions of knotgym and OpenCV. A file is written under a temp
 renamed, so a file of the right size is complete.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -29,7 +27,7 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common.atomic_files import Unwritable, atomic_write, require_own, sha256
 from knotgym.common.errors import KnotgymError
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import EpisodeReader, goal_axis
 
 
 class NoCache(KnotgymError, ValueError):
@@ -55,20 +53,13 @@ class FrameCache:
 
 
 class CachedFrames:
-    """The pictures of one dataset. Can be pickled: each process maps the file itself.
+    """The pictures of one dataset, at `path`. Can be pickled: each process maps the file itself.
 
-    Attributes:
-        path: the file.
-        offsets: int64 (episodes + 1,), the first frame of each episode, then their total.
+    `offsets`, int64 (episodes + 1,), has the first frame of each episode, then their total.
     """
 
     def __init__(self, reader: EpisodeReader, picture: Any, cache: FrameCache) -> None:
         """Open the file, or write it first, which takes about a millisecond per picture.
-
-        Args:
-            reader: the dataset.
-            picture: a `PictureConfig` to draw with; None for the environment's pictures.
-            cache: where to keep the file.
 
         Raises:
             NoCache: the dataset has no episodes, the pictures exceed the limit, or the folder or
@@ -118,9 +109,8 @@ class CachedFrames:
     def pictures(self, ropes: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Join n frames of ropes with n frames of goals into observations.
 
-        Returns:
-            uint8 (n, views * size, 2 size, 3 or 4), or (n, views * size, size, 6 or 8) in layout
-            "stacked".
+        uint8 (n, views * size, 2 size, 3 or 4), or (n, views * size, size, 6 or 8) in layout
+        "stacked".
         """
         shape = [len(ropes), *self._shape[1:]]
         shape[self._goal_axis] *= 2
@@ -137,11 +127,6 @@ class CachedFrames:
                 ropes, goals = np.split(seen, 2, axis=self._goal_axis)
                 file.write(np.ascontiguousarray(ropes).data)
                 file.write(np.ascontiguousarray(goals[0]).data)
-
-
-def goal_axis(layout: str) -> int:
-    """The axis of (n, height, width, channels) pictures along which the goal follows the rope."""
-    return 2 if layout == "beside" else 3
 
 
 def _key(reader: EpisodeReader, picture: Any) -> str:
@@ -165,10 +150,8 @@ def _key(reader: EpisodeReader, picture: Any) -> str:
 
 
 def _make_room(cache: FrameCache, needed: int) -> None:
-    """Delete the least recently used files until `needed` bytes fit under the limit.
-
-    Raises:
-        NoCache: `needed` alone exceeds the limit.
+    """Delete the least recently used files until `needed` bytes fit under the limit, or raise
+    NoCache.
     """
     if needed > cache.limit:
         raise NoCache(

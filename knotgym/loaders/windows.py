@@ -151,19 +151,19 @@ class Returns(NamedTuple):
 
 
 def returns(
+    discount: float,
     rewards: NDArray[np.float64],
     terminals: NDArray[np.bool_],
     timeouts: NDArray[np.bool_],
     pulls: Integers,
     inside: NDArray[np.bool_],
-    discount: float,
 ) -> Returns:
     """Sum n windows of m transitions up to the first that ends an episode.
 
     Args:
+        discount: per pull.
         rewards, terminals, timeouts, pulls: (n, m), of each transition.
         inside: bool (n, m), whether it belongs to the segment of the first; that one does.
-        discount: per pull.
     """
     ends = terminals | timeouts
     ended_before = np.cumsum(ends, axis=1) - ends > 0
@@ -172,14 +172,14 @@ def returns(
     elapsed = np.cumsum(lasting, axis=1)
     # r_i is discounted by the pulls before transition i
     factors = discount ** (elapsed - lasting).astype(np.float64)
-    terminated = (terminals & taken).any(axis=1)
+    terminated = np.any(terminals & taken, axis=1)
     return Returns(
         steps=taken.sum(axis=1),
         pulls=elapsed[:, -1],
         rewards=np.where(taken, rewards * factors, 0).sum(axis=1),
         discounts=np.where(terminated, 0, discount ** elapsed[:, -1].astype(np.float64)),
         terminals=terminated,
-        timeouts=(timeouts & taken).any(axis=1) & ~terminated,
+        timeouts=np.any(timeouts & taken, axis=1) & ~terminated,
     )
 
 

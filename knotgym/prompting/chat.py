@@ -58,12 +58,13 @@ class ChatConfig:
     """Settings of the client.
 
     Attributes:
-        model: name of the model at the server.
-        base_url: URL of the server, such as http://127.0.0.1:8000/v1.
-        temperature: sampling temperature; None for the server's default.
-        timeout: seconds per attempt in total, up to the last byte of the reply.
-        attempts: attempts per request, at least 1.
-        backoff: seconds before the first retry, doubled for each further one.
+        model: model name on the server.
+        base_url: URL of a server with the chat-completions protocol; its key, if it needs one, is
+            read from OPENAI_API_KEY.
+        temperature: sampling temperature; below 0 uses the server's default.
+        timeout: time limit for one request, in seconds. It covers the whole reply.
+        attempts: tries per request before the run stops.
+        backoff: seconds to wait before the second try; doubled before each later one.
     """
 
     model: str

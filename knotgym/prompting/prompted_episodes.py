@@ -47,19 +47,21 @@ class PromptConfig:
     """Settings of a run.
 
     Attributes:
-        mode: "open", "stateless" or "stateful" to play episodes; "read" for codes of pictures.
+        mode: what is asked; open: one answer with all actions; stateless: one action per request;
+            stateful: the same, with past pictures and answers; read: the Gauss code of a picture.
         chat: settings of the client.
         task: the environment; its horizon limits the actions, and its image_size is that of each
             picture. Unused in mode read.
-        episodes: number of episodes; in mode read, of pictures at most.
-        seed: seed of the episodes; episode i is the same in every mode and in `evaluate`.
-        window: past pictures and answers that mode stateful repeats.
-        tell_centre: state the position of the current picture's middle, which is not visible.
-        prompt_price, completion_price: price of a million tokens; None if unknown.
+        episodes: number of episodes, or of pictures from the start of the split.
+        seed: random seed of the episodes. Episode i is the same in every mode and in `evaluate`.
+        window: past turns included in mode stateful.
+        tell_centre: tell the model the world coordinates of the picture's centre.
+        prompt_price: price of a million prompt tokens.
+        completion_price: price of a million completion tokens.
         pictures: in mode read, the split of the pictures, then the SHA-256 of each.
     """
 
-    mode: str
+    mode: str = "stateless"
     chat: ChatConfig
     task: TaskConfig = TaskConfig(task="tie", image_size=256)
     episodes: int = 100

@@ -111,8 +111,9 @@ def noise_survival(
     points: ArrayLike, scale: float, rng: np.random.Generator, draws: int = NOISE_DRAWS
 ) -> float:
     """Return the fraction of draws of reset noise that keep the Gauss code and chirality."""
-    p = np.asarray(points, dtype=np.float64)
-    codes = label_many(np.stack([p, *(noised(p, scale, rng) for _ in range(draws))]))
+    p = np.asarray(points, dtype=np.float64)[None]
+    varied = noised(np.repeat(p, draws, axis=0), scale, [rng] * draws)
+    codes = label_many(np.concatenate([p, varied]))
     return float(np.mean([code == codes[0] for code in codes[1:]]))
 
 

@@ -30,8 +30,9 @@ class AppearanceConfig:
     """Distribution of appearances; everything that doesn't vary is as published.
 
     Attributes:
-        vary: any subset of VARIED, stored in that order.
-        sizes: sizes of pictures, pixels, sampled uniformly.
+        vary: what to randomize: all, none, or some of
+            colours,width,background,turn,zoom,noise,blur.
+        sizes: side in pixels, 64 to 512; from several (64,128) one is drawn at random.
         width: range of the factor on the rope's width.
         zoom: range of the magnification, limited so that the rope stays in the picture.
         noise: largest standard deviation of the Gaussian noise, levels of 255.

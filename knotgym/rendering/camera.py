@@ -195,7 +195,7 @@ def seen_from(view: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
     [[-2.0, 3.0, -1.0]]
     """
     axes, signs = _AXES[view]
-    return points if view == "top" else np.ascontiguousarray(points[:, axes] * np.array(signs))
+    return points if view == "top" else np.ascontiguousarray(points[..., axes] * np.array(signs))
 
 
 def project(
@@ -214,9 +214,9 @@ def project(
         in front of it.
     """
     points = np.asarray(points, dtype=np.float64)
-    middle = points.mean(axis=0) if center is None else np.asarray(center, dtype=np.float64)
+    middle = points.mean(axis=-2, keepdims=True) if center is None else np.asarray(center)
     offset = points - middle
-    right, up = offset[:, 0], offset[:, 1]
+    right, up = offset[..., 0], offset[..., 1]
     if config.turn != 0.0:
         cos, sin = math.cos(config.turn), math.sin(config.turn)
         right, up = cos * right + sin * up, cos * up - sin * right
@@ -231,8 +231,8 @@ def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> N
         float64, shape (n,), NaN behind the near plane of the perspective camera.
     """
     if config.camera == "orthographic":
-        return np.full(len(offset), config.pixels_per_metre)
-    depth = config.camera_height - offset[:, 2]
+        return np.full(offset.shape[:-1], config.pixels_per_metre)
+    depth = config.camera_height - offset[..., 2]
     return config.pixels_per_metre * config.camera_height / np.where(depth > _NEAR, depth, np.nan)
 
 

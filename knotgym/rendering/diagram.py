@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.rendering.camera import PictureConfig, bead_colours, checked_points, project, seen_from
-from knotgym.rendering.rasterizer import EDGE, SHIFT, average, polygons
+from knotgym.rendering.polygon_fill import SHIFT
+from knotgym.rendering.rasterizer import EDGE, average, polygons
 from knotgym.topology.crossings import Crossings, find_crossings
 
 Array = NDArray[np.float64]

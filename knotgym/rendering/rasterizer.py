@@ -1,4 +1,4 @@
-"""Convex polygons that make up a drawn rope, and averaging of supersampled canvases.
+"""Convex polygons that make up a drawn rope, and the painting of many ropes.
 
 Each bead is cut across into equal pieces, as many as its span of heights requires. Where two beads
 meet, each ends at the bisector of the joint, as the capsules do. Neighbours then neither overlap
@@ -12,6 +12,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.rendering.polygon_fill import SHIFT, fill, shrink
+
 # Painter's algorithm: pieces of beads are painted from the lowest to the highest, each at the
 # height of its midpoint. That is the true order at every crossing of a rope whose capsules sink
 # into each other by 2 mm at most: two axes that cross in the picture are then at least
@@ -20,7 +22,6 @@ from numpy.typing import NDArray
 # "distance to the camera along the line of sight" for "height".
 _PIECE_SPAN = 0.0067
 
-SHIFT = 6  # OpenCV takes fixed-point coordinates in units of 1 / 2**SHIFT pixels
 # Coordinates are clipped to this many pixels, so that their differences fit OpenCV's int32 after
 # the shift: 2 * 2**23 * 2**6 = 2**30.
 _FAR = 2.0**23
@@ -64,32 +65,64 @@ def polygons(
         int32 (pieces, 14, 2), vertices in 1/2**SHIFT pixels; (pieces,), the bead that each piece
         belongs to; and (pieces,), the height of its middle, metres.
     """
+    joints = [array[0] for array in _joints(pixels[None])]
+    corners, bead, middle = _pieces(pixels, height, radius, *joints, _SQUARE, _CAP, side)
+    order = np.argsort(middle, kind="stable")
+    return corners[order], bead[order], middle[order]
+
+
+def paint(
+    pixels: NDArray[np.float64],
+    height: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    factor: int,
+    colours: NDArray[np.uint8],
+    depths: tuple[float, float],
+    out: NDArray[np.uint8],
+) -> None:
+    """Paint m ropes; compiled, and without the interpreter's lock.
+
+    Args:
+        pixels: (m, n, 2), as in `polygons`.
+        height, radius: (m, n), as in `polygons`.
+        factor: samples along each side of a pixel.
+        colours: uint8 (1 + n, 3), the background's and the beads'.
+        depths: height of the middle of the range of depths, and its length, metres.
+        out: uint8 (m, size, size, 3 or 4), already the background; output.
+    """
+    side = factor * out.shape[1]
+    canvas = np.zeros((side, side), dtype=np.uint16)
+    middle, span = depths
+    _paint(
+        pixels,
+        height,
+        radius,
+        *_joints(pixels),
+        _SQUARE,
+        _CAP,
+        factor,
+        colours,
+        middle,
+        span,
+        canvas,
+        canvas.view(np.uint64) if factor == 4 else np.empty((0, 0), np.uint64),
+        out,
+    )
+
+
+def _joints(pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return what `_pieces` needs of m ropes (m, n, 2) beside their pixels, from length to sin."""
     # Angles and their functions are computed by NumPy, because compiled code may round them
     # differently; the bytes are then the same with and without compilation.
-    step = np.roll(pixels, -1, axis=0) - pixels
-    length = np.hypot(step[:, 0], step[:, 1])
+    step = np.roll(pixels, -1, axis=1) - pixels
+    length = np.hypot(step[..., 0], step[..., 1])
     along, sine, cosine = _directions(step, length)
     turn = np.arctan2(sine, cosine)  # at points[i], from bead i - 1 to bead i
     half = 0.5 * np.abs(turn)
     # Angles of the arc in the frame of the bead, from its right perpendicular to the bisector. The
     # inner corner is cut back by radius * tan(half turn); 1.5 keeps the tangent finite.
-    arc = -0.5 * np.pi + half[:, None] * _ARC
-    corners, bead, middle = _pieces(
-        pixels,
-        height,
-        radius,
-        length,
-        along,
-        turn,
-        np.tan(np.minimum(half, 1.5)),
-        np.cos(arc),
-        np.sin(arc),
-        _SQUARE,
-        _CAP,
-        side,
-    )
-    order = np.argsort(middle, kind="stable")
-    return corners[order], bead[order], middle[order]
+    arc = -0.5 * np.pi + half[..., None] * _ARC
+    return length, along, turn, np.tan(np.minimum(half, 1.5)), np.cos(arc), np.sin(arc)
 
 
 def average(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
@@ -103,29 +136,12 @@ def average(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
         uint8, shape (rows / factor, columns / factor, 3).
     """
     while factor % 2 == 0:  # halving twice is three times as fast as one reduction by four
-        canvas = _shrink(canvas, 2)
+        canvas = _resized(canvas, 2)
         factor //= 2
-    return canvas if factor == 1 else _shrink(canvas, factor)
+    return canvas if factor == 1 else _resized(canvas, factor)
 
 
-def nearest(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
-    """Take the largest sample of each pixel, that is the depth nearest to the camera.
-
-    Args:
-        canvas: uint8, shape (rows, columns).
-        factor: samples along each side of a pixel.
-
-    Returns:
-        uint8, shape (rows / factor, columns / factor).
-    """
-    for axis in (0, 1):
-        lines = np.moveaxis(canvas, axis, 0)
-        largest = np.maximum.reduce([lines[k::factor] for k in range(factor)])
-        canvas = np.moveaxis(largest, 0, axis)
-    return canvas
-
-
-def _shrink(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+def _resized(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
     rows, columns = canvas.shape[0] // factor, canvas.shape[1] // factor
     return np.asarray(
         cv2.resize(canvas, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8
@@ -134,20 +150,108 @@ def _shrink(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
 
 @numba.njit(cache=True, nogil=True)
 def _directions(step: NDArray[np.float64], length: NDArray[np.float64]) -> Any:
-    """Return the beads' unit vectors (n, 2), and sine and cosine (n,) of the turns between them."""
-    n = len(step)
-    along, sine, cosine = np.empty((n, 2)), np.empty(n), np.empty(n)
-    # a bead seen exactly end-on has no direction; any will do, and it is (1, 0)
-    for i in range(n):
-        for axis in range(2):
-            along[i, axis] = (
-                step[i, axis] / max(length[i], 1e-9) if length[i] > 1e-9 else 1.0 - axis
-            )
-    for i in range(n):
-        x, y = along[i - 1]
-        sine[i] = x * along[i, 1] - y * along[i, 0]
-        cosine[i] = x * along[i, 0] + y * along[i, 1]
+    """Return unit vectors of the beads (m, n, 2), and sine and cosine (m, n) of their turns."""
+    m, n = length.shape
+    along, sine, cosine = np.empty((m, n, 2)), np.empty((m, n)), np.empty((m, n))
+    for k in range(m):
+        # a bead seen exactly end-on has no direction; any will do, and it is (1, 0)
+        for i in range(n):
+            for axis in range(2):
+                along[k, i, axis] = (
+                    step[k, i, axis] / max(length[k, i], 1e-9)
+                    if length[k, i] > 1e-9
+                    else 1.0 - axis
+                )
+        for i in range(n):
+            x, y = along[k, i - 1]
+            sine[k, i] = x * along[k, i, 1] - y * along[k, i, 0]
+            cosine[k, i] = x * along[k, i, 0] + y * along[k, i, 1]
     return along, sine, cosine
+
+
+@numba.njit(cache=True, nogil=True)
+def _paint(
+    pixels: NDArray[np.float64],
+    height: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    length: NDArray[np.float64],
+    along: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    tan: NDArray[np.float64],
+    cos: NDArray[np.float64],
+    sin: NDArray[np.float64],
+    square: NDArray[np.float64],
+    cap: NDArray[np.float64],
+    factor: int,
+    colours: NDArray[np.uint8],
+    depth_middle: float,
+    depth_span: float,
+    canvas: NDArray[np.uint16],
+    words: NDArray[np.uint64],
+    out: NDArray[np.uint8],
+) -> None:
+    """Paint ropes one after the other; see `paint`. The canvas is zero before and after."""
+    side = len(canvas)
+    for k in range(len(pixels)):
+        corners, bead, middle = _pieces(
+            pixels[k],
+            height[k],
+            radius[k],
+            length[k],
+            along[k],
+            turn[k],
+            tan[k],
+            cos[k],
+            sin[k],
+            square,
+            cap,
+            side,
+        )
+        pieces = len(bead)
+        if pieces == 0:
+            continue
+        order = _sorted(middle)
+        # number p + 1 on the canvas is the piece p, 0 the background
+        shades, levels = np.empty((pieces + 1, 3), np.uint8), np.zeros(pieces + 1, np.uint8)
+        low, high = np.empty(2, np.int64), np.empty(2, np.int64)
+        for axis in range(2):
+            low[axis] = high[axis] = corners[0, 0, axis]
+        for c in range(3):
+            shades[0, c] = colours[0, c]
+        for p in range(pieces):
+            for c in range(3):
+                shades[p + 1, c] = colours[bead[p] + 1, c]
+            near = min(max(0.5 + (middle[p] - depth_middle) / depth_span, 0.0), 1.0)
+            levels[p + 1] = np.uint8(1 + np.rint(254.0 * near))
+            for corner in range(14):
+                for axis in range(2):
+                    low[axis] = min(low[axis], corners[p, corner, axis])
+                    high[axis] = max(high[axis], corners[p, corner, axis])
+        for p in order:
+            fill(canvas, corners[p], p + 1)
+        # only the pixels that the polygons touch, and one more on each side
+        for axis in range(2):
+            low[axis] = max((low[axis] >> SHIFT) // factor - 1, 0)
+            high[axis] = min(((high[axis] + 1) >> SHIFT) // factor + 2, out.shape[1])
+        samples = canvas[factor * low[1] : factor * high[1], factor * low[0] : factor * high[0]]
+        within = words[4 * low[1] : 4 * high[1], low[0] : high[0]]
+        shrink(samples, within, factor, shades, levels, out[k, low[1] : high[1], low[0] : high[0]])
+        for row in range(samples.shape[0]):
+            for column in range(samples.shape[1]):
+                samples[row, column] = 0
+
+
+@numba.njit(cache=True, nogil=True)
+def _sorted(values: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the indices that sort values; equal ones keep their order (insertion sort)."""
+    order = np.empty(len(values), np.intp)
+    for i in range(len(values)):
+        k = i
+        while k > 0 and values[order[k - 1]] > values[i]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i
+    return order
 
 
 @numba.njit(cache=True, nogil=True)

@@ -6,22 +6,23 @@
               over; as many pulls as it takes
 
 A macro-action is `macro_actions.pass_straight`, carried out by the `WaypointController` until the
-bead has reached its last waypoint, the rope shows another code, or MACRO_PULLS pulls were made.
+bead has reached its last waypoint, the episode has ended, or LONGEST pulls were made. A change of
+code doesn't end it: a crossing that has only just been made comes undone in the next one.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.rope.actions import CHOICES, choices, chosen_forces
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, pass_straight
+from knotgym.rope.macro_actions import (
+    LONGEST,
+    MacroActionConfig,
+    WaypointController,
+    pass_straight,
+)
 from knotgym.rope.simulation import InvalidAction, Simulation
-from knotgym.topology.gauss import GaussCode
-
-MACRO_PULLS = 10
 
 
 class ActionView:
@@ -39,7 +40,6 @@ class ActionView:
         count, beads = simulation.points.shape[:2]
         self._counts = choices(view, beads) if view in CHOICES else None
         self._actions: NDArray[np.float64] = np.zeros((count, 6))
-        self._codes: list[GaussCode | None] = [None] * count  # where the macro-action began
         self._config = MacroActionConfig()
         self._controller = WaypointController(count, self._config)
         self.busy = np.zeros(count, dtype=bool)
@@ -69,12 +69,12 @@ class ActionView:
             )
         return a
 
-    def reset(self, index: int) -> None:
-        """Drop the action of a rope whose episode begins."""
-        self.busy[index], self.pulls[index] = False, 0
+    def reset(self, ids: NDArray[np.int64]) -> None:
+        """Drop the actions of ropes whose episodes begin."""
+        self.busy[ids], self.pulls[ids] = False, 0
 
-    def begin(self, actions: ArrayLike, ids: NDArray[np.int64], codes: Sequence[GaussCode]) -> None:
-        """Start actions on the ropes `ids`; `codes` has the current code of every rope.
+    def begin(self, actions: ArrayLike, ids: NDArray[np.int64]) -> None:
+        """Start actions on the ropes `ids`.
 
         Raises:
             InvalidAction: as in `check`; no rope's action has changed.
@@ -87,7 +87,6 @@ class ActionView:
         self.macros[ids] = chosen
         self.macros[ids, 2] = 2 * self.macros[ids, 2] - 1
         for index in ids.tolist():
-            self._codes[index] = codes[index]
             points, (bead, target, side) = self._simulation.points[index], self.macros[index]
             macro_action = pass_straight(points, int(bead), int(target), int(side), self._config)
             self._controller.begin(index, macro_action)
@@ -105,14 +104,11 @@ class ActionView:
             forces = self._controller.forces(self._simulation.points)[ids]
         return self._simulation.actions(beads, self._simulation.max_force * forces, ids)
 
-    def pulled(
-        self, ids: NDArray[np.int64], codes: Sequence[GaussCode], ended: NDArray[np.bool_]
-    ) -> None:
+    def pulled(self, ids: NDArray[np.int64], ended: NDArray[np.bool_]) -> None:
         """Record that the ropes `ids` made a pull, and whether it `ended` their episodes."""
         self.pulls[ids] += 1
         self.busy[ids] = False
         if self._view == "macro":
             self._controller.advance(self._simulation.points)
-            same = np.array([codes[index] == self._codes[index] for index in ids], dtype=bool)
-            spent = self._controller.idle[ids] | (self.pulls[ids] >= MACRO_PULLS)
-            self.busy[ids] = same & ~spent & ~ended
+            spent = self._controller.idle[ids] | (self.pulls[ids] >= LONGEST)
+            self.busy[ids] = ~spent & ~ended

@@ -6,6 +6,11 @@ Source: arXiv 2505.18028.
 
 In the view "bead" the same pull is four whole numbers: the bead, and which of FORCE_CHOICES forces
 each component has. These are evenly spaced from -1 to 1.
+
+A pull with a *quantized* force fits into four bytes: the bead, and three whole numbers of 1 / 127
+of the largest force. The float32 numbers of its action give the bytes back, and the bytes the
+action. Policies that pull beads quantize their forces, so an episode of theirs is its start and
+four bytes a step.
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.errors import KnotgymError
 from knotgym.common.streams import generator_of
 
 if TYPE_CHECKING:
@@ -22,10 +28,17 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Odd, so that one of the forces is exactly 0.
+FORCE_BINS = 127  # a quantized force component is a whole multiple of 1 / 127 of the largest
+# Odd, so that one of the forces is exactly 0. Of 64 of the expert's plans (tie nx 2, convert nx 3)
+# that are binned and replayed blindly, 43 still end in the same code with 11 choices, 29 with 5, 48
+# with 31; after one action the farthest bead is 3 mm off with 11, 8 mm with 5, 1 mm with 31.
 FORCE_CHOICES = 11
 # Values of each whole number of an action, by view; 0 stands for the number of beads.
 CHOICES = {"bead": (0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES), "macro": (0, 0, 2)}
+
+
+class InvalidPulls(KnotgymError, ValueError):
+    """Actions that four bytes can't hold."""
 
 
 def decode_actions(
@@ -64,12 +77,48 @@ def encode_actions(
     return np.clip(np.concatenate([position, force], axis=1), -1, 1).astype(np.float32)
 
 
-FORCE_BINS = 127  # a quantized component is one of 2 * 127 + 1 multiples of max_force / 127
-
-
 def quantized(forces: ArrayLike) -> Array:
-    """Round forces in units of the largest force to multiples of 1 / FORCE_BINS."""
-    return np.rint(np.asarray(forces, dtype=np.float64) * FORCE_BINS) / FORCE_BINS
+    """Round forces in units of the largest force to whole multiples of 1 / FORCE_BINS.
+
+    The result holds the float32 numbers of an action, so what is simulated with it is what the
+    action does.
+    """
+    bins = np.rint(np.asarray(forces, dtype=np.float64) * FORCE_BINS)
+    return (bins / FORCE_BINS).astype(np.float32).astype(np.float64)
+
+
+def encode_pulls(actions: ArrayLike, points: Array, rope: RopeConfig) -> NDArray[np.int8]:
+    """Convert actions with quantized forces to four bytes each; the inverse of `decode_pulls`.
+
+    Args:
+        actions, points, rope: as in `decode_actions`.
+
+    Returns:
+        int8 (n, 4): the bead, as an unsigned byte, and three multiples of 1 / FORCE_BINS.
+
+    Raises:
+        InvalidPulls: an action isn't what `decode_pulls` gives, or the rope has too many beads.
+    """
+    if points.shape[1] > 256:
+        raise InvalidPulls(f"a pull's bead is one byte, got a rope of {points.shape[1]} beads")
+    beads, _ = decode_actions(actions, points, rope)
+    given = np.asarray(actions, dtype=np.float32)
+    bins = np.rint(given[:, 3:] * FORCE_BINS)
+    pulls = np.concatenate([beads[:, None].astype(np.uint8).view(np.int8), bins], axis=1)
+    pulls = pulls.astype(np.int8)
+    off = np.flatnonzero((decode_pulls(pulls, points, rope) != given).any(axis=1))
+    if len(off):
+        raise InvalidPulls(
+            f"an action must pull a bead at its vertex with multiples of 1/{FORCE_BINS} of the"
+            f" largest force, got {given[off[0]].tolist()}"
+        )
+    return pulls
+
+
+def decode_pulls(pulls: NDArray[np.int8], points: Array, rope: RopeConfig) -> NDArray[np.float32]:
+    """Convert four bytes (n, 4) to actions, float32 (n, 6)."""
+    forces = quantized(pulls[:, 1:] / FORCE_BINS) * rope.max_force
+    return encode_actions(np.ascontiguousarray(pulls[:, 0]).view(np.uint8), forces, points, rope)
 
 
 def steps_taken(

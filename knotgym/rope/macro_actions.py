@@ -12,14 +12,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import InvalidConfig, check_numbers
+from knotgym.rope.actions import quantized
 from knotgym.rope.model import Array
 
 KINDS = ("pass", "curl", "spread", "shift")
+LONGEST = 10  # actions of a macro-action, at most
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
 _HAUL_RISE = -0.2, 0.6  # range of the upward force, in units of the largest force
 _HAUL_STEPS = 4, 20  # range of its length; the upper end is excluded
@@ -41,6 +44,8 @@ class MacroActionConfig:
         spread_angle: standard deviation of the heading of a spread, radians.
         pass_angle: standard deviation of the heading of a pass or curl, radians.
         beyond: range of the distance past the strand at which a pass or curl ends, metres.
+        straight_lift: as `lift`, of a pass without chance.
+        straight_beyond: distance past the strand at which a pass without chance ends, metres.
         farthest: longest distance to a strand that a pass covers, metres; a strand farther away
             isn't reached.
         pass_apart: fewest beads along the rope between a bead and the strand it passes.
@@ -56,6 +61,8 @@ class MacroActionConfig:
     spread_angle: float = 0.5
     pass_angle: float = 0.3
     beyond: tuple[float, float] = (0.02, 0.09)
+    straight_lift: float = 0.06
+    straight_beyond: float = 0.1
     farthest: float = 0.3
     pass_apart: int = 12
     curl_apart: tuple[int, int] = (6, 24)
@@ -65,7 +72,14 @@ class MacroActionConfig:
             self,
             counts=("pass_apart",),
             positive=("arrived", "stride", "farthest"),
-            non_negative=("lift", "rise", "spread_angle", "pass_angle"),
+            non_negative=(
+                "lift",
+                "rise",
+                "spread_angle",
+                "pass_angle",
+                "straight_lift",
+                "straight_beyond",
+            ),
             ranges=("distance", "beyond", "curl_apart"),
         )
         if len(self.shares) != len(KINDS) or min(self.shares) < 0 or not sum(self.shares) > 0:
@@ -73,6 +87,14 @@ class MacroActionConfig:
                 f"shares must be {len(KINDS)} numbers of at least 0, not all 0, for"
                 f" {', '.join(KINDS)}; got {self.shares}"
             )
+
+
+class Pass(NamedTuple):
+    """A macro-action without chance: lead `bead` over (+1) or under (-1) the bead `target`."""
+
+    bead: int
+    target: int
+    side: int
 
 
 @dataclass(frozen=True)
@@ -143,7 +165,7 @@ def propose_haul(beads: int, rng: np.random.Generator) -> Haul:
     first, apart = int(rng.integers(beads)), int(rng.integers(beads // 5, beads - beads // 5))
     # horizontal part of length 1 plus a rise: each component is in [-1, 1], as in an action
     heading, rise = rng.uniform(-np.pi, np.pi), rng.uniform(*_HAUL_RISE)
-    force = np.array([np.cos(heading), np.sin(heading), rise])
+    force = quantized([np.cos(heading), np.sin(heading), rise])
     return Haul((first, (first + apart) % beads), force, int(rng.integers(*_HAUL_STEPS)))
 
 
@@ -183,17 +205,18 @@ def pass_strand(
 ) -> MacroAction:
     """Lead a bead over (side +1) or under (-1) the bead `target` and a little beyond it."""
     turn, beyond = rng.normal(0, config.pass_angle), rng.uniform(*config.beyond)
-    return _pass(points, kind, bead, target, side, turn, beyond, config)
+    return _pass(points, kind, bead, target, side, turn, config.lift, beyond, config)
 
 
 def pass_straight(
     points: Array, bead: int, target: int, side: int, config: MacroActionConfig
 ) -> MacroAction:
-    """Return the same as `pass_strand` without chance: straight ahead, to the middle of `beyond`.
+    """Return the same as `pass_strand` without chance: straight ahead, a fixed distance beyond.
 
     So a macro-action is said by three integers: the bead, the strand's bead `target`, and the side.
     """
-    return _pass(points, "pass", bead, target, side, 0.0, sum(config.beyond) / 2, config)
+    lift, beyond = config.straight_lift, config.straight_beyond
+    return _pass(points, "pass", bead, target, side, 0.0, lift, beyond, config)
 
 
 def _pass(
@@ -203,6 +226,7 @@ def _pass(
     target: int,
     side: int,
     turn: float,
+    lift: float,
     beyond: float,
     config: MacroActionConfig,
 ) -> MacroAction:
@@ -211,7 +235,7 @@ def _pass(
     far = min(float(np.hypot(*offset)), config.farthest)
     heading = np.arctan2(offset[1], offset[0]) + turn
     # relative to the strand to pass, not to the bead
-    height = points[target, 2] + side * config.lift
+    height = points[target, 2] + side * lift
     waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), far + beyond)
     return MacroAction(kind, bead, waypoints, target, side)
 
@@ -279,11 +303,23 @@ class WaypointController:
         self._waypoints = np.zeros((count, _WAYPOINTS, 3))
         self._stage = np.full(count, _WAYPOINTS)  # index of the next waypoint; past the end if idle
 
-    def begin(self, index: int, macro_action: MacroAction) -> None:
-        """Start a macro-action on rope `index`."""
+    def begin(self, index: int, macro_action: MacroAction, points: Array | None = None) -> None:
+        """Start a macro-action on rope `index`.
+
+        Args:
+            index: the rope.
+            macro_action: what to do.
+            points: float64 (beads, 3), where the rope lies; waypoints already reached are skipped.
+        """
         self.beads[index] = macro_action.bead
         self._waypoints[index] = macro_action.waypoints
         self._stage[index] = 0
+        if points is not None:
+            for waypoint in macro_action.waypoints:
+                far = np.linalg.norm(waypoint - points[macro_action.bead])
+                if far >= self._config.arrived:
+                    break
+                self._stage[index] += 1
 
     def release(self, index: int) -> None:
         """Abandon the macro-action of rope `index`."""
@@ -308,13 +344,13 @@ class WaypointController:
     def forces(self, points: Array) -> Array:
         """Forces on the led beads, float64 (n, 3), in units of the largest force; 0 on idle ropes.
 
-        Their length is 1, or less where the waypoint is nearer than `stride`.
+        Their length is 1, or less where the waypoint is nearer than `stride`. They are `quantized`.
         """
         offset = self._offsets(points)
         far = np.linalg.norm(offset, axis=1, keepdims=True)
         # proportional control that saturates at `stride`; 1e-9 guards a bead on its waypoint
         force = offset / np.maximum(far, 1e-9) * np.minimum(1.0, far / self._config.stride)
-        return np.where(self.idle[:, None], 0.0, force)
+        return quantized(np.where(self.idle[:, None], 0.0, force))
 
     def _offsets(self, points: Array) -> Array:
         """Vectors from the led beads to their waypoints, float64 (n, 3), metres."""

@@ -5,11 +5,13 @@ The noise keeps the rope closed; at reset it also keeps the Gauss code, chiralit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from knotgym.rope.model import Array, Rope, clearance, closed_directions
-from knotgym.topology.crossings import label
+from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
 FULL_DRAWS = 20  # draws at full scale
@@ -20,11 +22,11 @@ def start_qpos(
     rope: Rope,
     qpos: Array,
     points: Array,
-    code: GaussCode,
+    codes: Sequence[GaussCode],
     scale: float,
-    rng: np.random.Generator,
+    rngs: Sequence[np.random.Generator],
 ) -> Array:
-    """Perturb generalized positions while keeping the Gauss code, chirality included.
+    """Perturb the generalized positions of n ropes while keeping their Gauss codes and chirality.
 
     Noise that changes the code, or that deepens the overlap of two beads by more than 1 mm, is
     rejected and drawn again. After FULL_DRAWS rejections the scale halves with every draw; after
@@ -32,31 +34,41 @@ def start_qpos(
 
     Args:
         rope: the rope model.
-        qpos: float64 (nq,); not modified.
-        points: float64 (beads, 3), metres, the vertices of qpos.
-        code: the Gauss code of points.
+        qpos: float64 (n, nq); not modified.
+        points: float64 (n, beads, 3), metres, the vertices of qpos.
+        codes: the Gauss codes of points.
         scale: scale of the noise, see `noised`.
-        rng: source of every draw; not used if the scale is 0.
+        rngs: one for each rope, the source of its draws; not used if the scale is 0.
 
     Returns:
-        float64 (nq,), a new array.
+        float64 (n, nq), a new array.
     """
+    started = np.array(qpos, dtype=np.float64)
     if scale == 0:
-        return qpos.copy()
+        return started
     # a writable array, because numba would compile `clearance` again for a read-only one
     writable = np.require(points, np.float64, ["C", "W"])
     # Beads at rest may touch or overlap already, so the bound is relative to where they are now;
     # beads that are apart may come to touch.
-    min_clearance = min(clearance(writable), 2 * rope.config.radius) - 0.001
+    least = [min(clearance(one), 2 * rope.config.radius) - 0.001 for one in writable]
+    left = list(range(len(writable)))
     for draw in range(FULL_DRAWS + SMALLER_DRAWS):
-        moved = noised(points, scale * 0.5 ** max(0, draw - FULL_DRAWS + 1), rng)
-        if clearance(moved) >= min_clearance and label(moved) == code:
-            return rope.qpos(moved)
-    return qpos.copy()
+        if not left:
+            break
+        reduced = scale * 0.5 ** max(0, draw - FULL_DRAWS + 1)
+        moved = noised(writable[left], reduced, [rngs[row] for row in left])
+        refused = []
+        for row, one, code in zip(left, moved, label_many(moved), strict=True):
+            if code == codes[row] and clearance(one) >= least[row]:
+                started[row] = rope.qpos(one)
+            else:
+                refused.append(row)
+        left = refused
+    return started
 
 
-def noised(points: ArrayLike, scale: float, rng: np.random.Generator) -> Array:
-    """Perturb every joint of a closed rope, the whole rope's orientation and its position.
+def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator]) -> Array:
+    """Perturb every joint of n closed ropes, the whole ropes' orientation and their position.
 
     Each joint turns by a rotation vector drawn uniformly from [-scale, scale]^3 radians; their sum
     round the loop is subtracted evenly, so that the directions match where the loop closes. The
@@ -64,35 +76,37 @@ def noised(points: ArrayLike, scale: float, rng: np.random.Generator) -> Array:
     The smallest correction of the bead directions then closes the rope (`closed_directions`).
 
     Args:
-        points: float64 (beads, 3), metres; not modified.
+        points: float64 (n, beads, 3), metres; not modified.
         scale: scale of the uniform noise, radians and metres.
-        rng: always 3 * beads + 6 draws are taken from it.
+        rngs: one for each rope; always 3 * beads + 6 draws are taken from it.
 
     Returns:
-        float64 (beads, 3), metres, with equal chords and exactly closed.
+        float64 (n, beads, 3), metres, with equal chords and exactly closed.
     """
     p = np.asarray(points, dtype=np.float64)
-    beads = len(p)
-    joint = rng.uniform(-scale, scale, (beads, 3))
-    turn = rng.uniform(-scale, scale, 3)
-    shift = rng.uniform(-scale, scale, 3)
-    chord = np.roll(p, -1, axis=0) - p
-    length = np.median(np.linalg.norm(chord, axis=1))
+    beads = p.shape[1]
+    # one call draws the same numbers as one for the joints, one for the turn and one for the shift
+    drawn = np.array([rng.uniform(-scale, scale, (beads + 2, 3)) for rng in rngs])
+    joint, turn, shift = drawn[:, :beads], drawn[:, beads, None], drawn[:, beads + 1, None]
+    chord = np.roll(p, -1, axis=1) - p
+    lengths = np.linalg.norm(chord, axis=2, keepdims=True)
     # Bead i turns by the sum of the joint rotations up to it. Rotation vectors are added as if they
     # commuted, which holds to first order in the small scale.
-    turns = np.cumsum(joint, axis=0)
+    turns = np.cumsum(joint, axis=1)
     # A Brownian bridge: the sum goes back to zero at the last bead, where the loop closes.
-    turns -= np.outer((np.arange(beads) + 1) / beads, turns[-1])
+    turns -= ((np.arange(beads) + 1) / beads)[:, None] * turns[:, -1:]
     # The mean rotation is the whole rope's; take it out, so that `turn` alone decides it.
-    turns += turn - turns.mean(axis=0)
-    along = closed_directions(_rotate(chord / np.linalg.norm(chord, axis=1, keepdims=True), turns))
-    moved = np.concatenate([np.zeros((1, 3)), np.cumsum(along[:-1], axis=0)]) * length
-    return moved - moved.mean(axis=0) + p.mean(axis=0) + shift
+    turns += turn - turns.mean(axis=1, keepdims=True)
+    along = np.array([closed_directions(one) for one in _rotate(chord / lengths, turns)])
+    moved = np.zeros_like(p)
+    np.cumsum(along[:, :-1], axis=1, out=moved[:, 1:])
+    moved *= np.median(lengths, axis=1, keepdims=True)
+    return moved - moved.mean(axis=1, keepdims=True) + p.mean(axis=1, keepdims=True) + shift
 
 
 def _rotate(vectors: Array, by: Array) -> Array:
-    """Rotate each vector (n, 3) by its rotation vector (n, 3), radians (Rodrigues' formula)."""
-    angle = np.linalg.norm(by, axis=1, keepdims=True)
+    """Rotate vectors (..., 3) by rotation vectors (..., 3), radians (Rodrigues' formula)."""
+    angle = np.linalg.norm(by, axis=-1, keepdims=True)
     axis = by / np.maximum(angle, 1e-100)
-    along = axis * (axis * vectors).sum(axis=1, keepdims=True)
+    along = axis * (axis * vectors).sum(axis=-1, keepdims=True)
     return along + (vectors - along) * np.cos(angle) + np.cross(axis, vectors) * np.sin(angle)

@@ -6,8 +6,6 @@ PYTHONSAFEPATH=1 unless every module in the folder where they start may be impor
 dies, Dask repeats its pieces on other workers, with the same bytes.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import sys
@@ -16,13 +14,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 
 import knotgym
 from knotgym.common.errors import install_command
-from knotgym.runs.pools import AHEAD, InvalidExecutor, LostWorkers, Promise, ordered
+from knotgym.runs.pools import AHEAD, LostWorkers, Promise, ordered
+from knotgym.runs.run_options import InvalidRun
 
 CONNECT = 10.0  # seconds to wait for the scheduler
 WAIT = 60.0  # seconds to wait for a first worker, and for a new one when all are gone
@@ -33,11 +32,11 @@ _GONE = "the scheduler is gone; --resume continues from there, with any executor
 _one_at_a_time = threading.Lock()
 
 
-class _Awaited:
+class _Awaited(NamedTuple):
     """A future that raises LostWorkers when the cluster is gone."""
 
-    def __init__(self, client: Any, future: Any) -> None:
-        self._client, self._future = client, future
+    client: Any
+    future: Any
 
     def result(self) -> Any:
         from distributed import KilledWorker
@@ -45,9 +44,9 @@ class _Awaited:
 
         alone_since: float | None = None
         while True:
-            done = self._future.done()
+            done = self.future.done()
             try:
-                return self._future.result(timeout=None if done else 2.0)
+                return self.future.result(timeout=None if done else 2.0)
             except KilledWorker as error:
                 raise LostWorkers(
                     "several workers of the cluster died on the same piece of work; --resume"
@@ -59,7 +58,7 @@ class _Awaited:
             except (CommClosedError, CancelledError) as error:
                 raise LostWorkers(_GONE) from error
             with _answering():
-                alone = not self._client.nthreads()
+                alone = not self.client.nthreads()
             alone_since = (alone_since or time.monotonic()) if alone else None
             if alone_since is not None and time.monotonic() - alone_since > WAIT:
                 raise LostWorkers(
@@ -79,10 +78,9 @@ class Cluster:
 
         def submit(piece: Any) -> Promise:
             with _answering():
-                return _Awaited(
-                    self._client,
-                    self._client.submit(_call, function, piece, folder, self._about, pure=False),
-                )
+                arguments = function, piece, folder, self._about
+                future = self._client.submit(_call, *arguments, pure=False)
+            return _Awaited(self._client, future)
 
         with _answering():
             workers = len(self._client.nthreads())
@@ -91,31 +89,23 @@ class Cluster:
 
 @contextmanager
 def cluster(scheduler: str) -> Iterator[Cluster]:
-    """Connect to the cluster whose scheduler is at this address.
-
-    Raises:
-        InvalidExecutor: no scheduler answers, there is no worker, or a worker has several threads.
+    """Connect to the cluster whose scheduler is at this address, with workers of one thread
+    each.
     """
     try:
         from distributed import Client
     except ModuleNotFoundError as error:
-        raise InvalidExecutor(
+        raise InvalidRun(
             "--executor dask needs Dask distributed, which isn't installed; install it with:"
             f" {install_command('dask')}"
         ) from error
-    for name in (
-        "distributed",
-        *(
-            one
-            for one in logging.root.manager.loggerDict
-            if one.startswith(("distributed.", "tornado"))
-        ),
-    ):
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # errors are raised instead
+    for name in ("distributed", *logging.root.manager.loggerDict):
+        if name.startswith(("distributed", "tornado")):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # errors are raised instead
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise InvalidExecutor(
+        raise InvalidRun(
             f"no Dask scheduler answers at {scheduler}: start one with `dask scheduler`, or check"
             " the address"
         ) from error
@@ -123,13 +113,13 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError as error:
-            raise InvalidExecutor(
+            raise InvalidRun(
                 f"the cluster at {scheduler} has no worker: start some with `dask worker"
                 f" {scheduler} --nthreads 1`"
             ) from error
         threads = client.nthreads()
         if max(threads.values()) > 1:
-            raise InvalidExecutor(
+            raise InvalidRun(
                 f"a worker at {scheduler} has {max(threads.values())} threads, but must have one:"
                 f" start workers with `dask worker {scheduler} --nthreads 1 --nworkers CORES`"
             )
@@ -143,11 +133,7 @@ def _answering() -> Iterator[None]:
     """Turn a failed call of the scheduler into LostWorkers."""
     try:
         yield
-    except (
-        OSError,
-        TypeError,
-        CancelledError,
-    ) as error:  # TypeError: the client has given up the connection
+    except (OSError, TypeError, CancelledError) as error:  # TypeError: the client has given up
         raise LostWorkers(_GONE) from error
 
 
@@ -157,7 +143,7 @@ def _call(function: Callable[[Any], Any], piece: Any, folder: str, about: tuple[
 
     here = knotgym.__version__, mujoco.__version__
     if here != about:
-        raise InvalidExecutor(
+        raise InvalidRun(
             f"a worker has knotgym {here[0]} and MuJoCo {here[1]}, but the run has {about[0]} and"
             f" {about[1]}: results could differ"
         )

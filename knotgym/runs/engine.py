@@ -6,14 +6,13 @@ with configuration and versions. A killed run can be resumed from its last check
 is the same; otherwise the error names the differences.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -54,19 +53,14 @@ LISTED = ("config", "source", "shard", "versions", "rope")  # fields of a reques
 
 @dataclass(frozen=True)
 class Batch:
-    """Independent units of work.
+    """Independent units of work."""
 
-    Attributes:
-        work: function of one unit, at the top level of a module so that it can be pickled.
-        units: arguments of `work`; iterated once.
-        absorb: called in this process with each unit and its result, in the order of the units.
-        name: description shown as progress.
-    """
-
+    # function of one unit, at the top level of a module so that it can be pickled
     work: Callable[[Any], Any]
-    units: Sequence[Any]
+    units: Sequence[Any]  # arguments of `work`; iterated once
+    # called in this process with each unit and its result, in the order of the units
     absorb: Callable[[Any, Any], None]
-    name: str = "working"
+    name: str = "working"  # description shown as progress
 
     def follow(self, pool: Pool) -> Iterator[None]:
         """Run the work on a pool; yield after each absorbed unit."""
@@ -84,28 +78,30 @@ class Recipe(Protocol):
     """One kind of run. Its methods run in the main process, only `Batch.work` runs on workers.
 
     `flexible` names the fields of the configuration that may change when a run is resumed.
+    `engine` is the simulation engine, whose kernels are compiled before the workers start.
+    `begin`, `load` and `save` do nothing by default, for recipes whose units write their own files.
     """
 
-    flexible: tuple[str, ...]
-
-    @property
-    def engine(self) -> str:
-        """The simulation engine, whose kernels are compiled before the workers start."""
+    flexible: tuple[str, ...] = ()
+    engine: str
 
     def request(self) -> dict[str, Any]:
         """Return the configuration and sources as JSON: `{"config": {...}, "source": ...}`."""
 
     def begin(self) -> None:
         """Prepare a new run before anything is written; raise if it can't be done."""
+        return
 
     def load(self, folder: Path) -> bool:
         """Restore a checkpoint from the staging folder; return False if there is none."""
-
-    def batches(self, folder: Path) -> Iterator[Batch]:
-        """Yield the remaining work, chosen as results come in; `folder` is the staging folder."""
+        return False
 
     def save(self, folder: Path) -> None:
         """Write a checkpoint to the staging folder."""
+        return
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        """Yield the remaining work, chosen as results come in; `folder` is the staging folder."""
 
     def status(self) -> Status:
         """Return the progress of the run."""
@@ -117,8 +113,24 @@ class Recipe(Protocol):
         """Return a one-line description of the output."""
 
 
-def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | None = None) -> Path:
-    """Execute a recipe and return the new folder `out`.
+def run(
+    recipe: Recipe,
+    out: Path,
+    options: RunOptions,
+    progress: Progress | None = None,
+    *,
+    is_folder: bool = True,
+    made_by: Callable[[Path], dict[str, Any] | None] | None = None,
+) -> Path:
+    """Execute a recipe and return its output.
+
+    Args:
+        recipe: what to make.
+        out: folder or file to make.
+        options: how to execute it.
+        progress: where to show progress; a new display by default.
+        is_folder: whether `out` is a folder.
+        made_by: path of an output -> the request of its run, or None; by default `request_of`.
 
     Raises:
         Occupied: the output exists, another run holds its staging folder, or that was removed.
@@ -128,21 +140,19 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     """
     if progress is None:
         with Progress(options.quiet) as progress:
-            return run(recipe, out, options, progress)
+            return run(recipe, out, options, progress, is_folder=is_folder, made_by=made_by)
     began = time.perf_counter()
     request = whole_request(recipe.request(), options.shard)
-    if is_finished(out, request, options, recipe.flexible):
+    if is_finished(out, request, options, recipe.flexible, made_by):
         discard(out)  # left if the run was killed after moving its output into place
         progress.say(f"{out} is finished already")
         return out
-    require_output(out, folder=True, overwrite=options.overwrite)
+    require_output(out, folder=is_folder, overwrite=options.overwrite)
     require_startable(out, request, options, recipe.flexible, progress)
     compile_first(progress, recipe.engine)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()
-    with staging(out, options) as folder:
-        with atomic_write(folder / REQUEST) as temporary:
-            temporary.write_text(json.dumps(request, indent=1, sort_keys=True), encoding="utf-8")
+    with _staging(out, options, request) as folder:
         lock = os.stat(folder / "lock")
         with executor(options.workers, options.scheduler) as pool:
             for batch in recipe.batches(folder):
@@ -167,21 +177,39 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     return out
 
 
+@contextmanager
+def _staging(out: Path, options: RunOptions, request: dict[str, Any]) -> Iterator[Path]:
+    """Hold the staging folder with a request in it; remove it after a failure without any work."""
+    with staging(out, options) as folder:
+        with atomic_write(folder / REQUEST) as temporary:
+            temporary.write_text(json.dumps(request, indent=1, sort_keys=True), encoding="utf-8")
+        try:
+            yield folder
+        except BaseException:
+            if folder.is_dir() and {path.name for path in folder.iterdir()} <= {"lock", REQUEST}:
+                shutil.rmtree(folder)
+            raise
+
+
 def is_finished(
-    out: Path, asked: dict[str, Any], existing: Existing, flexible: tuple[str, ...] = ()
+    out: Path,
+    asked: dict[str, Any],
+    existing: Existing,
+    flexible: tuple[str, ...] = (),
+    made_by: Callable[[Path], dict[str, Any] | None] | None = None,
 ) -> bool:
     """Whether `out` is already the finished output of the run to resume.
 
     Raises:
         InvalidRun: it is the output of another request, and `existing` doesn't overwrite it.
     """
-    made_by = request_of(out) if may_be_finished(out, existing) else None
-    if made_by is None:
+    there = (made_by or request_of)(out) if may_be_finished(out, existing) else None
+    if there is None:
         return False
     if not existing.overwrite:
-        require_same(made_by, asked, flexible, out)
+        require_same(there, asked, flexible, out)
         return True
-    return not differing(made_by, asked, flexible)
+    return not differing(there, asked, flexible)
 
 
 def require_startable(
@@ -206,11 +234,8 @@ def require_startable(
 
 
 def whole_request(asked: dict[str, Any], shard: Shard) -> dict[str, Any]:
-    """Return everything that determines the output of a run, as JSON.
-
-    Args:
-        asked: the recipe's part of the request.
-        shard: which part of the run.
+    """Return everything that determines the output of a run, as JSON; `asked` is the recipe's
+    part.
     """
     request = {
         **asked,
@@ -261,10 +286,8 @@ def request_of(folder: Path) -> dict[str, Any] | None:
 def require_resumable(
     folder: Path, left: dict[str, Any] | None, asked: dict[str, Any], flexible: tuple[str, ...]
 ) -> None:
-    """Require that a staging folder belongs to this request.
-
-    Raises:
-        InvalidRun: it belongs to another request, or it has work and an unreadable request.
+    """Require that a staging folder with work belongs to this request; raise InvalidRun
+    otherwise.
     """
     if left is not None:
         require_same(left, asked, flexible, folder)
@@ -278,11 +301,7 @@ def require_resumable(
 def require_same(
     there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...], folder: Path
 ) -> None:
-    """Require that two requests agree, apart from the `flexible` fields of the configuration.
-
-    Raises:
-        InvalidRun: they differ.
-    """
+    """Require that two requests agree, apart from the `flexible` fields of the configuration."""
     if found := differing(there, asked, flexible):
         raise InvalidRun(
             f"{folder} belongs to a different run: {'; '.join(found[:3])}; give the same options"

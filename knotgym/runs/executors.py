@@ -5,8 +5,6 @@ so that memory stays flat. A piece of work depends on its argument alone, so the
 doesn't change a byte of the output.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
@@ -18,9 +16,8 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any
 
-from knotgym.runs.pools import AHEAD, InvalidExecutor, Pool, Promise, ordered
+from knotgym.runs.pools import AHEAD, Pool, Promise, ordered
 
-EXECUTORS = ("local", "dask")
 # Python's resource tracker warns when it cleans up after a killed run, which is expected.
 _IGNORED_WARNING = "ignore:resource_tracker:UserWarning"
 
@@ -53,38 +50,15 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def scheduler_of(kind: str, scheduler: str, workers: int) -> str:
-    """Check --executor, --scheduler and --workers; return the scheduler's address, "" if local.
-
-    Raises:
-        InvalidExecutor: they contradict each other.
-    """
-    if kind not in EXECUTORS:
-        raise InvalidExecutor(f"--executor takes {' or '.join(EXECUTORS)}, got {kind!r}")
-    if kind == "local" and scheduler:
-        raise InvalidExecutor(f"--scheduler {scheduler} is for --executor dask")
-    if kind == "dask" and not scheduler:
-        raise InvalidExecutor(
-            "--executor dask needs the address of a scheduler, such as --scheduler"
-            " tcp://127.0.0.1:8786"
-        )
-    if kind == "dask" and workers:
-        raise InvalidExecutor(
-            f"--workers {workers} is for --executor local; a Dask cluster uses all of its workers"
-        )
-    return scheduler
-
-
 @contextmanager
 def executor(workers: int, scheduler: str = "") -> Iterator[Pool]:
-    """Open a pool; on an error, end its processes without waiting for their work.
+    """Open a pool of `workers` processes, 0 for one per core; 1 uses this process.
 
-    Args:
-        workers: number of processes, 0 for one per core; 1 uses this process.
-        scheduler: address of a Dask scheduler, whose cluster is used instead.
+    With the address of a Dask scheduler its cluster is used instead. On an error the processes end
+    without waiting for their work.
 
     Raises:
-        InvalidExecutor: the cluster can't be used.
+        InvalidRun: the cluster can't be used.
         LostWorkers: the cluster or its workers are gone.
     """
     if scheduler:

@@ -5,8 +5,6 @@ loops. `cluster_interval` estimates the success rate on new states from the same
 it resamples states and not episodes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The interface of an executor's pool, which maps a function over work and keeps the order."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
@@ -10,10 +8,6 @@ from typing import Any, Protocol
 from knotgym.common.errors import KnotgymError
 
 AHEAD = 8  # pieces in progress per worker, so that one slow piece doesn't leave others idle
-
-
-class InvalidExecutor(KnotgymError, ValueError):
-    """The requested executor can't be used."""
 
 
 class LostWorkers(KnotgymError, RuntimeError):

@@ -20,23 +20,17 @@ _LONG = 3600.0  # seconds; a run that would take longer prints an estimate first
 
 @dataclass(frozen=True)
 class Status:
-    """Progress of a run.
+    """Progress of a run."""
 
-    Attributes:
-        done, total: how many items, such as states or episodes, are made and requested; `done`
-            may exceed `total`.
-        counted: name of the items, in the plural.
-        facts: other values to show, by name.
-        even: all items take about the same time, so the remaining time follows from `done`.
-        share: fraction of the work that is done, in [0, 1]; used instead of `done` for the
-            remaining time if items take different times.
-    """
-
+    # how many items, such as states or episodes, are made and requested; `done` may exceed `total`
     done: int
     total: int
-    counted: str
-    facts: dict[str, str] = field(default_factory=dict)
+    counted: str  # name of the items, in the plural
+    facts: dict[str, str] = field(default_factory=dict)  # other values to show, by name
+    # all items take about the same time, so the remaining time follows from `done`
     even: bool = False
+    # fraction of the work that is done, in [0, 1]; used instead of `done` for the remaining time if
+    # items take different times
     share: float | None = None
 
     @property
@@ -50,11 +44,8 @@ class Status:
 class Progress:
     """Shows the progress of a run; a context manager that removes the live table at its end.
 
-    Args:
-        quiet: show nothing.
-        lines: print plain lines from time to time if there is no terminal.
-        console: where to print; standard output by default.
-        clock: returns seconds.
+    With `lines`, plain lines are printed from time to time if there is no terminal; `clock` returns
+    seconds.
     """
 
     def __init__(
@@ -169,10 +160,7 @@ def duration(seconds: float) -> str:
 def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
     """Print an estimate of the time a run takes, if it is more than an hour.
 
-    Args:
-        progress: where to print it.
-        core_seconds: estimate for one core of the machine in docs/validation.md.
-        workers: number of processes, 0 for one per core.
+    `core_seconds` are for one core of the machine in docs/validation.md.
     """
     from knotgym.runs.executors import cores
 

@@ -3,16 +3,16 @@
 This module has no slow imports, because the command line reads options first.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.errors import KnotgymError
 from knotgym.runs.shards import Shard
 
+EXECUTORS = ("local", "dask")
+
 
 class InvalidRun(KnotgymError, ValueError):
-    """A run can't be started or resumed as requested."""
+    """A run can't be started or resumed as requested, or its executor can't be used."""
 
 
 class NotEnough(KnotgymError, RuntimeError):
@@ -24,9 +24,9 @@ class Existing:
     """What to do with the output of an earlier run; by default it is kept and the run refused.
 
     Attributes:
-        resume: continue an interrupted run; a finished run of the same request counts as done.
+        resume: finish an interrupted run.
         restart: delete the work of an interrupted run and start again.
-        overwrite: replace a finished result once the new one is complete.
+        overwrite: replace an existing output once the new one is complete.
     """
 
     resume: bool = False
@@ -49,13 +49,17 @@ class RunOptions(Existing):
     """Execution options; of these only the shard changes the output.
 
     Attributes:
-        workers: number of processes, 0 for one per core; 1 uses this process.
-        scheduler: address of a Dask scheduler, whose cluster is used instead; "" for none.
-        shard: which part of the run to make.
+        workers: worker processes, 0 for one per core; doesn't change the result.
+        executor: what runs the work: local processes, or dask for a Dask cluster whose workers
+            share a file system (needs the extra dask).
+        scheduler: address of the Dask scheduler, such as tcp://127.0.0.1:8786.
+        shard: 2/8 makes the second eighth of the run, in NAME-shard-2-of-8; `knotgym dataset merge`
+            joins all eight.
         quiet: print errors only.
     """
 
     workers: int = 0
+    executor: str = "local"
     scheduler: str = ""
     shard: Shard = Shard()
     quiet: bool = False
@@ -64,3 +68,17 @@ class RunOptions(Existing):
         super().__post_init__()
         if self.workers < 0:
             raise InvalidRun(f"workers must be at least 0, got {self.workers}")
+        if self.executor not in EXECUTORS:
+            raise InvalidRun(f"--executor takes {' or '.join(EXECUTORS)}, got {self.executor!r}")
+        if self.executor == "local" and self.scheduler:
+            raise InvalidRun(f"--scheduler {self.scheduler} is for --executor dask")
+        if self.executor == "dask" and not self.scheduler:
+            raise InvalidRun(
+                "--executor dask needs the address of a scheduler, such as --scheduler"
+                " tcp://127.0.0.1:8786"
+            )
+        if self.executor == "dask" and self.workers:
+            raise InvalidRun(
+                f"--workers {self.workers} is for --executor local; a Dask cluster uses all of its"
+                " workers"
+            )

@@ -4,8 +4,6 @@ A staging folder may be on a disk that fails or that other users can write to. T
 a changed file before it is used.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path
@@ -27,7 +25,6 @@ def read_sealed(path: Path) -> dict[str, Any]:
     """Read a file of `write_sealed` and return its content without the checksum.
 
     Raises:
-        OSError: the file can't be read.
         UnreadableJson: it was changed since it was written.
     """
     content = read_json(path)

@@ -4,8 +4,6 @@ The folder, its lock and everything in it must belong to this user, and none of 
 Otherwise anyone who can write beside the output could make a run empty or fill another folder.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil
@@ -28,9 +26,8 @@ def staging_folder(out: Path) -> Path:
 def staging(out: Path, existing: Existing) -> Iterator[Path]:
     """Lock the staging folder of `out` during the block; the caller removes it afterwards.
 
-    Raises:
-        Occupied: another process holds it, or it has the work of an interrupted run and `existing`
-            says neither resume nor restart.
+    Raises Occupied if another process holds it, or it has the work of an interrupted run and
+    `existing` says neither resume nor restart.
     """
     partial = staging_folder(out)
     with lock_folder(partial):
@@ -43,11 +40,7 @@ def staging(out: Path, existing: Existing) -> Iterator[Path]:
 
 
 def require_no_interrupted_run(out: Path, existing: Existing) -> None:
-    """Require that no interrupted run left work, unless `existing` says what to do with it.
-
-    Raises:
-        Occupied: there is such work, or another process holds the staging folder.
-    """
+    """Raise Occupied if an interrupted run left work, unless `existing` says what to do with it."""
     if os.path.lexists(staging_folder(out)):
         with lock_folder(staging_folder(out)):
             _require_no_work(out, existing)
@@ -75,11 +68,7 @@ def has_work(partial: Path) -> bool:
 
 
 def discard(out: Path) -> None:
-    """Remove the staging folder of `out`, if there is one.
-
-    Raises:
-        Occupied: another process holds it.
-    """
+    """Remove the staging folder of `out`, if there is one that no other process holds."""
     if os.path.lexists(staging_folder(out)):
         with lock_folder(staging_folder(out)):
             shutil.rmtree(staging_folder(out))
@@ -126,10 +115,8 @@ def is_held(partial: Path, lock: os.stat_result) -> bool:
 
 
 def _opened(path: Path) -> IO[bytes]:
-    """Open a lock file, and create it if needed, without following or blocking on anything else.
-
-    Raises:
-        Occupied: the path is a link or not a regular file.
+    """Open a lock file, created if needed, without following a link or blocking on anything
+    else.
     """
     wanted = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     try:

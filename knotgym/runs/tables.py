@@ -1,7 +1,5 @@
 """Tables for terminals of 80 columns; output to a pipe also has 80 columns."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from rich import box

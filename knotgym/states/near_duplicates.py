@@ -100,15 +100,10 @@ class Spectra(NamedTuple):
 def pairs_within(
     points: Array, others: Array | None = None, limit: float = NEAR
 ) -> list[tuple[int, int, float]]:
-    """Find the pairs of configurations that a symmetry brings within a limit.
+    """Find the pairs of configurations (n, beads, 3) that a symmetry brings within a limit, metres.
 
-    Args:
-        points: float64 (n, beads, 3), metres.
-        others: float64 (m, beads, 3), metres; None to compare `points` with itself, each pair once.
-        limit: metres.
-
-    Returns:
-        Row, other row and distance of each pair, sorted.
+    Without `others`, `points` are compared with themselves, each pair once. Returns row, other row
+    and distance of each pair, sorted.
     """
     a = Spectra.of(points)
     b = a if others is None else Spectra.of(others)
@@ -131,15 +126,7 @@ def pairs_within(
 
 
 def families(points: Array, within: float = NEAR) -> NDArray[np.int64]:
-    """Number the families: components of the graph that connects near-duplicates.
-
-    Args:
-        points: float64 (n, beads, 3), metres.
-        within: metres.
-
-    Returns:
-        int64 (n,), the family of each configuration.
-    """
+    """Number the families, int64 (n,): components of the graph that connects near-duplicates."""
     # leader: the lowest row of the component; each pair merges two components
     leader = np.arange(len(points))
     for row, other, _ in pairs_within(points, limit=within):
@@ -150,10 +137,6 @@ def families(points: Array, within: float = NEAR) -> NDArray[np.int64]:
 
 def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
     """Find the nearest of others to each configuration, at the best symmetry.
-
-    Args:
-        points: float64 (n, beads, 3), metres.
-        others: float64 (m, beads, 3), at least one, metres.
 
     Returns:
         Distances, float64 (n,), metres, and rows of others, int64 (n,).
@@ -175,14 +158,7 @@ def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
 
 
 def apart(points: Array) -> NDArray[np.bool_]:
-    """Thin configurations greedily: keep each that is not near an earlier kept one (`distances`).
-
-    Args:
-        points: float64 (n, beads, 3), metres.
-
-    Returns:
-        bool (n,), whether each is kept.
-    """
+    """Keep each configuration that is not near an earlier kept one (`distances`): bool (n,)."""
     centred = points - points.mean(axis=1, keepdims=True)
     # By the triangle inequality the root mean square radii of near-duplicates differ by less than
     # NEAR: compare each configuration only with those in that window of the sorted radii.
@@ -209,7 +185,7 @@ def repeated(points: Array) -> list[tuple[int, int]]:
 
 
 def distances(points: Array, others: Array) -> Array:
-    """Compute bead-by-bead distances after the best translation and rotation about z.
+    """Compute distances bead by bead after the best translation and rotation about z.
 
     No other symmetry is tried: this decides whether a rope is at a state, not whether two states
     are near-duplicates.

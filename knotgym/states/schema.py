@@ -4,8 +4,6 @@ Reading, writing, merging and verification all use this list. The file's attribu
 `format_version`, ATTRIBUTES and DIGEST; `quality/*` may contain further measures.
 """
 
-from __future__ import annotations
-
 from knotgym.common.hdf5_files import Column
 from knotgym.quality.limits import UNITS
 
@@ -33,6 +31,8 @@ ROOT = (
     Column("image", "uint8", (None, None, 3), "levels", "RGB, as the environment renders it"),
     Column("gauss_code", "text", (), "", 'such as "1+,1-,2+,2-"'),
     Column("gauss_code_chiral", "text", (), "", 'such as "1+a,1-a,2+c,2-c"'),
+    Column("pd_code", "text", (), "", 'PD code, such as "[[1,1,2,2]]", see `topology.notation`'),
+    Column("dt_code", "text", (), "", 'DT code, such as "[4, 6, 2]"'),
     Column("knot", "text", (), "", 'knot type, such as "0_1"'),
     Column("nx", "int64", (), "crossings", "crossings in the picture", least=0),
     Column("split", "text", (), "", '"train" or "test"'),
@@ -58,7 +58,7 @@ SOURCE = (
 COLUMNS = (*ROOT, *QUALITY, *SOURCE)
 
 # values of source/policy; files of curated states have "demonstrations"
-RANDOM_WALK, DRAWING, PLAY = "random-walk", "drawing", "play"
+RANDOM_WALK, DRAWING, PLAY, IMPORT = "random-walk", "drawing", "play", "import"
 
 # columns that reproducing a row needs
 REPLAYED = ("source/start_qpos", "source/actions", "source/steps", "source/seed")

@@ -74,6 +74,7 @@ def kept_together(
     """
     dealt, family = assigned.copy(), families(points)
     nx = [code.nx for code in codes]
+    # room: states that each split of each nx may still take
     room = Counter(zip(nx, assigned.tolist(), strict=True))
     members = [np.flatnonzero(family == one).tolist() for one in np.unique(family)]
     for rows in sorted(members, key=len, reverse=True):  # stable: equal sizes stay in order

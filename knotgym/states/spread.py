@@ -4,8 +4,6 @@ The measures are comparable between sets: distances between configurations (bead
 curves), radii of gyration, heights, and where along the rope the crossings are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -21,29 +19,22 @@ MOST = 500  # configurations that are compared pairwise
 
 @dataclass(frozen=True)
 class Spread:
-    """The spread of at least one configuration.
+    """The spread of at least one configuration."""
 
-    Attributes:
-        distance: median and minimum over all pairs, metres: root mean square over the beads, after
-            the best rotation about z and translation; None for a single configuration.
-        shape: the same, also at the best base bead and direction along the rope. (Bead by bead, two
-            equal circles traversed in opposite directions are 1.4 radii apart.)
-        gyration: minimum and maximum radius of gyration, metres: root mean square distance of the
-            vertices from their mean. A circle as long as the rope has 0.212.
-        height: minimum and maximum height of the highest vertex above the lowest, metres.
-        visits: mean distance along the rope, in beads, between a crossing in one configuration and
-            a crossing in another: a quarter of the rope's beads if crossings are uniform along the
-            rope, 0 if all are at one position; None without crossings or with one configuration.
-        bare: longest stretch of the rope where no configuration crosses, beads; None without
-            crossings.
-    """
-
+    # median and minimum over all pairs, metres: root mean square over the beads, after the best
+    # rotation about z and translation; None for a single configuration
     distance: tuple[float, float] | None
+    # the same, also at the best base bead and direction along the rope (bead by bead, two equal
+    # circles traversed in opposite directions are 1.4 radii apart)
     shape: tuple[float, float] | None
+    # minimum and maximum radius of gyration, metres: root mean square distance of the vertices
+    # from their mean; a circle as long as the rope has 0.212
     gyration: tuple[float, float]
-    height: tuple[float, float]
-    visits: float | None
-    bare: float | None
+    height: tuple[float, float]  # minimum and maximum from the lowest to the highest vertex, metres
+    # mean distance along the rope, in beads, between a crossing in one configuration and one in
+    # another: a quarter of the beads if crossings are uniform, 0 if all are at one position
+    visits: float | None  # None without crossings or with one configuration
+    bare: float | None  # longest stretch where no configuration crosses, beads; None without any
 
     def as_json(self) -> dict[str, Any]:
         """Return the measures as values for JSON, tuples as lists."""
@@ -85,15 +76,7 @@ def spread_of(points: NDArray[np.float64]) -> Spread:
 def shape_distances(
     points: NDArray[np.float64], others: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Compute `distances` minimized also over the base bead and the direction along the rope.
-
-    Args:
-        points: float64 (beads, 3), metres.
-        others: float64 (n, beads, 3), metres.
-
-    Returns:
-        float64 (n,), root mean square distance of the beads, metres.
-    """
+    """Compute `distances` minimized also over the base bead and the direction along the rope."""
     a = points - points.mean(axis=0)
     b = others - others.mean(axis=1, keepdims=True)
     best = np.full(len(others), -np.inf)
@@ -110,9 +93,7 @@ def shape_distances(
 def visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> float | None:
     """Compute the mean distance, in beads, between visits of different configurations.
 
-    Args:
-        positions: positions along the rope of each configuration's visits, in [0, beads].
-        beads: number of beads of the rope.
+    `positions` are those of each configuration's visits along the rope, in [0, beads].
 
     >>> visit_distance([np.array([98.0]), np.array([2.0, 48.0])], 100)
     27.0

@@ -41,10 +41,12 @@ from knotgym.states.schema import (
     ROOT,
 )
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.notation import dt_text, pd_text
 from knotgym.topology.symmetry import diagram_form
 
 _COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 _GROUPS = ("quality", "source")
+_DERIVED: Any = None  # a column that follows from the others
 
 
 class InvalidStates(KnotgymError, ValueError):
@@ -61,6 +63,7 @@ class States:
         image: uint8 (n, size, size, 3); None if read without pictures.
         gauss_code, gauss_code_chiral, knot, split: str (n,).
         nx: int64 (n,).
+        pd_code, dt_code: str (n,), see `topology.notation`; by default those of gauss_code_chiral.
         quality: measure -> float64 (n,).
         units: measure -> its unit.
         source: name -> (n, ...), the provenance. A rope laid at rest at `start_qpos`, float64
@@ -78,6 +81,8 @@ class States:
     knot: NDArray[np.str_]
     nx: NDArray[np.int64]
     split: NDArray[np.str_]
+    pd_code: NDArray[np.str_] = _DERIVED
+    dt_code: NDArray[np.str_] = _DERIVED
     quality: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
     source: dict[str, NDArray[Any]] = field(default_factory=dict)
@@ -85,6 +90,11 @@ class States:
     digest: str = ""
 
     def __post_init__(self) -> None:
+        for name, text_of in (("pd_code", pd_text), ("dt_code", dt_text)):
+            if getattr(self, name) is _DERIVED:
+                written, rows = np.unique(self.gauss_code_chiral, return_inverse=True)
+                texts = [text_of(GaussCode.parse(code)) for code in written.tolist()]
+                object.__setattr__(self, name, np.array(texts, dtype=np.str_)[rows])
         for name, values in self.columns().items():
             if len(values) != len(self.qpos):
                 raise InvalidStates(

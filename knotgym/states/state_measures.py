@@ -4,8 +4,6 @@ Measures must equal those recomputed from the points. A seed must be the key of 
 states come from, and agree with the rest of its row.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -20,11 +18,13 @@ from knotgym.rope.model import Array, Rope
 from knotgym.states.schema import RANDOM_WALK
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import Crossings
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.reference_labeller import pyknotid_code
 
 # tolerance of a measure, relative to 1 + its modulus: other processors round differently
 _ROUNDING = 1e-9
 # streams of states with stored actions; their first counter is nx
-_CHOSEN = (Stream.CANDIDATE, Stream.DRAWING)
+_CHOSEN = (Stream.CANDIDATE, Stream.DRAWING, Stream.IMPORT)
 
 
 def spread_faults(points: Array, rope: Rope) -> Iterator[str]:
@@ -37,12 +37,24 @@ def spread_faults(points: Array, rope: Rope) -> Iterator[str]:
         yield f"points are {across:.3g} m apart, the rope is {rope.config.length:g} m long"
 
 
+def recomputed_faults(stored: Mapping[str, Any], right: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the columns of a row that differ from the recomputed ones."""
+    for name, value in right.items():
+        if stored[name] != value:
+            yield f"{name} is {stored[name]!s}, recomputed {value!s}"
+
+
+def second_labeller_faults(points: Array, code: GaussCode) -> Iterator[str]:
+    """Yield a fault if pyknotid reads another code than our labeller."""
+    second = pyknotid_code(points)
+    if second != code:
+        yield f"pyknotid reads {second.chiral}, our labeller reads {code.chiral}"
+
+
 def measure_faults(stored: Mapping[str, Any], right: Mapping[str, float]) -> Iterator[str]:
     """Yield the measures that differ from the recomputed ones by more than rounding."""
     for name, value in right.items():
-        if name not in stored:
-            continue
-        found = stored[name]
+        found = stored.get(name, value)
         if found is None or not abs(found - value) <= _ROUNDING * (1 + abs(value)):
             yield f"quality.{name} is {found!s}, recomputed {value!s}"
 
@@ -120,10 +132,9 @@ def repeated_sources(states: States) -> Iterator[str]:
     ]
     yield from _repeated("come from one seed", keyed)
     if {"dataset", "trajectory"} <= states.source.keys():
-        named = zip(
-            states.source["dataset"].tolist(), states.source["trajectory"].tolist(), strict=True
-        )
-        yield from _repeated("end one episode", [one if one[0] else None for one in named])
+        columns = (states.source[name].tolist() for name in ("dataset", "trajectory"))
+        named = [one if one[0] else None for one in zip(*columns, strict=True)]
+        yield from _repeated("end one episode", named)
 
 
 def _repeated(what: str, keys: list[Any]) -> Iterator[str]:

@@ -16,6 +16,7 @@ the way from bead 2 to bead 3.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -107,19 +108,16 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
     Raises:
         InvalidPoints: the shape is wrong, or a coordinate is not finite.
     """
-    visits, signs, counts = scan_many(_checked(points, 3))
-    known: dict[tuple[bytes, bytes], GaussCode] = {}  # ropes of one code share one object
+    *read, counts = scan_many(_checked(points, 3))
+    visits, signs = (array.astype(np.int32).tobytes() for array in read)
     codes: list[GaussCode] = []
     start = 0
     for row, nx in enumerate(counts.tolist()):
         if nx < 0:
             raise InvalidPoints(f"a coordinate of rope {row} is not finite", _FINITE)
-        rope_visits, rope_signs = visits[2 * start : 2 * (start + nx)], signs[start : start + nx]
-        start += nx
-        key = (rope_visits.tobytes(), rope_signs.tobytes())
-        if key not in known:
-            known[key] = _gauss_code(rope_visits, rope_signs)
-        codes.append(known[key])
+        end = start + 4 * nx  # bytes: four a sign, and eight for the two visits of a crossing
+        codes.append(_shared_code(visits[2 * start : 2 * end], signs[start:end]))
+        start = end
     return codes
 
 
@@ -165,7 +163,13 @@ def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     return visits, table
 
 
-def _gauss_code(visits: NDArray[np.int64], signs: NDArray[Any]) -> GaussCode:
+@lru_cache(maxsize=2**14)
+def _shared_code(visits: bytes, signs: bytes) -> GaussCode:
+    """Return the code of visits and signs, int32; recent ropes of one code share one object."""
+    return _gauss_code(np.frombuffer(visits, np.int32), np.frombuffer(signs, np.int32))
+
+
+def _gauss_code(visits: NDArray[Any], signs: NDArray[Any]) -> GaussCode:
     return trusted_code(
         tuple(visits.tolist()),
         "".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs.tolist()]),

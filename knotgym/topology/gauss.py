@@ -25,10 +25,10 @@ _VISIT = re.compile(r"\s*([1-9][0-9]*)\s*([+-])\s*([ac]?)\s*")
 
 
 class InvalidGaussCode(KnotgymError, ValueError):
-    """The visits are not a Gauss code, or the code lacks the chirality that is needed."""
+    """Not a Gauss (or PD or DT) code, or the code lacks the chirality that is needed."""
 
-    def __init__(self, problem: str, given: object, expected: str) -> None:
-        super().__init__(f"invalid Gauss code, {problem}: got {given!r}; {expected}")
+    def __init__(self, problem: str, given: object, expected: str, kind: str = "Gauss") -> None:
+        super().__init__(f"invalid {kind} code, {problem}: got {given!r}; {expected}")
 
 
 @dataclass(frozen=True, slots=True)

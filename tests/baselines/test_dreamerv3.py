@@ -62,7 +62,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
         (("--set", "run.envs"), "--set takes NAME=VALUE with one of configs, "),
         (("--set", "run.env=8"), "got 'run.env=8'"),
         (("--set", "run.envs=many"), "run.envs must be like 32, got 'many'"),
-        (("--episodes", -1), "episodes must be at least 1"),
+        (("--episodes", -1), "episodes must be a whole number of at least 1"),
     ],
 )
 def test_what_cannot_be_had_is_refused_in_a_line(

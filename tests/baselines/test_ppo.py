@@ -52,7 +52,7 @@ def test_it_says_how_to_use_it(capsys: pytest.CaptureFixture[str]) -> None:
         (("--observation", "symbolic"), "invalid choice: 'symbolic'"),
         (("--steps", 0), "steps must be a whole number of at least 1, got 0"),
         (("--every", 0), "every must be a whole number of at least 1, got 0"),
-        (("--episodes", -1), "episodes must be at least 1"),
+        (("--episodes", -1), "episodes must be a whole number of at least 1"),
         (("--split", "dev"), "no split 'dev'"),
         (("--learning-rate", "nan"), "learning_rate must be above 0 and finite, got nan"),
         (("--batch", 48), "batch must be at least 2 and divide the 65536 steps of a rollout"),

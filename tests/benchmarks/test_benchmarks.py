@@ -196,7 +196,9 @@ def test_a_collection_is_timed(tmp_path: Path) -> None:
 
 
 def test_raw_mujoco_ends_where_the_environment_does(tmp_path: Path) -> None:
-    modes = figures("step", tmp_path, "--steps", 2, "--repeats", 1)["modes"]
+    modes = figures(
+        "step", tmp_path, "--steps", 2, "--repeats", 1, "--vector-steps", 1, "--ropes", 2
+    )["modes"]
     assert modes.keys() == {"state", "pixels", "both"}
     assert all(mode["raw_share"] > 0 for mode in modes.values())
 

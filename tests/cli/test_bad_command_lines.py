@@ -4,11 +4,10 @@ status 2, and writes nothing.
 
 from __future__ import annotations
 
-import inspect
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import pytest
 import typer
@@ -36,6 +35,10 @@ BASES: dict[str, tuple[str, ...]] = {
     "dataset replay": ("{states}", "--out", "{new}.gif"),
     "dataset page": ("{states}", "--out", "{new}.html"),
     "dataset export": ("{states}", "--out", "{new}"),
+    "dataset import": ("{absent}.csv", "--out", "{new}.h5"),
+    "dataset select": ("{states}", "--out", "{new}.h5"),
+    "dataset split": ("{states}", "--parts", "a=0.5,b=0.5", "--out", "{new}.h5"),
+    "dataset delete": ("{states}", "--rows", "0", "--out", "{new}.h5"),
 }
 NOT_WHOLE = ("x", "1.5", "", "nan", "1e3", "0x1", "\x1b[2J", "-1")
 NOT_REAL = ("x", "", "1,5", "nan", "\x1b[2J")
@@ -60,6 +63,10 @@ WORDS: dict[str, tuple[str, ...]] = {
     "--shares": ("x", "", "1", "inf,1,1,1", "nan,1,1,1", "-1,1,1,1", "0,0,0,0", "1,1,1,1,1"),
     "--vary": ("x", "", "colours,x", "\x1b[2J"),
     "--size": ("x", "", "0", "1", "1e9", "99999999", "-64", "²", "\x1b[2J"),
+    "--where": ("x", "nx", "nx == 'a'", "__import__('os')", "nx ==", "\x1b[2J"),
+    "--parts": ("x", "", "a=1", "a=0.5,b=0.6", "a=0.5,a=0.5", "\x1b[2J"),
+    "--rows": ("x", "", "-1", "99999", "3-1", "0-99999999999", "\x1b[2J"),
+    "--sample": ("0", "99999"),
     "--mode": ("x", "", "\x1b[2J"),
     "--engine": ("x", "", "\x1b[2J"),
     "--camera": ("x", "", "\x1b[2J"),
@@ -115,17 +122,13 @@ def lines() -> Iterator[tuple[str, ...]]:
         if name.startswith("dataset"):
             yield words
             yield from ((*words, bad, *base[1:]) for bad in (*NO_INPUT, "../x", ".."))
-        hints = {
-            one: get_args(hint) or (hint,)
-            for one, hint in get_type_hints(inspect.unwrap(command.callback)).items()
-        }
         for parameter in command.params:
             option = max((one for one in parameter.opts if one.startswith("--")), default="")
             if not option or parameter.is_flag:
                 continue
             yield (*words, *base, option)
-            kind = hints.get(parameter.name, ())
-            numbers = NOT_WHOLE if int in kind else NOT_REAL if float in kind else ()
+            kind = parameter.type_descriptor.annotation
+            numbers = {int: NOT_WHOLE, float: NOT_REAL}.get(kind, ())
             others = _without(base, option)
             for bad in dict.fromkeys(
                 (*numbers, *(() if option in FREE else WORDS.get(option, ())))

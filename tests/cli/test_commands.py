@@ -34,7 +34,7 @@ from knotgym.common.atomic_files import Occupied
 from knotgym.control.policies import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, distinct_id
-from knotgym.generate.episodes.evaluate import Result, reference_lines, show
+from knotgym.generate.episodes.results import Result, reference_lines, show
 from knotgym.rope.engines import warn_of_compilation
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
@@ -381,7 +381,7 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(
     [
         (("generate", "--nx", "1,1"), "each number once, got '1,1'"),
         (("collect", "--policy", "mixed", "--shares", "inf,1,1,1"), "4 finite numbers"),
-        (("evaluate", "--filmed", -1), "greater than or equal to 0"),
+        (("evaluate", "--filmed", -1), "filmed must be a whole number of at least 0, got -1"),
         (("generate", "--nx", 0, "--out", "x" * 300), "can't be written: File name too long"),
         (("generate", "--nx", 0, "--out", "/dev/null/x"), "/dev/null/x can't be written"),
         (("dataset", "verify", "/dev/null/x"), "no such file: /dev/null/x"),
@@ -496,7 +496,7 @@ def test_default_ids_tell_collections_apart(states_path: str) -> None:
             (replace(plain, image_size=64), expert, 0),
             (TaskConfig(task="tie", nx=3, states="random-walk"), expert, 0),
             (TaskConfig(task="tie", nx=3, states=states_path), expert, 0),
-            (plain, PolicyConfig(policy="noisy-expert", noise=0.5), 0),
+            (plain, PolicyConfig(policy="noisy", noise=0.5), 0),
         )
     }
     ids.add(distinct_id(replace(usual, keep_failed=False)))
@@ -551,7 +551,14 @@ def test_the_version_is_told(capfd: pytest.CaptureFixture[str]) -> None:
 
 def result(policy: str, **settings: Any) -> Result:
     fields: dict[str, Any] = {
-        **{"task": "convert", "nx": 3, "split": "train", "episodes": 256, "successes": 256},
+        **{
+            "task": "convert",
+            "nx": 3,
+            "split": "train",
+            "action": "pull",
+            "episodes": 256,
+            "successes": 256,
+        },
         **{"success_rate": 1.0, "low": 0.985, "high": 1.0, "steps": 12.3, "mean_return": 5.0},
         **{"planned_actions": 0.0, "planning_seconds": 0.0, "simulation_failures": 0},
         **{"start_states": "own", "goal_states": "own", "outcomes": {}},
@@ -563,7 +570,7 @@ def test_results_fit_eighty_columns_heads_whole() -> None:
     written = io.StringIO()
     show(
         [
-            result("noisy-expert", planned_actions=512.0, planning_seconds=1.25),
+            result("noisy", planned_actions=512.0, planning_seconds=1.25),
             result("my_package.policies:Recurrent"),
         ],
         Console(file=written, width=80),

@@ -47,6 +47,7 @@ from knotgym.topology.reference_labeller import pyknotid_code
 
 from ..conftest import SEARCH, trefoil
 from ..minari_list import check_minari
+from ..played import known_codes
 from ..small_job import SECONDS, SETTINGS, WANTED, begun, knotgym
 
 INSTALLED = str(Path(sys.executable).with_name("knotgym-generate"))
@@ -204,7 +205,7 @@ def test_every_measure_is_within_its_limit(states: States, manifest: dict[str, A
 
 
 def test_the_archive_of_the_run_can_be_read(curated: Path) -> None:
-    assert len(Archive.load(curated / "archive.h5").codes(1)) == 2
+    assert len(known_codes(Archive.load(curated / "archive.h5"), 1)) == 2
 
 
 def test_the_gallery_shows_every_state_as_a_diagram(curated: Path, states: States) -> None:

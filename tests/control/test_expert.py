@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from knotgym.common.configuration import InvalidConfig
 from knotgym.control import planner
+from knotgym.control.action_sequence import step_ropes
+from knotgym.control.checked_plan import Stand, plan_checked
 from knotgym.control.expert import BLIND, Expert
 from knotgym.control.planner import Node, Plan, plan, reason
 from knotgym.control.planner_config import PlannerConfig
@@ -28,8 +30,10 @@ from knotgym.control.transition_graph import (
 )
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
+from knotgym.rope.simulation import Simulation
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
@@ -208,6 +212,12 @@ def test_the_graph_that_ships_leads_to_every_thirtieth_code_of_four_crossings() 
     assert out_of_reach({1: 1, 2: 1, 3: 1, 4: 30}) == []
 
 
+def act_out(simulation: Simulation, planned: Plan) -> None:
+    """Take a plan's actions with rope 0."""
+    for bead, force in zip(planned.pulls.beads, planned.pulls.forces, strict=True):
+        step_ropes(simulation, np.array([bead]), force[None], [0])
+
+
 def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str) -> None:
     episodes = EpisodeBatch(
         TaskConfig(task="unknot", nx=1, states=states_path, split="test", observation="state")
@@ -225,10 +235,33 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
         np.random.default_rng(0),
         steps=50,
     )
-    assert planned.solved and len(planned.actions) == len(planned.moves) <= 50
-    for action in planned.actions:
-        episodes.simulation.act(action[None])
+    assert planned.solved and len(planned.pulls) == len(planned.moves) <= 50
+    act_out(episodes.simulation, planned)
     assert label(episodes.simulation.points[0]).matches(goal)
+
+
+def test_a_plan_made_in_the_chain_ends_in_the_goal_in_mujoco(states_path: str) -> None:
+    states, check = read_states(states_path, images=False), MujocoSimulation(1)
+    check.lay(states.qpos[[int(np.flatnonzero(states.nx == 3)[0])]])
+    start, met = check.states()[0], list[Stand]()
+    planned = plan_checked(
+        ChainSimulation(8),
+        check,
+        start,
+        KINK.plain,
+        shipped_transition_graph(GRAPH),
+        PlannerConfig(batch_size=8),
+        np.random.default_rng(0),
+        steps=50,
+        met=met.append,
+    )
+    assert planned.solved and len(planned.pulls) <= 50
+    check.restore(start[None])
+    act_out(check, planned)
+    assert label(check.points[0]).matches(KINK.plain)
+    # what it says of states on the way is so in MuJoCo too
+    assert np.array_equal(check.states()[0], met[-1].state) and met[-1].code.matches(KINK.plain)
+    assert planned.spent >= len(met) >= len(planned.pulls)
 
 
 def test_a_hard_unknot_is_hauled_loose() -> None:
@@ -248,8 +281,7 @@ def test_a_hard_unknot_is_hauled_loose() -> None:
     )
     assert planned.solved and any(move.endswith("haul") for move in planned.moves)
     simulation.restore(start[None], [0])
-    for action in planned.actions:
-        simulation.act(action[None], [0])
+    act_out(simulation, planned)
     assert label(simulation.points[0]) == FLAT
 
 
@@ -268,7 +300,7 @@ def test_ropes_of_few_crossings_are_not_hauled(states_path: str) -> None:
             hauling=hauling,
         )
 
-    np.testing.assert_array_equal(planned(True).actions, planned(False).actions)
+    np.testing.assert_array_equal(planned(True).pulls.forces, planned(False).pulls.forces)
 
 
 def test_a_plan_holds_the_goal_as_long_as_asked(states_path: str) -> None:

@@ -25,7 +25,7 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 
 QUICK = PlannerConfig(budget=8, batch_size=2)
-OURS = ("random", "constant", "scripted", "expert", "noisy-expert", "mixed")
+OURS = ("random", "constant", "scripted", "expert", "noisy", "mixed")
 
 
 def act_once(
@@ -63,7 +63,7 @@ def test_the_same_seed_gives_the_same_actions(
     assert np.array_equal(act_once(config, states_path, 1), acted[name])
 
 
-@pytest.mark.parametrize("name", ["random", "scripted", "noisy-expert"])
+@pytest.mark.parametrize("name", ["random", "scripted", "noisy"])
 def test_another_seed_gives_other_actions(
     name: str, states_path: str, acted: dict[str, NDArray[np.float32]]
 ) -> None:
@@ -93,7 +93,7 @@ def test_a_noisy_expert_of_noise_one_is_never_the_expert(states_path: str) -> No
     episodes = EpisodeBatch(
         TaskConfig(task="unknot", nx=2, states=states_path, observation="state")
     )
-    policy = make_policy(PolicyConfig(policy="noisy-expert", noise=1.0, planner=QUICK))
+    policy = make_policy(PolicyConfig(policy="noisy", noise=1.0, planner=QUICK))
     episodes.begin(0, np.random.default_rng(0))
     policy.begin(episodes, 0, np.random.default_rng(1))
     assert policy.act(episodes, np.array([0])).moves == ["noise"]
@@ -307,7 +307,8 @@ def test_digests_are_of_weights_transcripts_and_the_planner_s_table(tmp_path: Pa
     (tmp_path / "transcripts.jsonl").write_bytes(b"{}")
     model, prompted = tmp_path / "model.pt", tmp_path / "transcripts.jsonl"
     asked = {str(model): ["model.pt"], f"prompt:{prompted}": ["transcripts"], "random": []}
-    asked |= {"expert": ["transitions.h5"], "mixed": ["transitions.h5"]}
+    asked |= {name: ["passes.h5", "transitions.h5"] for name in ("expert", "noisy", "mixed")}
+    asked |= {"planner": ["transitions.h5"]}
     for name, files in asked.items():
         assert list(policy_digests(PolicyConfig(policy=name))) == files
     assert policy_digests(PolicyConfig(policy=str(model))) == {"model.pt": sha256(model)}

@@ -11,6 +11,7 @@ import pytest
 from knotgym.datasets.state_verification import state_faults
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
+from knotgym.states.schema import ROOT
 from knotgym.states.state_file import (
     SHIPPED,
     InvalidStates,
@@ -23,7 +24,7 @@ from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import diagram_form
 
-COLUMNS = ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", "knot", "nx", "split")
+COLUMNS = [column.name for column in ROOT]
 
 
 @pytest.fixture

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import MissingFile
 from knotgym.envs.environment import KnotEnv
-from knotgym.envs.episode_batch import state_origins
 from knotgym.envs.observations import SYMBOLS, symbols
+from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.rendering.picture import PictureConfig, draw
 from knotgym.rendering.window import NoWindow, Window
@@ -32,7 +32,7 @@ from knotgym.topology.gauss import GaussCode
 from ..conftest import rough_play
 
 TASKS = ("unknot", "tie", "convert")
-MODES = ("pixels", "state", "both", "symbolic")
+MODES = ("pixels", "state", "both", "symbolic", "marked")
 IDLE = np.zeros(6, dtype=np.float32)
 INFO = {
     "gauss_code",
@@ -222,10 +222,10 @@ def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
 
 def test_of_a_code_too_long_the_first_symbols_are_kept() -> None:
     visits = tuple(label for k in range(1, 41) for label in (k, -k))
-    told = symbols([GaussCode(visits)], GaussCode((1, -1)))
+    told = symbols([GaussCode(visits)], [GaussCode((1, -1))])
     assert told[0, 0].tolist() == list(visits[:SYMBOLS]) and told[0, 1, :3].tolist() == [1, -1, 0]
     once = tuple(range(1, 41)) + tuple(-k for k in range(1, 41))
-    assert np.abs(symbols([GaussCode(once)], GaussCode(once))).max() <= SYMBOLS
+    assert np.abs(symbols([GaussCode(once)], [GaussCode(once)])).max() <= SYMBOLS
 
 
 def test_the_perspective_camera_shows_another_picture(make: Make) -> None:
@@ -546,7 +546,7 @@ def test_settings_that_cannot_be_had_are_refused_in_one_line(
 def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them(
     make: Make, states_path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("knotgym.envs.episode_batch.shipped", lambda: Path(states_path))
+    monkeypatch.setattr("knotgym.envs.task_states.shipped", lambda: Path(states_path))
     with pytest.raises(
         InvalidSetting, match="no states with nx = 6 in split 'train' of .*knotgym-generate --nx 6"
     ):
@@ -568,7 +568,7 @@ def test_plain_loops_that_the_file_lacks_are_those_that_ship_and_info_says_so(
     only_nx3: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("knotgym.envs.episode_batch.shipped", lambda: Path(states_path))
+    monkeypatch.setattr("knotgym.envs.task_states.shipped", lambda: Path(states_path))
     env = make("tie", nx=3, states=only_nx3)
     for info in (env.reset(seed=0)[1], env.step(IDLE)[4]):
         assert info["crossings"] == 0 and info["start"] in states.rows(0, "train")

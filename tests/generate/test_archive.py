@@ -15,6 +15,8 @@ from knotgym.topology.diagrams import planar_codes
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import mirror_images
 
+from ..played import known_chiralities, known_codes
+
 CONFIG = ArchiveConfig()
 KINK = GaussCode.parse("1+a,1-a")
 
@@ -101,25 +103,27 @@ def test_the_walk_along_the_beads_replaces_those_from_elsewhere_or_backwards() -
 def test_a_class_found_makes_all_its_codes_known() -> None:
     archive = Archive()
     archive.offer(elite(1, 1.0), CONFIG)
-    assert set(archive.codes(1)) == set(planar_codes(1)) and archive.codes(2) == []
+    assert set(known_codes(archive, 1)) == set(planar_codes(1)) and known_codes(archive, 2) == []
 
 
 def test_an_empty_archive_leads_nowhere() -> None:
-    assert Archive().leading_to(KINK) == [] and Archive().known_chiralities(KINK.plain) == []
+    assert Archive().leading_to(KINK) == [] and not known_chiralities(Archive(), KINK.plain)
 
 
 def test_every_code_known_has_a_chirality_and_elites(searched: Archive) -> None:
-    codes = [code for nx in range(4) for code in searched.codes(nx)]
+    codes = [code for nx in range(4) for code in known_codes(searched, nx)]
     assert len(codes) > 3
     for code in codes:
-        assert searched.known_chiralities(code) and all(
+        assert known_chiralities(searched, code) and all(
             handed.visits == code.visits and searched.leading_to(handed)
-            for handed in searched.known_chiralities(code)
+            for handed in known_chiralities(searched, code)
         )
 
 
 def test_what_leads_to_a_code_has_it_among_its_mirror_images(searched: Archive) -> None:
-    handed = [chiral for code in searched.codes(2) for chiral in searched.known_chiralities(code)]
+    handed = [
+        chiral for code in known_codes(searched, 2) for chiral in known_chiralities(searched, code)
+    ]
     assert handed
     for chiral in handed:
         leading = searched.leading_to(chiral)

@@ -14,7 +14,6 @@ import h5py
 import minari
 import numpy as np
 import pytest
-from rich.console import Console
 
 from knotgym.cli.inspection import film, merge
 from knotgym.common.errors import KnotgymError
@@ -34,13 +33,14 @@ from knotgym.generate.images.seed_states import NoSeedStates, seed_states
 from knotgym.generate.images.walks import Unit, Walk, WalkConfig, make_walks
 from knotgym.generate.states.random_walk import RandomWalkConfig
 from knotgym.generate.states.random_walk_recipe import walk_states
-from knotgym.generate.states.search import SearchConfig, advance, new_archive
+from knotgym.generate.states.search import SearchConfig, new_archive
 from knotgym.rope.model import Rope
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import Existing, InvalidRun, RunOptions
+from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.states.state_file import InvalidStates, merge_states, read_states
 
+from ..played import advance
 from ..small_job import knotgym
 
 QUIET = RunOptions(workers=1, quiet=True)
@@ -194,13 +194,12 @@ def test_results_of_two_engines_are_not_pooled(tmp_path: Path) -> None:
             seed=seed,
             task=replace(TASK, horizon=2, engine=engine),
         )
-        more: dict[str, Any] = {"workers": 1, "video": None, "quiet": True, "console": Console()}
-        evaluate(asked, out=files[-1], **more)
+        evaluate(asked, QUIET, out=files[-1])
     rows = read_scores(files)
     told = [(row["episodes"], 'engine="chain"' in row["settings"]) for row in rows]
     assert sorted(told) == [(2, False), (4, True)]
     with pytest.raises(InvalidRun, match="engine"):
-        evaluate(asked, out=files[0], existing=Existing(resume=True), **more)
+        evaluate(asked, replace(QUIET, resume=True), out=files[0])
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from knotgym.common.atomic_files import Occupied, sha256
+from knotgym.common.configuration import InvalidConfig
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import DATASET, EVALUATION, episode_seed, rollout
@@ -19,19 +20,20 @@ from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import (
     EvaluateConfig,
-    InvalidEvaluation,
     evaluate,
     film,
     report,
     run,
-    show,
     sources_of,
 )
+from knotgym.generate.episodes.results import show
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.executors import InProcess
-from knotgym.runs.run_options import Existing, InvalidRun
+from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.runs.staging import staging_folder
 from knotgym.states.state_file import States, write_states
+
+QUIET = RunOptions(workers=1, quiet=True)
 
 
 def config(states_path: str, **settings: object) -> EvaluateConfig:
@@ -89,9 +91,7 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(
     states_path: str, tmp_path: Path
 ) -> None:
     made = config(states_path)
-    results = run(
-        made, workers=1, out=tmp_path / "r.json", video=None, quiet=True, console=Console()
-    )
+    results = run(made, QUIET, out=tmp_path / "r.json")
     held = json.loads((tmp_path / "r.json").read_text())
     assert held == json.loads(json.dumps(report(made, results, sources_of(made))))
     assert (
@@ -106,7 +106,7 @@ def test_states_that_the_file_lacks_are_refused_before_any_work(
 ) -> None:
     made = config(states_path, nx=(1, 6))
     with pytest.raises(InvalidSetting, match="no states with nx = 6 in split 'test'"):
-        run(made, workers=1, out=tmp_path / "r.json", video=None, quiet=True, console=Console())
+        run(made, QUIET, out=tmp_path / "r.json")
     assert not (tmp_path / "r.json").exists()
 
 
@@ -133,14 +133,7 @@ def test_workers_do_not_change_the_result(states_path: str) -> None:
 def test_a_film_shows_every_state_of_its_episodes(
     name: str, states_path: str, tmp_path: Path
 ) -> None:
-    run(
-        config(states_path, episodes=1, filmed=1),
-        workers=1,
-        out=None,
-        video=tmp_path / name,
-        quiet=True,
-        console=Console(),
-    )
+    run(config(states_path, episodes=1, filmed=1), QUIET, video=tmp_path / name)
     reel = cv2.VideoCapture(str(tmp_path / name))
     frames = []
     while (read := reel.read())[0]:
@@ -162,7 +155,7 @@ def test_a_film_shows_every_view_in_colours(states_path: str) -> None:
 def test_settings_that_make_no_sense_are_refused(
     settings: dict[str, object], states_path: str
 ) -> None:
-    with pytest.raises(InvalidEvaluation):
+    with pytest.raises(InvalidConfig):
         config(states_path, **settings)
 
 
@@ -214,9 +207,8 @@ def test_a_mistake_is_one_line_and_status_2(
 # Interrupted, and gone on with.
 
 
-def to_file(made: EvaluateConfig, out: Path, **words: bool) -> None:
-    existing = Existing(**words)
-    run(made, workers=1, out=out, video=None, quiet=True, console=Console(), existing=existing)
+def to_file(made: EvaluateConfig, out: Path, **words: Any) -> None:
+    run(made, replace(QUIET, **words), out=out)
 
 
 def counted_pieces(monkeypatch: pytest.MonkeyPatch, most: int) -> list[object]:
@@ -264,21 +256,13 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
     with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
         to_file(config(states_path, episodes=1), interrupted)
     to_file(config(states_path, episodes=1), interrupted, restart=True)
-    with pytest.raises(InvalidRun, match="settings.episodes is 1 there and 2 here"):
+    with pytest.raises(InvalidRun, match="config.episodes is 1 there and 2 here"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
     interrupted.write_text('{"version": 1}')
-    with pytest.raises(InvalidRun, match="isn't an evaluation"):
+    with pytest.raises(Occupied, match="exists already"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
-    with pytest.raises(InvalidEvaluation, match="--resume and --restart need the --out"):
-        run(
-            config(states_path),
-            workers=1,
-            out=None,
-            video=None,
-            quiet=True,
-            console=Console(),
-            existing=Existing(resume=True),
-        )
+    with pytest.raises(InvalidConfig, match="--resume and --restart need the --out"):
+        run(config(states_path), replace(QUIET, resume=True))
 
 
 def test_an_evaluation_that_fails_at_once_leaves_nothing(
@@ -290,13 +274,14 @@ def test_an_evaluation_that_fails_at_once_leaves_nothing(
     assert not any(tmp_path.iterdir())
 
 
-def test_what_was_played_is_not_gone_on_from_once_it_is_spoilt(
-    states_path: str, interrupted: Path
+@pytest.mark.parametrize("spoilt", ["{}", '{"0": [[1]]}', "no JSON"])
+def test_what_was_played_is_played_again_if_it_is_corrupted(
+    spoilt: str, states_path: str, interrupted: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for spoilt in ("{}", '{"0": [[1]]}', "no JSON"):
-        (staging_folder(interrupted) / "played.json").write_text(spoilt)
-        with pytest.raises(InvalidRun, match="is corrupted; --restart starts again"):
-            to_file(config(states_path, episodes=17), interrupted, resume=True)
+    (staging_folder(interrupted) / "000000.json").write_text(spoilt)
+    pieces = counted_pieces(monkeypatch, 2)
+    to_file(config(states_path, episodes=17), interrupted, resume=True)
+    assert len(pieces) == 2
 
 
 # What was played, and by whom: the file holds digests, and resuming compares them.

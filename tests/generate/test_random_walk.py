@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.common.configuration import as_json, updated
+from knotgym.common.configuration import InvalidConfig, as_json, updated
 from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.generate.states.generate_config import InvalidGenerateConfig
+from knotgym.generate.packed_records import SpoiltCheckpoint
 from knotgym.generate.states.random_walk import (
     RandomWalkConfig,
     TwistLimits,
@@ -21,7 +21,6 @@ from knotgym.generate.states.random_walk import (
     walk,
 )
 from knotgym.generate.states.random_walk_recipe import RandomWalkRecipe
-from knotgym.generate.states.state_recipe import SpoiltCheckpoint
 from knotgym.quality.measures import measure
 from knotgym.rope.model import Rope
 from knotgym.states.state_file import read_states, write_states
@@ -139,7 +138,7 @@ def test_what_goes_with_another_source_is_one_line(
     "wrong", [{"nx": [7]}, {"nx": []}, {"start": "knot"}, {"longest": 5}, {"every": 0}]
 )
 def test_walks_that_make_no_sense_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(InvalidGenerateConfig):
+    with pytest.raises(InvalidConfig):
         updated(SMALL, wrong)
 
 

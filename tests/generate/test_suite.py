@@ -154,7 +154,7 @@ def test_a_finished_suite_is_left_alone_and_shows_evaluations_that_came_since(
         (("--policies", "mixed"), "the suite's policies must be among random, scripted"),
         (("--episodes", "expert:3"), "--episodes takes a number, or one per policy"),
         (("--episodes", "dreamer=3"), "episodes are set for random, scripted"),
-        (("--episodes", "0"), "episodes must be at least 1, got 0"),
+        (("--episodes", "0"), "episodes must be a whole number of at least 1, got 0"),
         (("--observation", "smell"), "no observation 'smell'"),
         (("--scores", "pyproject.toml"), "pyproject.toml isn't a file of `knotgym evaluate"),
     ],
@@ -175,7 +175,7 @@ def test_what_the_suite_has_not_is_one_line(
 def test_a_set_of_another_size_is_refused_before_anything_is_made(
     unbroken: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    words = (*WORDS, "--policies", "noisy-expert,random", "--episodes", 6, "--resume")
+    words = (*WORDS, "--policies", "noisy,random", "--episodes", 6, "--resume")
     assert knotgym(*words, "--quiet", "--out", unbroken) == 2
     assert "config.episodes is 1 there and 6 here" in capfd.readouterr().err
-    assert not (unbroken / ID.format("noisy-expert")).exists()
+    assert not (unbroken / ID.format("noisy")).exists()

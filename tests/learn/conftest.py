@@ -9,7 +9,7 @@ from knotgym.runs.run_options import Existing
 
 from ..small_job import knotgym
 
-TINY = {"steps": 6, "batch": 2, "stretches": 2, "tries": 1, "save_every": 2}
+TINY = {"steps": 6, "batch": 2, "save_every": 2}
 
 
 @pytest.fixture(scope="session")
@@ -35,7 +35,8 @@ def learner(tmp_path_factory: pytest.TempPathFactory, episodes: Path) -> Path:
 
 
 def train_tiny(episodes: Path, out: Path, **changes: Any) -> None:
-    from knotgym.learn.training import TrainConfig, train
+    from knotgym.learn.train_config import TrainConfig
+    from knotgym.learn.training import train
 
     existing = Existing(resume=changes.pop("resume", False))
     train([episodes], out, TrainConfig(**{**TINY, **changes}), existing=existing, quiet=True)

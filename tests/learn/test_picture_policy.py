@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rich.console import Console
 
 from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
@@ -110,4 +109,4 @@ def test_a_task_whose_pictures_are_others_is_refused_before_any_work(
         EpisodeRecipe(CollectConfig(task=task, policy=policy), RunOptions())
     config = EvaluateConfig(policies=(policy,), tasks=("unknot",), nx=(1,), task=task)
     with pytest.raises(InvalidPolicy, match=message):
-        run(config, workers=1, out=None, video=None, quiet=True, console=Console())
+        run(config, RunOptions(workers=1, quiet=True))

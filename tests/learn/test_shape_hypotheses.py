@@ -17,12 +17,12 @@ from knotgym.control.transition_graph import (  # noqa: E402
     TransitionGraphConfig,
 )
 from knotgym.learn.agent import Agent  # noqa: E402
-from knotgym.learn.rope_model import BEADS, FIRST_GUESS, Dynamics  # noqa: E402
+from knotgym.learn.imagination import BEADS, imagine  # noqa: E402
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses  # noqa: E402
+from knotgym.rope.chain.chain_simulation import ChainSimulation  # noqa: E402
 from knotgym.topology.gauss import GaussCode  # noqa: E402
 
 Array = NDArray[np.float64]
-DYNAMICS = Dynamics(FIRST_GUESS)
 
 
 class TwoReadings:
@@ -64,7 +64,9 @@ def tracked() -> tuple[ShapeHypotheses, TwoReadings]:
     """Return hypotheses and the reader that they use."""
     reader: Any = TwoReadings(tilted_loop())
     rng = np.random.default_rng(0)
-    return ShapeHypotheses(reader, DYNAMICS, np.zeros((1, 3)), HypothesesConfig(), rng), reader
+    config = HypothesesConfig()
+    chain = ChainSimulation(config.imagined)
+    return ShapeHypotheses(reader, chain, np.zeros((1, 3)), config, rng), reader
 
 
 def test_motion_tells_a_rope_from_its_mirror_image(
@@ -73,11 +75,12 @@ def test_motion_tells_a_rope_from_its_mirror_image(
     hypotheses, reader = tracked
     picture = np.zeros((128, 128, 3), dtype=np.uint8)
     hypotheses.start(picture)
+    chain = ChainSimulation(1)
     rope, speeds, force = tilted_loop()[None], np.zeros((1, BEADS, 3)), np.array([0.3, 0.2, 0.8])
     for _ in range(3):
         named = hypotheses.ropes[0][25] + hypotheses.position.positions.mean(axis=0)
         bead = np.linalg.norm(rope[0] - named, axis=1).argmin()
-        rope, speeds = DYNAMICS.step(rope, speeds, np.array([bead]), force[None])
+        rope, speeds = imagine(chain, rope, speeds, np.array([bead]), force[None])
         reader.rope = rope[0] - rope[0].mean(axis=0)
         hypotheses.update(picture, named, force)
     likeliest, true = hypotheses.ropes[0], tilted_loop()
@@ -98,7 +101,7 @@ def test_similar_hypotheses_are_merged(tracked: tuple[ShapeHypotheses, TwoReadin
 def test_the_code_shown_is_not_the_goal_while_the_episode_continues() -> None:
     graph = TransitionGraph(TransitionCounts(), TransitionGraphConfig())
     reader: Any = TwoReadings(tilted_loop())
-    agent = Agent(reader, DYNAMICS, graph, np.zeros((1, 3)))
+    agent = Agent(reader, graph, np.zeros((1, 3)))
     agent.begin(0, np.random.default_rng(0), 50)
     episode, plain, kink = agent._episodes[0], GaussCode.parse(""), GaussCode.parse("1+,1-")
     episode.goals = {plain: 0.6, kink: 0.4}

@@ -89,7 +89,7 @@ def test_resuming_another_training_names_what_differs(tmp_path: Path) -> None:
     (tmp_path / training.REQUEST).write_text(json.dumps(begun))
     asked = {"config": {"steps": 9, "seed": 0}, "data_sha256": "ab"}
     with pytest.raises(training.InvalidTraining, match=r"config\.steps is 6 there and 9 here;"):
-        training._begin(tmp_path, asked)
+        training.begin_training(tmp_path, asked)
 
 
 def test_a_missing_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,17 +113,15 @@ def test_a_set_of_the_test_split_is_refused(
     assert "test split" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
 
 
-def test_the_rope_is_fitted_to_the_forces_that_were_applied(episodes: Path, tmp_path: Path) -> None:
-    from knotgym.learn.training_data import STRETCH, read_training_data
+def test_a_prediction_is_of_the_forces_that_were_applied(episodes: Path, tmp_path: Path) -> None:
+    from knotgym.learn.training_data import read_training_data
 
     copy, path = copied(episodes, tmp_path)
     with h5py.File(path, "a") as file:
-        name = min(name for name in file if len(file[name]["actions"]) >= STRETCH)
-        group = file[name]["infos"]
+        group = file[min(name for name in file if "actions" in file[name])]["infos"]
         group["force"][1], group["applied_share"][1] = group["force"][1] / 2, 0.5
         force = group["force"][1]
     data = read_training_data([copy])
-    assert (data.stretches.forces[0] == force).all(axis=1).any()
     assert (data.forces == force).all(axis=1).any()
 
 
@@ -162,19 +160,18 @@ def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
     import torch
 
     from knotgym.learn import training
-    from knotgym.learn.rope_model import FIRST_GUESS
-    from knotgym.learn.training_data import InvalidTraining
+    from knotgym.learn.train_config import InvalidTraining
 
     path = tmp_path / training.UNDER_WAY
     (tmp_path / training.REQUEST).write_text("{}")
-    training._keep(tmp_path, {"rope": torch.from_numpy(FIRST_GUESS), "fit": torch.ones(2)})
-    assert training._begin(tmp_path, {}).keys() == {"rope", "fit"}
+    training.keep_training(tmp_path, {"losses": torch.ones(64, 2)})
+    assert training.begin_training(tmp_path, {}).keys() == {"losses"}
     raw = bytearray(path.read_bytes())
     raw[-50] ^= 1
     path.write_bytes(raw)
     with pytest.raises(InvalidTraining, match="its checksum differs"):
-        training._begin(tmp_path, {})
+        training.begin_training(tmp_path, {})
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(InvalidTraining, match="isn't a regular file"):
-        training._begin(tmp_path, {})
+        training.begin_training(tmp_path, {})

@@ -18,7 +18,7 @@ from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.trajectory import Episode
 from knotgym.envs.observations import observe
-from knotgym.envs.tasks import TaskConfig
+from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.loaders import (
     GoalSampling,
     InvalidWindow,
@@ -52,7 +52,7 @@ def played(k: int, codes: list[str], *, terminated: bool, starts: list[bool]) ->
         points=points,
         goal_points=points[0] * 0.5,
         actions=np.random.default_rng(k).uniform(-1, 1, (length, 6)).astype(np.float32),
-        rewards=np.arange(length) + 1.0 + 10 * k,
+        rewards=np.arange(length, dtype=np.float64) + 1 + 10 * k,
         terminations=last & terminated,
         truncations=last & (not terminated),
         gauss_code=np.array([code.removesuffix("!") for code in codes]),
@@ -187,7 +187,7 @@ def test_every_number_of_a_window_equals_a_slow_reference(
                 past = [stops[max(place - back, 0)] for back in range((stack or 1) - 1, -1, -1)]
                 right = [np.concatenate([episode.points[t].ravel(), target.ravel()]) for t in past]
                 seen = held[name][row] if stack is not None else held[name][row][None]
-                assert np.array_equal(seen, np.float32(right))
+                assert np.array_equal(seen, np.array(right, dtype=np.float32))
             ahead = [at + i for i in range(chunk or 1)]
             own = held["actions"][row] if chunk is not None else held["actions"][row][None]
             for one, i in zip(own, ahead, strict=True):
@@ -200,8 +200,8 @@ def test_every_number_of_a_window_equals_a_slow_reference(
                 past = list(range(place - history, place))
                 assert held[f"{side}history_mask"][row].tolist() == [i >= 0 for i in past]
                 for one, i in zip(held[f"{side}history"][row], past, strict=True):
-                    right = action(episode, stops[i], view) if i >= 0 else 0
-                    assert np.all(one == right)
+                    right_action = action(episode, stops[i], view) if i >= 0 else 0
+                    assert np.all(one == right_action)
             row += 1
     assert row == len(held["rewards"])
 
@@ -218,15 +218,12 @@ def test_a_goal_of_the_trajectory_lies_ahead_in_it(
     first = np.cumsum([0, *(length + 1 for length in lengths)])
     states = np.concatenate([f + np.arange(n) for f, n in zip(first, lengths, strict=False)])
     last = np.repeat(first[1:] - 1, lengths)
-    for share, right in (
-        (0.0, lambda goals: (goals > states) & (goals <= last)),
-        (1.0, lambda goals: goals == states),
-    ):
-        sampling = GoalSampling(
-            p_currgoal=share, p_trajgoal=1 - share, p_randomgoal=0, geom_sample=geom
-        )
-        rng = np.random.default_rng(seed)
-        assert right(sampling.draw(states, last, int(first[-1]), 0.7, rng)).all()
+    rng, total = np.random.default_rng(seed), int(first[-1])
+    future = GoalSampling(p_currgoal=0, p_trajgoal=1, p_randomgoal=0, geom_sample=geom)
+    goals = future.draw(states, last, total, 0.7, rng)
+    assert (goals > states).all() and (goals <= last).all()
+    current = GoalSampling(p_currgoal=1, p_trajgoal=0, p_randomgoal=0, geom_sample=geom)
+    assert np.array_equal(current.draw(states, last, total, 0.7, rng), states)
 
 
 def test_goals_have_the_probabilities_that_are_asked_for() -> None:
@@ -334,6 +331,21 @@ def test_goals_and_negatives_are_seen_as_the_observation_is(
     for other in others:
         for split, expected in ((False, batch), (True, apart)):
             assert same(other.batch(rows, rng=np.random.default_rng(1), apart=split), expected)
+
+
+def test_marked_observations_are_made_anew_for_a_sampled_goal(tmp_path: Path) -> None:
+    path = written(EPISODES, tmp_path / "marked.h5", replace(TASK, observation="marked"))
+    read = Transitions(path, window=Window(goals=GoalSampling()))
+    rows = np.arange(len(read))
+    seen = read.batch(rows, rng=np.random.default_rng(2))["observations"]
+    points = np.concatenate([episode.points for episode in EPISODES])
+    for row, goal in enumerate(read.sample_goals(rows, np.random.default_rng(2))):
+        segment, step = read.place(row)
+        own = EPISODES[segment].points[[step]]
+        right = observe(own, points[goal], "marked", PictureConfig(size=16))
+        assert np.array_equal(seen[row], right[0])
+    with pytest.raises(InvalidSetting, match="has no halves"):
+        Transitions(path, window=FULL).batch([0], rng=np.random.default_rng(0))
 
 
 def test_the_same_generator_gives_the_same_batch_also_after_pickling(folder: Path) -> None:

@@ -60,8 +60,9 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
             * (np.cos(at + rng.uniform(0, 6, 5)) @ waves.T)
             * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
         )
-        placed, side = _on_canvas(rope, config), config.size * config.supersampling
-        made = polygons(*placed, side), plain_polygons.polygons(*placed, side)
+        pixels, heights, radii = (array[0] for array in _on_canvas(rope[None], config))
+        given = pixels, heights, radii, config.size * config.supersampling
+        made = polygons(*given), plain_polygons.polygons(*given)
         for part in (0, 1, 2):
             ours, plain = made[0][part], made[1][part]
             assert ours.dtype == plain.dtype and np.array_equal(ours, plain)

@@ -9,71 +9,87 @@ from numpy.typing import NDArray
 from knotgym.rope.model import Rope
 from knotgym.rope.reset_noise import noised, start_qpos
 from knotgym.states.state_file import States
-from knotgym.topology.crossings import label
+from knotgym.topology.crossings import label, label_many
 
 from ..conftest import trefoil
 from .test_rope import BEAD, ROPE, chords
 
 
+def moved_by(points: NDArray[np.float64], scale: float, seed: int) -> NDArray[np.float64]:
+    """Noise on one rope."""
+    return noised(points[None], scale, [np.random.default_rng(seed)])[0]
+
+
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.2))
 @settings(max_examples=60)
 def test_noise_keeps_beads_equal_and_the_rope_closed(seed: int, scale: float) -> None:
-    moved = noised(ROPE.loop(), scale, np.random.default_rng(seed))
+    moved = moved_by(ROPE.loop(), scale, seed)
     assert np.abs(chords(moved) - BEAD).max() < 1e-9
 
 
 def test_noise_on_a_moving_rope_is_exactly_closed(rope: Rope, tangled: NDArray[np.float64]) -> None:
     for points in rope.points(tangled[:10]):
-        moved = noised(points, 0.015, np.random.default_rng(0))
+        moved = moved_by(points, 0.015, 0)
         assert np.ptp(chords(moved)) < 1e-12
         assert rope.points_and_gaps(rope.qpos(moved))[1] < 1e-6
 
 
 def test_noise_of_scale_zero_is_nothing() -> None:
     points = ROPE.from_curve(trefoil())
-    assert np.abs(noised(points, 0.0, np.random.default_rng(0)) - points).max() < 1e-12
+    assert np.abs(moved_by(points, 0.0, 0) - points).max() < 1e-12
 
 
 def test_noise_is_what_the_generator_says() -> None:
     points = ROPE.from_curve(trefoil())
-    first, again, other = (noised(points, 0.015, np.random.default_rng(seed)) for seed in (3, 3, 4))
+    first, again, other = (moved_by(points, 0.015, seed) for seed in (3, 3, 4))
     assert np.array_equal(first, again) and not np.array_equal(first, other)
 
 
 def test_noise_takes_306_draws_whatever_happens() -> None:
     for scale in (0.0, 0.1):
         rng, counted = np.random.default_rng(0), np.random.default_rng(0)
-        noised(ROPE.loop(), scale, rng)
+        noised(ROPE.loop()[None], scale, [rng])
         counted.uniform(-1, 1, 306)
         assert rng.uniform() == counted.uniform()
 
 
 def test_noise_moves_every_bead_by_about_its_scale() -> None:
-    moved = noised(ROPE.loop(), 0.015, np.random.default_rng(0))
+    moved = moved_by(ROPE.loop(), 0.015, 0)
     far = np.linalg.norm(moved - ROPE.loop(), axis=1)
     assert 0.001 < far.min() and far.max() < 0.1
 
 
 def test_noise_leaves_its_input_alone() -> None:
     points = ROPE.loop()
-    noised(points, 0.1, np.random.default_rng(0))
+    moved_by(points, 0.1, 0)
     assert np.array_equal(points, ROPE.loop())
 
 
 @pytest.mark.parametrize("scale", [0.005, 0.015, 0.1, 0.9])
 def test_a_start_shows_the_code_of_its_row(states: States, rope: Rope, scale: float) -> None:
-    rng = np.random.default_rng(0)
-    for row in range(0, len(states), 6):
-        code = label(states.points[row])
-        qpos = start_qpos(rope, states.qpos[row], states.points[row], code, scale, rng)
-        assert label(rope.points(qpos)) == code
+    rows = np.arange(0, len(states), 6)
+    codes = label_many(states.points[rows])
+    rngs = [np.random.default_rng(int(row)) for row in rows]
+    qpos = start_qpos(rope, states.qpos[rows], states.points[rows], codes, scale, rngs)
+    assert label_many(rope.points(qpos)) == codes
+
+
+def test_ropes_that_start_together_start_as_they_would_alone(states: States, rope: Rope) -> None:
+    def started(rows: list[int]) -> NDArray[np.float64]:
+        codes = label_many(states.points[rows])
+        rngs = [np.random.default_rng(row) for row in rows]
+        # so much noise that most draws are rejected
+        return start_qpos(rope, states.qpos[rows], states.points[rows], codes, 0.3, rngs)
+
+    rows = list(range(0, len(states), 4))
+    assert np.array_equal(started(rows), np.concatenate([started([row]) for row in rows]))
 
 
 def test_a_start_without_noise_is_a_copy_and_takes_no_draw(states: States, rope: Rope) -> None:
     rng, untouched = np.random.default_rng(0), np.random.default_rng(0)
-    code = label(states.points[0])
-    qpos = start_qpos(rope, states.qpos[0], states.points[0], code, 0.0, rng)
-    assert np.array_equal(qpos, states.qpos[0]) and not np.shares_memory(qpos, states.qpos)
+    codes = label_many(states.points[:1])
+    qpos = start_qpos(rope, states.qpos[:1], states.points[:1], codes, 0.0, [rng])
+    assert np.array_equal(qpos, states.qpos[:1]) and not np.shares_memory(qpos, states.qpos)
     assert rng.random() == untouched.random()
 
 
@@ -81,5 +97,5 @@ def test_a_code_that_no_noise_keeps_leaves_the_row_as_it_is(states: States, rope
     other = label(states.points[-1])
     assert other != label(states.points[0])
     rng = np.random.default_rng(0)
-    qpos = start_qpos(rope, states.qpos[0], states.points[0], other, 0.015, rng)
-    assert np.array_equal(qpos, states.qpos[0])
+    qpos = start_qpos(rope, states.qpos[:1], states.points[:1], [other], 0.015, [rng])
+    assert np.array_equal(qpos, states.qpos[:1])

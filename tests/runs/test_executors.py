@@ -22,9 +22,9 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.runs.executors import executor, scheduler_of
-from knotgym.runs.pools import AHEAD, InvalidExecutor, ordered
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs.executors import executor
+from knotgym.runs.pools import AHEAD, ordered
+from knotgym.runs.run_options import InvalidRun, RunOptions
 
 from ..cli.test_generate_command import bytes_of, said
 from ..small_job import SECONDS, WANTED, knotgym, typed
@@ -36,6 +36,11 @@ with_dask = pytest.mark.skipif(
 with_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
 )
+
+
+def on(scheduler: str) -> RunOptions:
+    return RunOptions(executor="dask", scheduler=scheduler, quiet=True)
+
 
 Begin = Callable[[], "subprocess.Popen[bytes]"]
 
@@ -187,8 +192,9 @@ def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment
 def test_options_that_do_not_go_together_are_refused(
     options: tuple[str, str, int], problem: str
 ) -> None:
-    with pytest.raises(InvalidExecutor, match=problem):
-        scheduler_of(*options)
+    kind, scheduler, workers = options
+    with pytest.raises(InvalidRun, match=problem):
+        RunOptions(executor=kind, scheduler=scheduler, workers=workers)
 
 
 @pytest.mark.parametrize("command", ["generate", "collect", "images"])
@@ -286,7 +292,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
     config = CollectConfig(task=task, policy=PolicyConfig(policy="scripted"), episodes=6)
     with cluster(tmp_path, 2) as (scheduler, workers, _):
         generated(tmp_path / "nx0-1", scheduler, workers[0])
-        there = collect(config, tmp_path / "there", RunOptions(scheduler=scheduler, quiet=True))
+        there = collect(config, tmp_path / "there", on(scheduler))
     assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated)
     here = collect(config, tmp_path / "here", RunOptions(workers=1, quiet=True))
     assert bytes_of(there / "data")["main_data.hdf5"] == bytes_of(here / "data")["main_data.hdf5"]
@@ -298,7 +304,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
 def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
     config = ImagesConfig(nx=(0, 1), count=12, steps=4, stride=2, rows_per_file=5)
     with cluster(tmp_path, 2) as (scheduler, _, _):
-        make_images(config, tmp_path / "there", RunOptions(scheduler=scheduler, quiet=True))
+        make_images(config, tmp_path / "there", on(scheduler))
     make_images(config, tmp_path / "here", RunOptions(workers=1, quiet=True))
     assert bytes_of(tmp_path / "there") == bytes_of(tmp_path / "here")
 

@@ -1,11 +1,10 @@
 """Templates of cards, the citation, and escaping of text for Markdown and YAML."""
 
-from __future__ import annotations
-
 import html
 import json
 import re
 from importlib.resources import files
+from pathlib import Path
 from string import Template
 
 import knotgym
@@ -58,12 +57,15 @@ def citation_file(title: str) -> str:
 
 
 def filled(template: str, **parts: object) -> str:
-    """Fill a text template of this package; `$to_cite` becomes the section with the BibTeX.
+    """Fill a text template of this package with texts, or lists of lines.
 
-    Args:
-        template: name of the file.
-        parts: text of each placeholder, or its lines.
+    `$to_cite` becomes the section with the BibTeX.
     """
     text = (files("knotgym.datasets.cards") / template).read_text(encoding="utf-8")
     lists = {name: "\n".join(part) for name, part in parts.items() if isinstance(part, list)}
     return Template(text).substitute({**parts, **lists}, to_cite="\n".join(TO_CITE))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file that ends with a line break."""
+    path.write_text(text + ("" if text.endswith("\n") else "\n"), encoding="utf-8")

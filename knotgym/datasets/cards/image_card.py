@@ -1,10 +1,8 @@
 """The card (README.md) of a perception table, and the counts shown in it."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,42 +19,34 @@ _TEXT = ("gauss_code", "gauss_code_chiral", "split", "grade")
 _COUNTED = (*_TEXT, "nx", "accepted")
 
 _COUNTS_HEAD = (
-    "pictures",
-    "codes",
-    "with chirality",
-    "fewest / most per code",
-    *IMAGE_SPLITS,
-    "accepted",
-    *GRADES,
+    *("pictures", "codes", "with chirality", "fewest / most per code"),
+    *(*IMAGE_SPLITS, "accepted", *GRADES),
 )
 
 
 def summary(path: str | Path) -> dict[str, Any]:
     """Count codes, grades and accepted pictures of a perception table, by nx and by split.
 
-    Returns:
-        A dict that can be written as JSON, with the 5 %, 50 % and 95 % quantiles of the measures.
+    The result can be written as JSON; it has the 5 %, 50 % and 95 % quantiles of the measures.
     """
     rows = read_table(path, columns=[*_COUNTED, "quality", "appearance"])
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}
 
-    def counts_where(chosen: np.ndarray) -> dict[str, Any]:
-        return _counts({name: column[chosen] for name, column in columns.items()})
+    def counts_by(name: str, order: Iterable[Any]) -> dict[str, Any]:
+        found = {str(value): columns[name] == value for value in order}
+        return {
+            value: _counts({name: column[chosen] for name, column in columns.items()})
+            for value, chosen in found.items()
+            if chosen.any()
+        }
 
-    present = set(columns["split"].tolist())
     quality = rows["quality"].to_pylist()
     looks = rows["appearance"].to_pylist()
     sizes = Counter(look["size"] for look in looks)
     return {
         "pictures": len(rows),
-        "nx": {
-            str(nx): counts_where(columns["nx"] == nx) for nx in sorted(set(columns["nx"].tolist()))
-        },
-        "splits": {
-            split: counts_where(columns["split"] == split)
-            for split in IMAGE_SPLITS
-            if split in present
-        },
+        "nx": counts_by("nx", sorted(set(columns["nx"].tolist()))),
+        "splits": counts_by("split", IMAGE_SPLITS),
         "quality": {
             name: _spread([measures[name] for measures in quality])
             for name in (quality[0] if quality else ())
@@ -71,11 +61,8 @@ def card(
 ) -> str:
     """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
 
-    Args:
-        facts: the table's `summary`.
-        config: the whole configuration.
-        report: numbers of walks and frames, and of frames not used, by reason.
-        size: total size of the shards, bytes.
+    `facts` is the table's `summary`; `report` has the numbers of walks and frames, and of frames
+    not used, by reason; `size` is that of the shards in bytes.
     """
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in facts["splits"]]
     quality = [
@@ -119,19 +106,13 @@ def _counts(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 def _counts_rows(counts: Mapping[str, Mapping[str, Any]]) -> list[list[object]]:
     """Rows of a table for each nx or split, in the order of _COUNTS_HEAD."""
-    return [
-        [
-            name,
-            count["pictures"],
-            count["codes"],
-            count["codes_with_chirality"],
-            " / ".join(map(str, count["of_a_code"])),
-            *count["split"].values(),
-            count["accepted"],
-            *count["grade"].values(),
-        ]
-        for name, count in counts.items()
-    ]
+    rows = []
+    for name, count in counts.items():
+        whole = (count[key] for key in ("pictures", "codes", "codes_with_chirality"))
+        each = " / ".join(map(str, count["of_a_code"]))
+        grades = count["accepted"], *count["grade"].values()
+        rows.append([name, *whole, each, *count["split"].values(), *grades])
+    return rows
 
 
 def _spread(values: list[float]) -> list[float]:

@@ -1,7 +1,5 @@
 """The card (README.md) of a folder of states, and the counts shown in it."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,16 +16,13 @@ from knotgym.topology.gauss import GaussCode
 
 
 def summary(states: States) -> dict[str, Any]:
-    """Count the states of a file by nx, with their spread and the range of each quality measure.
-
-    Returns:
-        A dict that can be written as JSON.
+    """Count the states of a file by nx, with their spread and the range of each quality measure, as
+    JSON.
     """
+    sources = Counter(states.source.get("policy", np.array([])).tolist())
     return {
         "states": len(states),
-        "sources": dict(
-            sorted(Counter(states.source.get("policy", np.array([])).tolist()).items())
-        ),
+        "sources": dict(sorted(sources.items())),
         "nx": {str(nx): _counts(states, nx) for nx in sorted(set(states.nx.tolist()))},
         "quality": {
             name: {
@@ -45,18 +40,12 @@ def summary(states: States) -> dict[str, Any]:
 def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
 
-    Args:
-        states: the states of the folder.
-        report: `report` of the manifest: existing codes, rejections, actions, growth.
-        config: the whole configuration.
+    `report` is that of the manifest: existing codes, rejections, actions, growth.
     """
     facts = summary(states)
+    keys = ("min", "median", "max")
     quality = [
-        (
-            plain(name),
-            plain(spread["unit"]),
-            *(f"{spread[key]:.3g}" for key in ("min", "median", "max")),
-        )
+        (plain(name), plain(spread["unit"]), *(f"{spread[key]:.3g}" for key in keys))
         for name, spread in facts["quality"].items()
     ]
     rejected = [
@@ -132,32 +121,22 @@ def _holds(report: Mapping[str, Any], demonstrated: bool) -> str:
 
 
 _STATES_HEAD = (
-    "nx",
-    "states",
-    "codes, of all that exist",
-    "with chirality",
-    "train / test",
-    "codes in both",
-    "crossings c / a",
-    "actions, min / median / max",
+    *("nx", "states", "codes, of all that exist", "with chirality", "train / test"),
+    *("codes in both", "crossings c / a", "actions, min / median / max"),
 )
 
 
 def _states_rows(counts: Mapping[str, Any], existing: Mapping[str, int]) -> list[list[object]]:
     """Rows of the table of states, in the order of _STATES_HEAD."""
-    return [
-        [
-            nx,
-            count["states"],
-            f"{count['codes']} of {existing[nx] or 'very many'}",
-            count["codes_with_chirality"],
-            f"{count['train']} / {count['test']}",
-            count["codes_in_both_splits"],
-            f"{count['positive_crossings']} / {count['negative_crossings']}",
-            " / ".join(map(str, count["actions_to_reach"])),
-        ]
-        for nx, count in counts.items()
-    ]
+    rows = []
+    for nx, count in counts.items():
+        codes = f"{count['codes']} of {existing[nx] or 'very many'}"
+        splits = f"{count['train']} / {count['test']}"
+        signs = f"{count['positive_crossings']} / {count['negative_crossings']}"
+        actions = " / ".join(map(str, count["actions_to_reach"]))
+        chiral, both = count["codes_with_chirality"], count["codes_in_both_splits"]
+        rows.append([nx, count["states"], codes, chiral, splits, both, signs, actions])
+    return rows
 
 
 def _growth_section(report: Mapping[str, Any]) -> list[str]:
@@ -177,15 +156,7 @@ def _growth_section(report: Mapping[str, Any]) -> list[str]:
     ]
 
 
-SPREAD_HEAD = (
-    "nx",
-    "apart",
-    "shapes",
-    "gyration",
-    "height",
-    "visits",
-    "bare",
-)
+SPREAD_HEAD = ("nx", "apart", "shapes", "gyration", "height", "visits", "bare")
 SPREAD_SAYS = (
     "apart: mm, median / min distance of two states (root mean square over the beads, after the"
     " best rotation about z); shapes: the same, minimized over base bead and direction too;"
@@ -221,20 +192,16 @@ def spread_rows(counts: Mapping[str, Any]) -> list[list[str]]:
     """Spread of the states for each nx of a summary, in the order of SPREAD_HEAD."""
 
     def millimetres(values: Sequence[float] | None) -> str:
-        return (
-            "-"
-            if values is None
-            else " / ".join(f"{round(1000 * value, 1):.3g}" for value in values)
-        )
-
-    def beads(value: float | None) -> str:
-        return "-" if value is None else f"{value:.1f}"
+        return " / ".join(f"{round(1000 * value, 1):.3g}" for value in values or ()) or "-"
 
     rows = []
     for nx, count in counts.items():
         found = count["spread"]
         lengths = (millimetres(found[name]) for name in ("distance", "shape", "gyration", "height"))
-        rows.append([nx, *lengths, beads(found["visits"]), beads(found["bare"])])
+        beads = (
+            "-" if found[name] is None else f"{found[name]:.1f}" for name in ("visits", "bare")
+        )
+        rows.append([nx, *lengths, *beads])
     return rows
 
 
@@ -293,8 +260,4 @@ def table_row(*cells: object) -> str:
 
 def table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> list[str]:
     """Format a Markdown table; return its lines."""
-    return [
-        table_row(*head),
-        table_row(*["---"] * len(head)),
-        *(table_row(*row) for row in rows),
-    ]
+    return [table_row(*one) for one in (head, ["---"] * len(head), *rows)]

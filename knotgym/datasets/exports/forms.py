@@ -1,7 +1,5 @@
 """Formats that episodes can be exported to, by name."""
 
-from __future__ import annotations
-
 import importlib
 import os
 from typing import Any

@@ -10,12 +10,10 @@ Load it with `load_dataset(FOLDER, "steps")`. Floats keep their full precision, 
 dataset (`--to minari`) has everything that is needed to replay an episode.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,11 +22,11 @@ import numpy as np
 import knotgym
 from knotgym.common.atomic_files import atomic_write, copy_file, require_output
 from knotgym.datasets.cards.citation import (
-    BIBTEX,
     citation_file,
     code_span,
     filled,
     plain,
+    write_text,
     yaml_string,
 )
 from knotgym.datasets.cards.state_card import table
@@ -55,19 +53,12 @@ _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6
 
 
 class ToUpload(NamedTuple):
-    """The sources of a folder.
-
-    Attributes:
-        title: title of the card.
-        states: state file.
-        episodes: episode datasets.
-        pictures: folder of a perception table.
-    """
+    """The sources of a folder, and the title of its card."""
 
     title: str
-    states: Path | None = None
-    episodes: Sequence[Path] = ()
-    pictures: Path | None = None
+    states: Path | None = None  # state file
+    episodes: Sequence[Path] = ()  # datasets
+    pictures: Path | None = None  # folder of a perception table
 
 
 def to_huggingface(
@@ -77,7 +68,7 @@ def to_huggingface(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the folder atomically; `count` is called before each episode.
+    """Write the folder atomically.
 
     Raises:
         ExportError: the sources have no rows.
@@ -99,17 +90,10 @@ def to_huggingface(
             f"{counts} of a closed rope in MuJoCo, labelled with Gauss codes; made by knotgym"
             f" {knotgym.__version__}."
         )
-        described = croissant(
-            folder,
-            files,
-            name=source.title,
-            description=description,
-            version="1.0.0",
-            citation=BIBTEX,
-        )
-        _write(folder / "croissant.json", json.dumps(described, indent=1))
-        _write(folder / "CITATION.cff", citation_file(source.title))
-        _write(folder / "README.md", _card(source.title, description, folder, files))
+        described = croissant(folder, files, source.title, description)
+        write_text(folder / "croissant.json", json.dumps(described, indent=1))
+        write_text(folder / "CITATION.cff", citation_file(source.title))
+        write_text(folder / "README.md", _card(source.title, description, folder, files))
 
 
 def _written(source: ToUpload, folder: Path, count: Count) -> Iterator[FileObject]:
@@ -166,9 +150,7 @@ def _steps(datasets: Sequence[Path], folder: Path, count: Count) -> Iterator[Fil
 
 def _card(title: str, description: str, folder: Path, files: Sequence[FileObject]) -> str:
     total = sum(file.rows for file in files)
-    by_config: dict[str, list[FileObject]] = {}
-    for file in files:
-        by_config.setdefault(file.config, []).append(file)
+    by_config = _grouped(files, lambda file: file.config)
     configs, info, tables = list[str](), list[str](), list[str]()
     for config, own in by_config.items():
         configs += [f"- config_name: {config}", *([] if configs else ["  default: true"])]
@@ -195,11 +177,17 @@ def _card(title: str, description: str, folder: Path, files: Sequence[FileObject
     )
 
 
-def _by_split(files: Sequence[FileObject]) -> dict[str, list[FileObject]]:
-    splits: dict[str, list[FileObject]] = {}
+def _grouped(
+    files: Sequence[FileObject], of: Callable[[FileObject], str]
+) -> dict[str, list[FileObject]]:
+    groups: dict[str, list[FileObject]] = {}
     for file in files:
-        splits.setdefault(file_stem(file.split), []).append(file)
-    return splits
+        groups.setdefault(of(file), []).append(file)
+    return groups
+
+
+def _by_split(files: Sequence[FileObject]) -> dict[str, list[FileObject]]:
+    return _grouped(files, lambda file: file_stem(file.split))
 
 
 def _info(folder: Path, config: str, files: Sequence[FileObject]) -> Iterator[str]:
@@ -231,7 +219,7 @@ def _yaml_feature(column: TableColumn) -> dict[str, Any]:
         if isinstance(kind, list):
             inner = converted(kind[0])
             listed = inner.get("dtype", inner.get("struct"))
-            return {"list": listed, **({} if kind[1] is None else {"length": kind[1]})}
+            return {"list": listed, **({"length": kind[1]} if kind[1] else {})}
         return {"dtype": kind}
 
     return converted(column.kind)
@@ -243,7 +231,3 @@ def _kind(column: TableColumn) -> str:
         inner = kind[0] if isinstance(kind[0], str) else "struct"
         return f"list of {kind[1] or 'any number of'} {inner}"
     return kind if isinstance(kind, str) else "struct"
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text + ("" if text.endswith("\n") else "\n"), encoding="utf-8")

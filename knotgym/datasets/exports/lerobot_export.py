@@ -8,8 +8,6 @@ A row holds an observation, the action taken, and its outcome (`next.reward`, `n
 episode is a sentence with the Gauss code of its goal, see `task_text`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.forms import ExportError
-from knotgym.datasets.image_table import arrow, encode
+from knotgym.datasets.image_table import arrow, encode, schema
 
 VERSION = "v3.0"
 FRAMES_PER_SECOND = 5  # an action takes 0.192 s; LeRobot needs an integer
@@ -38,17 +36,10 @@ def to_lerobot(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the dataset atomically.
-
-    Args:
-        source: what `EpisodeReader` takes.
-        out: the new folder.
-        count: progress callback, called before each episode.
-        overwrite: replace a folder that exists.
+    """Write the dataset into the new folder `out`, see `forms.export`.
 
     Raises:
         ExportError: no episodes, or the format has no place for their observations.
-        Occupied: `out` exists, and `overwrite` is False.
         MissingExtra: pyarrow isn't installed.
     """
     reader, folder = EpisodeReader(source), Path(out)
@@ -87,12 +78,14 @@ class _Writer:
         self.episodes: list[dict[str, Any]] = []
         self.sums: dict[str, _Sums] = {}
         self.files = 0
-        beads, size = 100 * 6, reader.task.image_size
-        height = len(reader.task.views) * size
-        image = {"dtype": "image", "shape": [height, 2 * size, 3]}
+        size = reader.task.image_size
         shown = {
-            "pixels": {**image, "names": ["height", "width", "channels"]},
-            "state": _feature("float32", beads),
+            "pixels": {
+                "dtype": "image",
+                "shape": [len(reader.task.views) * size, 2 * size, 3],
+                "names": ["height", "width", "channels"],
+            },
+            "state": _feature("float32", 100 * 6),
         }
         self.features = {
             **{_NAMES[look]: shown[look] for look in looks},
@@ -171,18 +164,17 @@ class _Writer:
         episodes.parent.mkdir(parents=True)
         parquet.write_table(pa.Table.from_pylist(self.episodes), episodes)
         tasks = pa.table({"task_index": [*self.tasks.values()], "task": [*self.tasks]})
-        index = json.dumps(
-            {
-                "index_columns": ["task"],
-                "column_indexes": [],
-                "columns": [
-                    _pandas_column("task_index", "int64"),
-                    _pandas_column("task", "unicode", "object"),
-                ],
-            }
-        )
+        # LeRobot reads this table with pandas and looks tasks up in its index
+        kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        names = ("name", "field_name", "pandas_type", "numpy_type", "metadata")
+        columns = [
+            dict(zip(names, (name, name, kind, numpy_kind, None), strict=True))
+            for name, kind, numpy_kind in kinds
+        ]
+        index = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
         parquet.write_table(
-            tasks.replace_schema_metadata({"pandas": index}), self.folder / "meta/tasks.parquet"
+            tasks.replace_schema_metadata({"pandas": json.dumps(index)}),
+            self.folder / "meta/tasks.parquet",
         )
         total = len(self.episodes)
         info = {
@@ -210,9 +202,12 @@ class _Sums:
     """Running min, max, mean and standard deviation per component; of pictures, per channel."""
 
     def __init__(self) -> None:
-        self.count, self.frames = 0, 0
-        self.total = self.squares = self.least = self.most = np.zeros(0)
-        self.shape: tuple[int, ...] = (1,)
+        self.count = self.frames = 0
+        self.least: Any = np.inf
+        self.most: Any = -np.inf
+        self.total: Any = 0.0
+        self.squares: Any = 0.0
+        self.shape: tuple[int, ...] = (-1,)
 
     def add(self, values: NDArray[Any]) -> None:
         """Add values (T,), (T, n) or pictures uint8 (T, height, width, 3)."""
@@ -220,14 +215,8 @@ class _Sums:
         if values.ndim == 4:
             # LeRobot scales pictures to [0, 1]; statistics have shape (3, 1, 1)
             numbers, self.shape = numbers / 255, (-1, 1, 1)
-        else:
-            self.shape = (-1,)
-        found = numbers.min(axis=0), numbers.max(axis=0)
-        if not self.count:
-            self.least, self.most = found
-            self.total = self.squares = np.zeros(numbers.shape[1])
-        self.least = np.minimum(self.least, found[0])
-        self.most = np.maximum(self.most, found[1])
+        self.least = np.minimum(self.least, numbers.min(axis=0))
+        self.most = np.maximum(self.most, numbers.max(axis=0))
         self.total = self.total + numbers.sum(axis=0)
         self.squares = self.squares + (numbers**2).sum(axis=0)
         self.count, self.frames = self.count + len(numbers), self.frames + len(values)
@@ -259,30 +248,10 @@ def _stored(values: NDArray[Any]) -> Any:
 
 def _schema(features: dict[str, dict[str, Any]]) -> Any:
     """Return the pyarrow schema of data files, with Hugging Face features in its metadata."""
-    pa, fields = arrow(), []
-    declared: dict[str, dict[str, Any]] = {}
-    for name, feature in features.items():
-        dtype, length = feature["dtype"], feature["shape"][0]
-        if dtype == "image":
-            kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-            declared[name] = {"_type": "Image"}
-        else:
-            one: dict[str, Any] = {"dtype": dtype, "_type": "Value"}
-            kind = pa.bool_() if dtype == "bool" else pa.type_for_alias(dtype)
-            declared[name] = one
-            if length > 1:
-                kind = pa.list_(kind, length)
-                declared[name] = {"feature": one, "length": length, "_type": "Sequence"}
-        fields.append((name, kind))
-    metadata = {"huggingface": json.dumps({"info": {"features": declared}})}
-    return pa.schema(fields, metadata=metadata)
-
-
-def _pandas_column(name: str, pandas_type: str, numpy_type: str = "") -> dict[str, Any]:
-    return {
-        "name": name,
-        "field_name": name,
-        "pandas_type": pandas_type,
-        "numpy_type": numpy_type or pandas_type,
-        "metadata": None,
-    }
+    kinds: dict[str, Any] = {}
+    for name, one in features.items():
+        is_list = one["dtype"] != "image" and one["shape"][0] > 1
+        kinds[name] = [one["dtype"], one["shape"][0]] if is_list else one["dtype"]
+    found = schema(kinds)
+    declared = found.metadata[b"huggingface"].replace(b'"List"', b'"Sequence"')  # LeRobot's word
+    return found.with_metadata({"huggingface": declared})

@@ -7,8 +7,6 @@
 uploaded to hf://USER. All ids must begin with the same word, which Minari takes as the repository.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Sequence
@@ -17,7 +15,7 @@ from typing import Any
 
 from knotgym.common.atomic_files import atomic_write, copy_file, require_no_links, require_output
 from knotgym.common.configuration import read_json
-from knotgym.datasets.cards.citation import citation_file, filled, plain
+from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import episode_file
 from knotgym.datasets.exports.forms import ExportError
@@ -71,10 +69,10 @@ def to_minari(
                 copy_file(file, root / name / "data" / file.name)
         namespace = {"description": "Closed ropes in MuJoCo, goals that are Gauss codes."}
         listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
-        _write(repository / "namespace_metadata.json", json.dumps(listed))
-        _write(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
+        write_text(repository / "namespace_metadata.json", json.dumps(listed))
+        write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
         write_episode_gallery(repository / "gallery.png", list(sources.values()))
-        _write(repository / "README.md", _card(repository.name, entries))
+        write_text(repository / "README.md", _card(repository.name, entries))
 
 
 def _card(repository: str, entries: dict[str, dict[str, Any]]) -> str:
@@ -88,7 +86,3 @@ def _card(repository: str, entries: dict[str, dict[str, Any]]) -> str:
         first=json.dumps(rows[0][0]),
         datasets=table(("dataset", "episodes", "steps", "policy"), rows),
     )
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text + ("" if text.endswith("\n") else "\n"), encoding="utf-8")

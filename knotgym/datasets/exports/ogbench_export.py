@@ -14,19 +14,16 @@ A name consists of task, crossings and policy, as `tie-nx2-expert-v0`, with the 
 pictures. Without the policy it is the id of the environment, see `adapters.ogbench_environment`.
 """
 
-from __future__ import annotations
-
 import os
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
+from knotgym.common.atomic_files import atomic_write, link_or_copy, require_output
+from knotgym.datasets.episode_reader import Count, EpisodeReader, goal_axis, uncounted
 from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.minari_dataset import metadata_of
 
@@ -41,17 +38,12 @@ def to_ogbench(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the files; a dataset with both pictures and vertices gives two sets of files.
+    """Write the files into the folder `out`, see `forms.export`; OGBench reads ~/.ogbench/data.
 
-    Args:
-        source: what `EpisodeReader` takes.
-        out: the output folder; OGBench reads ~/.ogbench/data by default.
-        count: progress callback, called before each episode of a file.
-        overwrite: replace files that exist.
+    A dataset with both pictures and vertices gives two sets of files.
 
     Raises:
         ExportError: fewer than two episodes, or neither pictures nor vertices.
-        Occupied: a file exists, and `overwrite` is False.
     """
     reader, folder = EpisodeReader(source), Path(out)
     shown = reader.task.observation
@@ -78,10 +70,7 @@ def to_ogbench(
                 with temporary.open("wb") as file:
                     np.savez_compressed(file, **arrays)
         with atomic_write(folder / f"{name}.npz", overwrite=overwrite) as temporary:
-            try:
-                os.link(folder / f"{name}-train.npz", temporary)
-            except OSError:  # a file system without hard links
-                shutil.copyfile(folder / f"{name}-train.npz", temporary)
+            link_or_copy(folder / f"{name}-train.npz", temporary)
     reader.close()
 
 
@@ -90,26 +79,24 @@ def _rows(
 ) -> dict[str, NDArray[Any]]:
     """Concatenate the arrays of episodes."""
     ends = np.cumsum([int(reader.lengths[k]) + 1 for k in episodes])
-    observations: NDArray[Any] | None = None
     actions = np.zeros((ends[-1], 6), dtype=np.float32)
     terminals = np.zeros(ends[-1], dtype=bool)
     terminals[ends - 1] = True
+    observations = np.empty(0)
     for done, (k, end) in enumerate(zip(episodes, ends, strict=True)):
         count(f"episodes of {look}", done, len(episodes))
         start = end - int(reader.lengths[k]) - 1
         rope = _rope_alone(reader.observations(k, observation=look), reader.task.layout)
-        if observations is None:
+        if not done:
             observations = np.empty((ends[-1], *rope.shape[1:]), rope.dtype)
         observations[start:end] = rope
         actions[start : end - 1] = reader.column(k, "actions")
-    assert observations is not None  # each part has at least one episode
     return {"observations": observations, "actions": actions, "terminals": terminals}
 
 
 def _rope_alone(seen: NDArray[Any], layout: str) -> NDArray[Any]:
     """Return the rope's half of states (T + 1, 6 beads) or pictures (T + 1, size, ...)."""
-    axis = 1 if seen.ndim == 2 else (2 if layout == "beside" else 3)
-    return np.split(seen, 2, axis=axis)[0]
+    return np.split(seen, 2, axis=1 if seen.ndim == 2 else goal_axis(layout))[0]
 
 
 def _name(source: Any, reader: EpisodeReader) -> str:

@@ -4,8 +4,6 @@ Ropes are centred at the origin, as in the pictures, in units of 0.1 mm. Large d
 evenly, and the page says so.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence
@@ -57,26 +55,15 @@ def page_data(
 
     Raises:
         UnshownDataset: there are no rows.
-        KnotgymError: a source can't be read.
     """
     rope = RopeConfig()
     notices: list[str] = []
+    lists = ("measures", "words", "states", "episodes", "growth", "about")
     data: dict[str, Any] = {
-        "title": title,
-        "unit": UNIT,
-        "radius": rope.radius,
-        "maxForce": rope.max_force,
-        "beads": rope.beads,
+        **{name: [] for name in lists},
+        **{"title": title, "unit": UNIT, "points": "", "rejected": {}, "notices": notices},
+        **{"radius": rope.radius, "maxForce": rope.max_force, "beads": rope.beads},
         "colours": ["#" + bytes(colour).hex() for colour in rope_colours(rope.beads)],
-        "measures": [],
-        "words": [],
-        "states": [],
-        "points": "",
-        "episodes": [],
-        "growth": [],
-        "rejected": {},
-        "about": [],
-        "notices": notices,
     }
     if episodes:
         data |= _episodes(episodes, notices)
@@ -201,6 +188,7 @@ def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
     every = [(reader, i) for reader in readers for i in range(len(reader))]
     frames = [min(int(reader.lengths[i]), MOST_STEPS) + 1 for reader, i in every]
     rows = sampled(len(every), int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1)
+    # episodes differ in length, so the first guess may be too many
     while len(rows) > 1 and sum(frames[k] for k in rows) > MOST_FRAMES:
         rows = sampled(len(every), len(rows) - 1)
     _notice(notices, rows, len(every), "episodes")
@@ -233,9 +221,8 @@ def _episode(reader: EpisodeReader, index: int) -> dict[str, Any]:
         "goal": episode.goal_gauss_code,
         "split": reader.task.split,
         "success": bool(episode.is_success.any()),
-        "seed": ""
-        if episode.seed is None
-        else str(episode.seed),  # a seed can exceed the 53 bits of a JavaScript number
+        # as text: a seed can exceed the 53 bits of a JavaScript number
+        "seed": "" if episode.seed is None else str(episode.seed),
         "points": _encoded(episode.points[:states]),
         "goal_points": _encoded(episode.goal_points[None]),
         "goal_x": _crossings(episode.goal_points),

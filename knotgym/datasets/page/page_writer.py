@@ -3,8 +3,6 @@
 The data are an escaped JSON block that can't contain markup; the script shows them as text only.
 """
 
-from __future__ import annotations
-
 import html
 import json
 import os

@@ -10,24 +10,25 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, astuple, dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from knotgym.common.atomic_files import require_output, sha256
-from knotgym.common.configuration import as_json, differences
-from knotgym.common.errors import KnotgymError
+from knotgym.common.configuration import InvalidConfig, as_json, check_numbers, differences
 from knotgym.control.expert import Expert
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import Effort, PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
+from knotgym.generate.episodes.results import reference_scores
 from knotgym.rope.engines import MUJOCO
 from knotgym.rope.model import RopeConfig
-from knotgym.runs.engine import Batch, run
+from knotgym.runs.engine import Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
@@ -35,13 +36,7 @@ from knotgym.runs.staging import require_no_interrupted_run
 from knotgym.states.state_file import minari_root, read_states, ships, states_file
 
 REPORT = "collection.json"
-LABELS = ("", "expert")
 OBSERVATION = "both"  # stored by `knotgym collect` by default
-_REFERENCES = Path(__file__).parent / "data" / "references.json"
-
-
-class InvalidCollection(KnotgymError, ValueError):
-    """The requested collection can't be made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,23 +46,25 @@ class CollectConfig:
     Attributes:
         task: the environment; its `observation` is stored.
         policy: the acting policy.
-        episodes: number of episodes to play.
-        seed: random seed of the run; episode i has `rollouts.episode_seed(seed, i)`.
-        keep_failed: whether to keep episodes that didn't reach the goal.
-        attempts: rollouts per episode, with different random draws of the policy; the shortest that
-            reaches the goal is kept, or else the first.
-        labels: "expert" to store the expert's action at every state in `Episode.expert_action`,
-            planned with the policy's planner and its full budget for each state; "" for none.
+        episodes: episodes to play for each --nx.
+        seed: random seed; the same seed gives the same bytes. Episode i has
+            `rollouts.episode_seed(seed, i)`.
+        keep_failed: keep episodes that didn't reach the goal.
+        attempts: rollouts per episode; the shortest one that reaches the goal is kept, or else the
+            first.
+        labels: "expert" stores the expert's action at every state, planned with --budget for each.
         episodes_per_file: episodes per file of the staging folder; doesn't affect the dataset.
         seen: observation given to functions and models that don't declare their own; "" for the
             stored one.
-        dataset_id: Minari id; by default for example knotgym/tie-nx3/expert-v0, for the test split
-            knotgym/tie-nx3/expert-test-v0.
-        author, author_email, code_permalink: Minari metadata.
+        dataset_id: Minari id; by default for example knotgym/tie-nx3/expert-v0, with a mark for
+            each setting that changes the data, as in expert-state-seed1-v0.
+        author: author of the dataset; may be repeated.
+        author_email: author's email; may be repeated.
+        code_permalink: URL of the code that made it.
     """
 
-    task: TaskConfig
-    policy: PolicyConfig
+    task: TaskConfig = TaskConfig(task="tie", observation=OBSERVATION)
+    policy: PolicyConfig = PolicyConfig(policy="expert")
     episodes: int = 200
     seed: int = 0
     keep_failed: bool = True
@@ -82,19 +79,16 @@ class CollectConfig:
 
     def __post_init__(self) -> None:
         if self.policy.policy.startswith("prompt:"):
-            raise InvalidCollection(
+            raise InvalidConfig(
                 "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
                 f" {self.policy.policy}"
             )
-        if self.labels not in LABELS:
-            raise InvalidCollection(f"labels must be expert or empty, got {self.labels!r}")
-        for name in ("episodes", "episodes_per_file", "attempts"):
-            if getattr(self, name) < 1:
-                raise InvalidCollection(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.labels not in ("", "expert"):
+            raise InvalidConfig(f"labels must be expert or empty, got {self.labels!r}")
+        counts = ("episodes", "episodes_per_file", "attempts")
+        check_numbers(self, counts=counts, whole=("seed",))
         if self.seen not in ("", *OBSERVATIONS):
-            raise InvalidCollection(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
-        if self.seed < 0:
-            raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
+            raise InvalidConfig(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
         if not self.dataset_id:
             marks = collection_marks(self.attempts, self.labels)
             object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy, *marks))
@@ -102,8 +96,7 @@ class CollectConfig:
     @property
     def core_seconds(self) -> float:
         """Cost of an episode in core seconds, see `PolicyConfig.core_seconds`."""
-        labelling = 40.0 if self.labels else 0.0
-        return self.attempts * (self.policy.core_seconds + labelling)
+        return self.attempts * (self.policy.core_seconds + 40.0 * bool(self.labels))
 
     @property
     def seen_task(self) -> TaskConfig:
@@ -146,16 +139,14 @@ def distinct_id(config: CollectConfig) -> str:
     'knotgym/tie-nx2/expert-pixels-v0'
     """
     task, policy, seed = config.task, config.policy, config.seed
-    states = ""
-    if task.states not in (None, "readable"):
+    states = "" if task.states in (None, "readable") else str(task.states)
+    if not ships(task.states):
         file = states_file(task.states)
-        states = str(task.states) if ships(task.states) else ""
-        if file.is_file() and not states:
-            states = f"states{sha256(file)[:8]}"
-    plain = TaskConfig(task=task.task, nx=task.nx, split=task.split, states=task.states)
-    plain = replace(plain, engine=task.engine, observation=task.observation)
+        states = f"states{sha256(file)[:8]}" if file.is_file() else ""
+    marked = ("task", "nx", "split", "states", "engine", "observation")
+    plain = TaskConfig(**{name: getattr(task, name) for name in marked})
     rules = list(differences(as_json(plain), as_json(task)))
-    if config.labels or policy.policy in ("noisy-expert", "mixed", "expert"):
+    if config.labels or policy.policy in ("noisy", "mixed", "expert"):
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
     digest = f"rules{hashlib.sha256('; '.join(rules).encode()).hexdigest()[:8]}" if rules else ""
@@ -202,12 +193,8 @@ class Tally:
     simulation_failures: int = 0
 
     def __add__(self, other: Tally) -> Tally:
-        return Tally(
-            **{
-                field.name: getattr(self, field.name) + getattr(other, field.name)
-                for field in fields(self)
-            }
-        )
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        return Tally(**dict(zip(asdict(self), map(sum, pairs), strict=True)))
 
 
 def collect(
@@ -228,13 +215,12 @@ def collect(
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidCollection: no episode is left to keep.
+        InvalidConfig: no episode is left to keep.
     """
     folder = _folder(config, out, options)
     recipe = EpisodeRecipe(config, options)
     if progress is not None:
-        spent = config.core_seconds * len(recipe.numbers)
-        tell_if_long(progress, spent, options.workers)
+        tell_if_long(progress, config.core_seconds * len(recipe.numbers), options.workers)
     return run(recipe, folder, options, progress)
 
 
@@ -254,13 +240,11 @@ def _folder(config: CollectConfig, out: Path | None, options: RunOptions) -> Pat
     return options.shard.folder((out or minari_root()) / config.dataset_id)
 
 
-class EpisodeRecipe:
+class EpisodeRecipe(Recipe):
     """Recipe for a policy's episodes, see `runs.engine.Recipe`.
 
     Each unit writes a file of a few episodes. The finished files are the checkpoint.
     """
-
-    flexible: tuple[str, ...] = ()
 
     def __init__(self, config: CollectConfig, options: RunOptions) -> None:
         make_policy(config.policy).suited(config.seen_task)  # refuses before any work is done
@@ -268,40 +252,23 @@ class EpisodeRecipe:
         if not ships(config.task.states):
             read_states(states_file(config.task.states), images=False)
         self.config, self.shard, self.tally = config, options.shard, Tally()
+        self.engine = config.task.engine
         self.numbers = options.shard.share(config.episodes)
         self.files: list[_EpisodeFile] = []
         if not self.numbers:
-            raise InvalidCollection(
+            raise InvalidConfig(
                 f"shard {options.shard} of {config.episodes} episodes has none: split the run into"
                 " fewer shards"
             )
 
-    @property
-    def engine(self) -> str:
-        return self.config.task.engine
-
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": sources_of(self.config)}
 
-    def begin(self) -> None:
-        pass
-
-    def load(self, folder: Path) -> bool:
-        return False
-
-    def save(self, folder: Path) -> None:
-        pass
-
     def batches(self, folder: Path) -> Iterator[Batch]:
         size = self.config.episodes_per_file
-        self.files = [
-            _EpisodeFile(
-                self.config,
-                self.numbers[first : first + size],
-                folder / f"episodes-{first // size:06d}.h5",
-            )
-            for first in range(0, len(self.numbers), size)
-        ]
+        for first in range(0, len(self.numbers), size):
+            few, path = self.numbers[first : first + size], f"episodes-{first // size:06d}.h5"
+            self.files.append(_EpisodeFile(self.config, few, folder / path))
         finished = {file.path: _finished(file.path) for file in self.files}
         self.tally = sum((tally for tally in finished.values() if tally is not None), Tally())
 
@@ -365,10 +332,10 @@ def write_whole(
         machines: the machines that played the episodes; this one by default.
 
     Raises:
-        InvalidCollection: no episode is left to keep.
+        InvalidConfig: no episode is left to keep.
     """
     if not tally.kept:
-        raise InvalidCollection(
+        raise InvalidConfig(
             f"none of {tally.played} episodes reached the goal and failed ones are dropped, so"
             " nothing is left to write"
         )
@@ -386,13 +353,12 @@ def _report(
     files: dict[str, str] | None = None,
     machines: Sequence[dict[str, str]] | None = None,
 ) -> None:
-    counted = {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)}
     said = {
         "format": "knotgym-collection",
         "format_version": 1,
         **request,
         "machines": machines or [machine()],
-        "tally": counted,
+        "tally": {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)},
         **({"files": files} if files else {}),
     }
     path.write_text(json.dumps(said, indent=1, sort_keys=True), encoding="utf-8")
@@ -416,9 +382,8 @@ def play(file: _EpisodeFile) -> Tally:
         planning_seconds=sum(played.effort.seconds for played in rollouts),
         simulation_failures=sum(bool(played.episode.simulation_failed[-1]) for played in rollouts),
     )
-    write_sealed(
-        file.path.with_suffix(".json"), {"sha256": sha256(file.path), "tally": asdict(tally)}
-    )
+    sealed = {"sha256": sha256(file.path), "tally": asdict(tally)}
+    write_sealed(file.path.with_suffix(".json"), sealed)
     return tally
 
 
@@ -429,15 +394,15 @@ def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
     """
     policy = make_policy(config.policy)
     labeller = Expert(config.policy.planner) if config.labels else None
-    best = rollout(config.seen_task, policy, numbers, config.seed, labeller=labeller)
-    for attempt in range(1, config.attempts):
-        again = rollout(
-            config.seen_task, policy, numbers, config.seed, attempt=attempt, labeller=labeller
-        )
-        for row, (old, new) in enumerate(zip(best, again, strict=True)):
-            shorter = len(new.episode) < len(old.episode)
-            better = new if new.success and (shorter or not old.success) else old
-            best[row] = replace(better, effort=old.effort.plus(new.effort))
+    attempts = [
+        rollout(config.seen_task, policy, numbers, config.seed, attempt=one, labeller=labeller)
+        for one in range(config.attempts)
+    ]
+    best = []
+    for tries in zip(*attempts, strict=True):
+        kept = min(tries, key=lambda one: (not one.success, len(one.episode) * one.success))
+        effort = reduce(Effort.plus, (one.effort for one in tries))
+        best.append(replace(kept, effort=effort))
     return best
 
 
@@ -455,30 +420,22 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     task, policy = config.task, config.policy
     measured = task.engine == MUJOCO and task.rope == RopeConfig()
     scores = reference_scores().get(f"{task.task}-nx{task.nx}", {}) if measured else {}
-    noise = (
-        f", each pull a random one with probability {policy.noise}"
-        if policy.policy in ("noisy-expert", "mixed")
-        else ""
-    )
+    is_noisy = policy.policy in ("noisy", "mixed")
+    noise = f", each pull a random one with probability {policy.noise}" * is_noisy
+    planned = tally.planned_actions / max(tally.played, 1)
     planning = (
-        f" Planning took {tally.planned_actions / tally.played:.0f} simulated actions an episode,"
-        f" of {policy.planner.budget} allowed."
-        if tally.planned_actions
-        else ""
+        f" Planning took {planned:.0f} simulated actions an episode, of {policy.planner.budget}"
+        " allowed."
     )
-    labels = (
-        " At every state stands what an expert would do there (infos/expert_action)."
-        if config.labels
-        else ""
-    )
-    tried = f", the best of {config.attempts} attempts each" if config.attempts > 1 else ""
+    labels = " At every state stands what an expert would do there (infos/expert_action)."
+    tried = f", the best of {config.attempts} attempts each" * (config.attempts > 1)
     text = (
         f"KnotGym, task {task.task} with {task.nx} crossings, {task.split} split, engine"
-        f" {task.engine}: {tally.kept}"
-        f" episodes of policy {policy.policy}{noise}{tried}, seed {config.seed}."
-        f" {tally.succeeded} of"
-        f" {tally.played} episodes played reached the goal within {task.horizon} steps; failed ones"
-        f" are {'kept' if config.keep_failed else 'dropped'}.{labels}{planning}"
+        f" {task.engine}: {tally.kept} episodes of policy {policy.policy}{noise}{tried}, seed"
+        f" {config.seed}. {tally.succeeded} of {tally.played} episodes played reached the goal"
+        f" within {task.horizon} steps; failed ones are"
+        f" {'kept' if config.keep_failed else 'dropped'}.{labels * bool(config.labels)}"
+        f"{planning * bool(planned)}"
     )
     return MinariMetadata(
         dataset_id=config.dataset_id,
@@ -491,14 +448,3 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
         ref_max_score=scores.get("expert"),
         num_episodes_average_score=scores.get("episodes"),
     )
-
-
-def reference_scores() -> dict[str, Any]:
-    """Return mean returns of a random and an expert policy by setup, for example "tie-nx3".
-
-    They are measured on readable states; `episodes` is the number of episodes. Empty if unknown.
-    """
-    if not _REFERENCES.is_file():
-        return {}
-    found: dict[str, Any] = json.loads(_REFERENCES.read_text(encoding="utf-8"))
-    return found

@@ -3,8 +3,6 @@
 Results and datasets store them; only runs with equal digests are resumed or pooled.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from typing import Any
@@ -12,7 +10,7 @@ from typing import Any
 from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import differences
 from knotgym.control.policies import PolicyConfig, policy_digests
-from knotgym.envs.episode_batch import SHIPPED, state_origins
+from knotgym.envs.task_states import SHIPPED, state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.runs.engine import whole_request
 from knotgym.runs.run_options import InvalidRun
@@ -26,9 +24,6 @@ def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> di
     Returns:
         `states`: "own" or "shipped" -> digest of the state file;
         `policies`: name -> file -> digest, see `policy_digests`.
-
-    Raises:
-        InvalidPolicy, InvalidSetting, OSError: a file is missing.
     """
     files = {}
     for task in tasks:
@@ -52,11 +47,7 @@ def digests(source: dict[str, Any]) -> dict[str, Any]:
 
 
 def require_unchanged(before: dict[str, Any], now: dict[str, Any]) -> None:
-    """Require that the files of policies and states didn't change during the run.
-
-    Raises:
-        InvalidRun: they did.
-    """
+    """Require that the files of policies and states didn't change during the run."""
     if before != now:
         changes = "; ".join(differences(before, now))
         raise InvalidRun(f"files changed while episodes were played, start again: {changes}")

@@ -15,37 +15,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 import knotgym
 from knotgym.common.atomic_files import Occupied, atomic_write, require_output
-from knotgym.common.configuration import as_json, read_json
-from knotgym.common.errors import KnotgymError
+from knotgym.common.configuration import InvalidConfig, as_json, check_numbers, read_json
 from knotgym.control.policies import PolicyConfig, make_policy, training_card
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
-from knotgym.envs.episode_batch import OWN, SHIPPED, state_origins
+from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import reference_scores
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
-from knotgym.generate.episodes.unfinished_evaluation import PlayedEpisode, Unfinished, kept_beside
-from knotgym.rope.engines import MUJOCO
-from knotgym.runs.engine import require_same, whole_request
+from knotgym.generate.episodes.results import Result, show
+from knotgym.runs.engine import Batch, Recipe
+from knotgym.runs.engine import run as run_recipe
 from knotgym.runs.executors import executor
 from knotgym.runs.intervals import cluster_interval
 from knotgym.runs.pools import Pool
-from knotgym.runs.progress import Progress, compile_first, tell_if_long
-from knotgym.runs.run_options import REFUSE_EXISTING, Existing, InvalidRun
-from knotgym.runs.shards import Shard
-from knotgym.runs.staging import may_be_finished
-from knotgym.runs.tables import narrow_table
+from knotgym.runs.progress import Progress, Status, compile_first, tell_if_long
+from knotgym.runs.run_options import RunOptions
+from knotgym.runs.sealed_json import read_sealed, write_sealed
 
-_SETUP = ("policy", "task", "split", "nx")  # columns
 SIDE_BY_SIDE = 8  # episodes per piece of work
-
-
-class InvalidEvaluation(KnotgymError, ValueError):
-    """The requested evaluation can't be done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,14 +44,17 @@ class EvaluateConfig:
 
     Attributes:
         policies: each is evaluated on every task, crossing number and split.
-        tasks, nx, splits: see `TaskConfig`.
-        episodes: episodes per setup; episode i is the same for every policy.
-        seed: random seed; evaluations have streams of their own, so no dataset has their episodes.
+        tasks: tasks, comma-separated: tie, unknot, convert.
+        nx: numbers of crossings: 3, 2,3 or 2-4.
+        splits: splits, comma-separated: train, test, train-code, test-code.
+        episodes: episodes for each policy, task, split and --nx. Episode i is the same for every
+            policy.
+        seed: random seed; the same seed gives the same episodes, and none of them is in a dataset.
         task: settings shared by all environments; its task, nx and split are not used.
-        filmed: number of episodes per setup to return for a film.
+        filmed: episodes per setup in the film.
     """
 
-    policies: tuple[PolicyConfig, ...]
+    policies: tuple[PolicyConfig, ...] = (PolicyConfig(),)
     tasks: tuple[str, ...] = ("tie",)
     nx: tuple[int, ...] = (2,)
     splits: tuple[str, ...] = ("test",)
@@ -71,13 +64,9 @@ class EvaluateConfig:
     filmed: int = 0
 
     def __post_init__(self) -> None:
-        if self.episodes < 1 or self.seed < 0:
-            raise InvalidEvaluation(
-                f"episodes must be at least 1 and seed at least 0, got {self.episodes} and"
-                f" {self.seed}"
-            )
+        check_numbers(self, counts=("episodes",), whole=("seed", "filmed"))
         if not all((self.policies, self.tasks, self.nx, self.splits)):
-            raise InvalidEvaluation("give at least one policy, task, number of crossings and split")
+            raise InvalidConfig("give at least one policy, task, number of crossings and split")
         list(self.setups())  # raises if an environment can't be made
 
     def setups(self) -> Iterator[tuple[PolicyConfig, TaskConfig]]:
@@ -89,106 +78,139 @@ class EvaluateConfig:
                         yield policy, replace(self.task, task=task, nx=nx, split=split)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Result:
-    """Result of one policy in one setup.
+class PlayedEpisode(NamedTuple):
+    """Outcome of one episode; `start` and `goal` are rows of the state file."""
 
-    Attributes:
-        policy, task, nx, split: the setup.
-        action: the view that the policy acted in, see `TaskConfig`.
-        episodes, successes: numbers of episodes.
-        success_rate, low, high: success rate and the 95 % interval of `cluster_interval`.
-        steps: mean over successful episodes; None if there are none.
-        mean_return: mean return of an episode.
-        planned_actions, planning_seconds: means per episode.
-        simulation_failures: episodes that ended because the simulation diverged.
-        start_states, goal_states: source of the states, "own" for the requested state file or
-            "shipped" for the included one.
-        outcomes: for each episode `start` and `goal` (rows of those state files), `success` (0 or
-            1) and `steps`.
-    """
-
-    policy: str
-    task: str
-    nx: int
-    split: str
-    action: str
-    episodes: int
-    successes: int
-    success_rate: float
-    low: float
-    high: float
-    steps: float | None
-    mean_return: float
-    planned_actions: float
+    start: int
+    goal: int
+    success: bool
+    steps: int
+    total: float
+    planned_actions: int
     planning_seconds: float
-    simulation_failures: int
-    start_states: str
-    goal_states: str
-    outcomes: dict[str, list[int]]
+    failed: bool
 
 
 class _Piece(NamedTuple):
-    """A unit of work: a few episodes of one setup."""
+    """A unit of work: a few episodes of one setup, whose outcomes are written to `path`."""
 
     policy: PolicyConfig
     task: TaskConfig
     numbers: range
     seed: int
     filmed: int
+    path: Path | None
+
+
+def _play(piece: _Piece) -> tuple[list[PlayedEpisode], list[Episode]]:
+    """Play the episodes of a piece; return their outcomes and the episodes to film."""
+    policy = make_policy(piece.policy)
+    rollouts = rollout(piece.task, policy, piece.numbers, piece.seed, streams=EVALUATION)
+    films = [one.episode for one in rollouts if one.number < piece.filmed]
+    played = [_played(one) for one in rollouts]
+    if piece.path is not None:
+        write_sealed(piece.path, {"played": played})
+    return played, films
 
 
 def evaluate(
-    config: EvaluateConfig,
-    pool: Pool,
-    progress: Progress | None = None,
-    unfinished: Unfinished | None = None,
+    config: EvaluateConfig, pool: Pool, progress: Progress | None = None
 ) -> tuple[list[Result], list[Episode]]:
-    """Play every setup, except the pieces that an unfinished evaluation has already played.
+    """Play every setup and write nothing.
 
     Returns:
         The results in the order of `config.setups`, and the filmed episodes.
     """
-    kept = Unfinished() if unfinished is None else unfinished
-    setups = list(config.setups())
-    starts = range(0, config.episodes, SIDE_BY_SIDE)
-    pieces = [
-        _Piece(
-            policy,
-            task,
-            range(first, min(first + SIDE_BY_SIDE, config.episodes)),
-            config.seed,
-            config.filmed,
-        )
-        for policy, task in setups
-        for first in starts
-    ]
-    # checkpoints have no films, so filmed pieces are played again
-    left = [
-        number
-        for number, piece in enumerate(pieces)
-        if number not in kept.pieces or piece.numbers.start < piece.filmed
-    ]
-    films: list[Episode] = []
-    total = config.episodes * len(setups)
-    done = total - sum(len(pieces[number].numbers) for number in left)
-    if progress is not None:
-        progress.stage("episodes", done, total)
-    for number, (played, filmed) in zip(
-        left, pool.map(_play, [pieces[number] for number in left]), strict=True
-    ):
-        kept.keep(number, played)
-        films += filmed
-        done += len(played)
-        if progress is not None:
-            progress.stage("episodes", done, total)
-    results = []
-    for row, (policy, task) in enumerate(setups):
-        mine = range(row * len(starts), (row + 1) * len(starts))
-        results.append(
-            _result(policy, task, [one for number in mine for one in kept.pieces[number]])
-        )
-    return results, films
+    recipe = EvaluationRecipe(config)
+    recipe.play(pool, progress)
+    return recipe.results, recipe.films
+
+
+class EvaluationRecipe(Recipe):
+    """Recipe for an evaluation, see `runs.engine.Recipe`.
+
+    Each unit writes the outcomes of a few episodes. The finished files are the checkpoint. They
+    have no films, so filmed episodes are played again when a run is resumed.
+    """
+
+    def __init__(
+        self, config: EvaluateConfig, video: Path | None = None, overwrite: bool = False
+    ) -> None:
+        for policy, task in config.setups():  # refuses before any work is done
+            make_policy(policy).suited(task)
+        self.config, self.video, self.overwrite = config, video, overwrite
+        self.engine, self.source = config.task.engine, sources_of(config)
+        self.played: dict[_Piece, list[PlayedEpisode]] = {}
+        self.films: list[Episode] = []
+        self.results: list[Result] = []
+
+    def request(self) -> dict[str, Any]:
+        return {"config": as_json(self.config), "source": self.source}
+
+    def begin(self) -> None:
+        if self.video is not None:
+            require_output(self.video, folder=False, overwrite=self.overwrite)
+
+    def batches(self, folder: Path | None) -> Iterator[Batch]:
+        numbers, setups = range(self.config.episodes), list(self.config.setups())
+        for policy, task in setups:
+            for first in numbers[::SIDE_BY_SIDE]:
+                few, name = numbers[first : first + SIDE_BY_SIDE], f"{len(self.played):06d}.json"
+                path = None if folder is None else folder / name
+                piece = _Piece(policy, task, few, self.config.seed, self.config.filmed, path)
+                self.played[piece] = _finished(path)
+
+        def absorb(piece: _Piece, result: tuple[list[PlayedEpisode], list[Episode]]) -> None:
+            self.played[piece] = result[0]
+            self.films += result[1]
+
+        left = [
+            piece
+            for piece, played in self.played.items()
+            if not played or piece.numbers.start < piece.filmed
+        ]
+        yield Batch(_play, left, absorb, f"playing {SIDE_BY_SIDE} episodes at a time")
+        for setup in setups:
+            pieces = [played for piece, played in self.played.items() if piece[:2] == setup]
+            self.results.append(_result(*setup, [one for piece in pieces for one in piece]))
+
+    def play(self, pool: Pool, progress: Progress | None = None) -> None:
+        """Play everything without a staging folder."""
+        for batch in self.batches(None):
+            for done, _ in enumerate(batch.follow(pool), 1):
+                if progress is not None:
+                    progress.stage(batch.name, done, len(batch.units))
+
+    def status(self) -> Status:
+        total = sum(len(piece.numbers) for piece in self.played)
+        return Status(sum(map(len, self.played.values())), total, "episodes", even=True)
+
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        require_unchanged(self.source, sources_of(self.config))
+        self.write_film()  # before the output, which says that all is done
+        text = as_text(report(self.config, self.results, self.source))
+        folder.write_text(text, encoding="utf-8")
+        return folder
+
+    def write_film(self) -> None:
+        """Write the video, if one is wanted."""
+        if self.video is not None:
+            from knotgym.rendering.video import write_film
+
+            frames = [frame for one in self.films for frame in film(one, self.config.task)]
+            with atomic_write(self.video, overwrite=self.overwrite) as temporary:
+                write_film(temporary, frames)
+
+    def summary(self) -> str:
+        return f"{len(self.results)} results of {self.config.episodes} episodes each"
+
+
+def _finished(path: Path | None) -> list[PlayedEpisode]:
+    """Return the outcomes in the file of a piece; [] if it isn't finished and intact."""
+    try:
+        return [PlayedEpisode(*one) for one in read_sealed(path)["played"]] if path else []
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
 
 
 # fields of a learner's card
@@ -227,222 +249,78 @@ def report(
 
 def as_text(report: dict[str, Any]) -> str:
     """Format a report as JSON, with each list of numbers on one line."""
-
-    def on_one_line(found: re.Match[str]) -> str:
-        return " ".join(found[0].split())
-
-    return re.sub(r"\[[-\d\s.,]+\]", on_one_line, json.dumps(report, indent=1)) + "\n"
-
-
-def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:
-    """Print a row per setup, and a matrix if there are several nx, in at most 80 columns."""
-    reached = any(one.steps is not None for one in results)
-    table = narrow_table(
-        (*_SETUP, "success", "95 % interval", *(["steps"] if reached else []), "return"),
-        left=_SETUP[:3],
-    )
-    for one in results:
-        table.add_row(
-            _acting(one),
-            one.task,
-            one.split,
-            str(one.nx),
-            f"{100 * one.success_rate:.1f} %",
-            f"{100 * one.low:.1f} to {100 * one.high:.1f} %",
-            *(["" if one.steps is None else f"{one.steps:.1f}"] if reached else []),
-            f"{one.mean_return:.2f}",
-        )
-    console.print(table)
-    for one in results:
-        if one.planned_actions:
-            console.print(
-                f"{one.policy}, {one.task} nx {one.nx}, {one.split}: planned with"
-                f" {one.planned_actions:.0f} actions, {one.planning_seconds:.2f} s an episode",
-                highlight=False,
-            )
-    for task, nx in dict.fromkeys(
-        (one.task, one.nx)
-        for one in results
-        if {one.start_states, one.goal_states} == {OWN, SHIPPED}
-    ):
-        console.print(
-            f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",
-            highlight=False,
-        )
-    if engine == MUJOCO:
-        for line in reference_lines(results):
-            console.print(line, highlight=False)
-    else:
-        console.print(f"engine {engine}, not the reference engine {MUJOCO}", highlight=False)
-    columns = list(dict.fromkeys(one.nx for one in results))
-    if len(columns) > 1:
-        matrix = narrow_table(
-            (*_SETUP[:3], *(f"nx {nx}" for nx in columns)), title="success, %", left=_SETUP[:3]
-        )
-        for key in dict.fromkeys((_acting(one), one.task, one.split) for one in results):
-            cells = {
-                one.nx: f"{100 * one.success_rate:.1f}"
-                for one in results
-                if (_acting(one), one.task, one.split) == key
-            }
-            matrix.add_row(*key, *(cells[nx] for nx in columns))
-        console.print(matrix)
-
-
-def _acting(result: Result) -> str:
-    """Name the policy, and the view that it acted in unless that is "pull"."""
-    return result.policy if result.action == "pull" else f"{result.policy} ({result.action})"
-
-
-def reference_lines(results: Sequence[Result]) -> list[str]:
-    """Return a line per task and nx with reference returns to compare a result with.
-
-    References are always measured on readable states, with MuJoCo.
-    """
-    known = reference_scores()
-    lines = []
-    for task, nx in dict.fromkeys((one.task, one.nx) for one in results if one.action == "pull"):
-        scores = known.get(f"{task}-nx{nx}")
-        if scores is not None:
-            lines.append(
-                f"for reference, mean return of {task} nx {nx}: random {scores['random']:.2f},"
-                f" expert {scores['expert']:.2f} ({scores['episodes']} episodes, test split,"
-                " readable states)"
-            )
-    return lines
+    text = json.dumps(report, indent=1)
+    return re.sub(r"\[[-\d\s.,]+\]", lambda found: " ".join(found[0].split()), text) + "\n"
 
 
 def run(
     config: EvaluateConfig,
+    options: RunOptions,
     *,
-    workers: int,
-    out: Path | None,
-    video: Path | None,
-    quiet: bool,
-    console: Console,
+    out: Path | None = None,
+    video: Path | None = None,
     progress: Progress | None = None,
-    existing: Existing = REFUSE_EXISTING,
 ) -> list[Result]:
     """Evaluate, print the results, and write the requested files.
 
-    With `existing.resume`, an interrupted evaluation with the same settings continues from its
-    checkpoint beside `out`, and a finished one is only printed.
+    Args:
+        config: what to evaluate.
+        options: how to execute the run; with `resume`, a finished evaluation is only printed.
+        out: JSON file to write, see `report`.
+        video: film to write, of `config.filmed` episodes per setup, or 2.
+        progress: where to show progress; none by default.
 
     Raises:
-        InvalidEvaluation: `workers` is negative, or resume or restart is requested without `out`.
-        InvalidRun: the checkpoint belongs to another evaluation or is corrupted.
-        Occupied: `out` or `video` exists, an interrupted evaluation left work, or another process
-            is evaluating to `out`.
-        Unwritable: `out` or `video` can't be written.
+        InvalidConfig: resume or restart is requested without `out`.
+        InvalidRun, Occupied, Unwritable: as in `runs.engine.run`, and for `video`.
         PictureError: the video format can't be written here.
         InvalidSetting: the state file lacks states that a task needs.
     """
-    if workers < 0:
-        raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
-    if out is None and (existing.resume or existing.restart):
-        raise InvalidEvaluation(
-            "--resume and --restart need the --out of the evaluation; give it too"
-        )
+    if progress is None:
+        progress = Progress(quiet=True)
+    if out is None and (options.resume or options.restart):
+        raise InvalidConfig("--resume and --restart need the --out of the evaluation; give it too")
     if video is not None:
-        from knotgym.rendering.video import require_film, write_film
+        from knotgym.rendering.video import require_film
 
         require_film(video)
-        config = config if config.filmed else replace(config, filmed=2)
-    _require_playable(config)
-    source = sources_of(config)
-    done = None if out is None else _done_already(out, video, config, source, existing)
-    if done is not None:
-        if not quiet:
-            show(done, console, config.task.engine)
-            console.print(f"{out} is finished already", soft_wrap=True, highlight=False)
-        return done
-    for path in (out, video):
-        if path is not None:
-            require_output(path, folder=False, overwrite=existing.overwrite)
-    progress = Progress(quiet=True) if progress is None else progress
-    asked = whole_request({"config": as_json(config), "source": source}, Shard())
-    with kept_beside(out, asked, existing, progress) as unfinished:
-        spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
-        tell_if_long(progress, spent, workers)
-        compile_first(progress, config.task.engine)
-        with executor(workers) as pool:
-            results, films = evaluate(config, pool, progress, unfinished)
-        require_unchanged(source, sources_of(config))
-        if not quiet:
-            show(results, console, config.task.engine)
-        if video is not None:  # before `out`, which says that all is done
-            frames = [frame for episode in films for frame in film(episode, config.task)]
-            with atomic_write(video, overwrite=existing.overwrite) as temporary:
-                write_film(temporary, frames)
-        if out is not None:
-            with atomic_write(out, overwrite=existing.overwrite) as temporary:
-                temporary.write_text(as_text(report(config, results, source)), encoding="utf-8")
-    if out is not None and not quiet:
-        line = f"{out}: {len(results)} results of {config.episodes} episodes each"
-        console.print(line, soft_wrap=True, highlight=False)
-    if video is not None and not quiet:
-        console.print(f"{video}: {len(films)} episodes", soft_wrap=True, highlight=False)
-    return results
+        config = replace(config, filmed=config.filmed or 2)
+    recipe = EvaluationRecipe(config, video, options.overwrite)
+    spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
+    tell_if_long(progress, spent, options.workers)
+    if out is not None:
+        run_recipe(recipe, out, options, progress, is_folder=False, made_by=_request_in)
+        if not recipe.results:  # it was finished already
+            recipe.results = [Result(**row) for row in read_json(out)["results"]]
+        if video is not None and not video.exists():
+            raise Occupied(
+                f"{out} is finished already, but the film {video} isn't there; --overwrite without"
+                " --resume makes both again"
+            )
+    else:
+        recipe.begin()
+        compile_first(progress, recipe.engine)
+        with executor(options.workers, options.scheduler) as pool:
+            recipe.play(pool, progress)
+        recipe.write_film()
+    if not options.quiet:
+        show(recipe.results, progress.console, config.task.engine)
+    if video is not None:
+        progress.say(f"{video}: {len(recipe.films)} episodes")
+    return recipe.results
 
 
-def _done_already(
-    out: Path,
-    video: Path | None,
-    config: EvaluateConfig,
-    source: dict[str, Any],
-    existing: Existing,
-) -> list[Result] | None:
-    """Return the results at `out` if the evaluation to resume is finished, otherwise None.
-
-    Raises:
-        InvalidRun: the file belongs to another evaluation, and `existing` doesn't overwrite it.
-        Occupied: the evaluation is finished, but its film is missing.
-    """
-    if not may_be_finished(out, existing) or not out.is_file():
-        return None
-    try:
-        results = _finished(out, config, source)
-    except InvalidRun:
-        if existing.overwrite:
-            return None
-        raise
-    if video is not None and not video.exists():
-        raise Occupied(
-            f"{out} is finished already, but the film {video} isn't there; --overwrite without"
-            " --resume makes both again"
-        )
-    return results
-
-
-def _require_playable(config: EvaluateConfig) -> None:
-    """Raise if a policy or task doesn't exist, or if a policy can't act in a task."""
-    acting = {one.policy: make_policy(one) for one in config.policies}
-    for policy, task in config.setups():
-        acting[policy.policy].suited(task)
-        state_origins(task)
-
-
-def _finished(out: Path, config: EvaluateConfig, source: dict[str, Any]) -> list[Result]:
-    """Read the results of an evaluation with the same settings, policies, states and code.
-
-    Raises:
-        InvalidRun: the file belongs to another evaluation.
-    """
+def _request_in(out: Path) -> dict[str, Any] | None:
+    """Return the request of the evaluation that wrote a file; None if it isn't one."""
     try:
         content = read_json(out)
-        there = {name: content[name] for name in ("version", "settings", "digests")}
-        results = [Result(**row) for row in content["results"]]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InvalidRun(
-            f"{out} isn't an evaluation of this version; choose another --out"
-        ) from error
-    asked = {
-        "version": knotgym.__version__,
-        "settings": as_json(config),
-        "digests": digests(source),
-    }
-    require_same(there, asked, (), out)
-    return results
+        found = content["digests"]
+        source = {name: found.pop(name) for name in ("states", "policies")}
+        shard = {"number": 1, "of": 1}
+        [Result(**row) for row in content["results"]]
+        return {"config": content["settings"], "source": source, "shard": shard, **found}
+    except (OSError, KeyError, TypeError, ValueError, AttributeError):
+        return None
 
 
 def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
@@ -462,14 +340,7 @@ def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
     )
 
 
-def _play(piece: _Piece) -> tuple[list[PlayedEpisode], list[Episode]]:
-    policy = make_policy(piece.policy)
-    rollouts = rollout(piece.task, policy, piece.numbers, piece.seed, streams=EVALUATION)
-    films = [one.episode for one in rollouts if one.number < piece.filmed]
-    return [_counted(one) for one in rollouts], films
-
-
-def _counted(one: Rollout) -> PlayedEpisode:
+def _played(one: Rollout) -> PlayedEpisode:
     episode = one.episode
     return PlayedEpisode(
         episode.options["start"],

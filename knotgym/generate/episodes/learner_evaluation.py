@@ -3,18 +3,15 @@
 `benchmarks/results.py` reads the file.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from knotgym.common.atomic_files import atomic_write
 from knotgym.control.policies import Policy, PolicyConfig, register_policy
 from knotgym.generate.episodes.evaluate import EvaluateConfig, as_text, run
+from knotgym.runs.run_options import RunOptions
 
 EVALUATION = "evaluation.json"
 
@@ -45,12 +42,12 @@ def evaluate_learner(
 
     Raises:
         InvalidPolicy: a policy of this name exists already.
-        InvalidEvaluation, InvalidSetting: the settings are invalid.
+        InvalidConfig, InvalidSetting: the settings are invalid.
     """
     register_policy(name, lambda _: policy, files)
     config = EvaluateConfig(policies=(PolicyConfig(policy=name),), **settings)
     path = folder / EVALUATION
-    run(config, workers=1, out=path, video=None, quiet=quiet, console=Console())
+    run(config, RunOptions(workers=1, quiet=quiet), out=path)
     content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     content["training"] = training
     with atomic_write(path) as part:

@@ -8,33 +8,33 @@ Every dataset is an ordinary collection, see `collect`. This module defines whic
 their order, the estimate of the time they take, and one card for all.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import knotgym
 from knotgym.common.atomic_files import Occupied, atomic_write, require_output, sha256
-from knotgym.common.configuration import read_json
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.configuration import InvalidConfig, read_json
+from knotgym.common.errors import one_line
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import MIXED, PolicyConfig
-from knotgym.envs.tasks import TASKS, TaskConfig
+from knotgym.control.policies import PolicyConfig
+from knotgym.datasets.cards.citation import code_span, filled, plain
+from knotgym.datasets.cards.state_card import table
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import (
     REPORT,
     CollectConfig,
     EpisodeRecipe,
     collect,
     plain_id,
-    reference_scores,
 )
-from knotgym.generate.episodes.suite_card import suite_card
-from knotgym.generate.episodes.suite_scores import read_scores
+from knotgym.generate.episodes.results import reference_scores
+from knotgym.generate.episodes.suite_scores import SUITE, read_scores, score_tables
 from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.runs.engine import is_finished, request_of, require_resumable, whole_request
 from knotgym.runs.executors import cores
@@ -43,68 +43,55 @@ from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import has_work, require_no_interrupted_run, staging_folder
 from knotgym.states.state_file import minari_root
 
-SETUPS = tuple((task, nx) for task in TASKS for nx in (2, 3, 4))
-POLICIES = MIXED  # random, scripted, noisy-expert, expert: cheapest first
-STATES = ("readable", "random-walk")
-EPISODES = {"random": 250, "scripted": 500, "noisy-expert": 150, "expert": 1000}
-# Chosen to fit in eight hours. With the default of 20,000 all timed episodes succeeded, but
-# tie and convert at nx 4 took 13 to 50 s each; with 1,000 they take 4 to 7 s, and some fail.
-BUDGET = 1000
-SEED = 1
+POLICIES, STATES = tuple(SUITE["policies"]), tuple(SUITE["states"])
+SETUPS = tuple(product(SUITE["tasks"], SUITE["nx"]))
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
-_RATES = Path(__file__).parent / "data" / "suite_rates.json"
-
-
-class InvalidSuite(KnotgymError, ValueError):
-    """The requested benchmark, or part of it, can't be made."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuiteConfig:
-    """Which part of the benchmark to make; all of it by default.
+    """Which part of the benchmark to make; all of it by default, see `data/suite.toml`.
 
     Attributes:
-        tasks, nx: every task is combined with every number of crossings.
-        policies: a subset of POLICIES.
-        states: a subset of STATES.
+        tasks: tasks, comma-separated: unknot, tie, convert.
+        nx: numbers of crossings, from 2 to 4: 3 or 2,3.
+        policies: policies, comma-separated: random, scripted, noisy, expert.
+        states: sets of states, comma-separated: readable, random-walk.
         episodes: policy -> episodes per setup and set of states.
-        engine: see `TaskConfig`; other engines than MuJoCo have ids of their own.
-        observation: stored observation, see `TaskConfig`; pictures can be drawn from any of them.
-        budget: simulated actions per episode for expert planning, see `PlannerConfig`.
-        seed: random seed of every dataset.
+        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
+            Every engine but MuJoCo has ids of its own.
+        observation: observation to store: pixels, state, both or symbolic. Pictures can be drawn
+            from any of them.
+        budget: simulated actions per episode for expert planning.
+        seed: random seed of every dataset; not 0, the default of `evaluate`, whose episodes on the
+            train split would then start like those of the datasets.
     """
 
-    tasks: tuple[str, ...] = tuple(TASKS)
-    nx: tuple[int, ...] = (2, 3, 4)
+    tasks: tuple[str, ...] = tuple(SUITE["tasks"])
+    nx: tuple[int, ...] = tuple(SUITE["nx"])
     policies: tuple[str, ...] = POLICIES
     states: tuple[str, ...] = STATES
-    episodes: Mapping[str, int] = field(default_factory=lambda: dict(EPISODES))
+    episodes: Mapping[str, int] = field(default_factory=dict)
     engine: str = MUJOCO
-    observation: str = "state"
-    budget: int = BUDGET
-    seed: int = SEED
+    observation: str = SUITE["observation"]
+    budget: int = SUITE["budget"]
+    seed: int = SUITE["seed"]
 
     def __post_init__(self) -> None:
-        for name, known in {
-            "tasks": tuple(TASKS),
-            "nx": (2, 3, 4),
-            "policies": POLICIES,
-            "states": STATES,
-        }.items():
-            given = getattr(self, name)
-            wrong = [one for one in given if one not in known]
-            if wrong or not given:
-                raise InvalidSuite(
+        for name in ("tasks", "nx", "policies", "states"):
+            some, known = getattr(self, name), SUITE[name]
+            wrong = [one for one in some if one not in known]
+            if wrong or not some:
+                raise InvalidConfig(
                     f"the suite's {name} must be among {', '.join(map(str, known))}; got"
                     f" {', '.join(map(str, wrong)) or 'none'}"
                 )
-        unknown = [one for one in self.episodes if one not in POLICIES]
-        if unknown:
-            raise InvalidSuite(
+        if unknown := [one for one in self.episodes if one not in POLICIES]:
+            raise InvalidConfig(
                 f"episodes are set for {', '.join(POLICIES)}; got {', '.join(unknown)}"
             )
-        object.__setattr__(self, "episodes", {**EPISODES, **self.episodes})
+        object.__setattr__(self, "episodes", {**SUITE["episodes"], **self.episodes})
         for _ in self.sets():  # raises if a size, seed or observation is invalid
             pass
 
@@ -113,44 +100,27 @@ class SuiteConfig:
 
         Readable states come first; within a set of states, one setup is completed before the next.
         """
-        for states in self.states:
-            for task in self.tasks:
-                for nx in self.nx:
-                    for name in self.policies:
-                        yield self._set(states, task, nx, name)
-
-    def _set(self, states: str, task: str, nx: int, name: str) -> CollectConfig:
-        policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=self.budget))
-        setup = TaskConfig(
-            task=task,
-            nx=nx,
-            states=None if states == STATES[0] else states,
-            engine=self.engine,
-            observation=self.observation,
-        )
-        marks = ("" if states == STATES[0] else states, *self._seed_mark())
-        return CollectConfig(
-            task=setup,
-            policy=policy,
-            episodes=self.episodes[name],
-            seed=self.seed,
-            dataset_id=plain_id(setup, policy, *marks),
-        )
-
-    def _seed_mark(self) -> tuple[str, ...]:
-        return () if self.seed == SEED else (f"seed{self.seed}",)
+        seed_mark = () if self.seed == SUITE["seed"] else (f"seed{self.seed}",)
+        for states, task, nx, name in product(self.states, self.tasks, self.nx, self.policies):
+            policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=self.budget))
+            own = None if states == STATES[0] else states
+            setup = TaskConfig(
+                task=task, nx=nx, states=own, engine=self.engine, observation=self.observation
+            )
+            yield CollectConfig(
+                task=setup,
+                policy=policy,
+                episodes=self.episodes[name],
+                seed=self.seed,
+                dataset_id=plain_id(setup, policy, own or "", *seed_mark),
+            )
 
 
 def core_seconds(config: CollectConfig) -> float:
-    """Return the estimated cost of a dataset in core seconds, from `data/suite_rates.json`.
-
-    The rates are CPU seconds per episode, the mean of 2 to 8 episodes on a shared machine; where a
-    noisy expert wasn't timed, 1.5 times the expert's. They hold for BUDGET.
-    """
-    rates: dict[str, Any] = json.loads(_RATES.read_text(encoding="utf-8"))
-    setup = f"{config.task.task}-nx{config.task.nx}"
-    rate = rates[config.task.states or STATES[0]][setup][config.policy.policy]
-    return float(rate) * config.episodes
+    """Return the estimated cost of a dataset in core seconds, from `data/suite.toml`."""
+    task = config.task
+    rates = SUITE["rates"][task.states or STATES[0]][f"{task.task}-nx{task.nx}"]
+    return float(rates[config.policy.policy]) * config.episodes
 
 
 def make_suite(
@@ -173,10 +143,9 @@ def make_suite(
         progress: where to show progress; a new display by default.
 
     Raises:
-        Occupied: a dataset or a card exists, or an interrupted run left work, and `options` don't
-            say what to do with it.
+        Occupied: a dataset, a card or an interrupted run is in the way.
         InvalidRun: an existing dataset was made by another request.
-        InvalidSuite, InvalidScores: an existing dataset or an evaluation can't be read.
+        InvalidConfig, InvalidScores: an existing dataset or an evaluation can't be read.
     """
     if progress is None:
         with Progress(options.quiet) as progress:
@@ -195,19 +164,13 @@ def make_suite(
         begun = has_work(staging_folder(root / one.dataset_id))
         collect(one, root, replace(options, resume=options.resume and begun), progress=progress)
         told[one.dataset_id] = describe_set(root / one.dataset_id)
-        _write_card(
-            told, results, config.seed, folder
-        )  # so that the card is current during the run
+        _write_card(told, results, config.seed, folder)  # the card is current during the run
     progress.say(f"{folder}: {len(wanted)} sets, README.md, suite.json")
     return folder
 
 
 def _is_made(one: CollectConfig, root: Path, options: RunOptions) -> bool:
-    """Whether a dataset of the same request is finished.
-
-    Raises:
-        Occupied, InvalidRun: as in `make_suite`.
-    """
+    """Whether a dataset of the same request is finished; raises as `make_suite` does."""
     made = root / one.dataset_id
     request = whole_request(EpisodeRecipe(one, options).request(), options.shard)
     require_no_interrupted_run(made, options)
@@ -228,10 +191,8 @@ def _is_made(one: CollectConfig, root: Path, options: RunOptions) -> bool:
 
 
 def _require_own_card(folder: Path, options: RunOptions) -> None:
-    """Require that the card replaces only files of a suite.
-
-    Raises:
-        Occupied: it would replace another file, and `options` don't say overwrite.
+    """Raise Occupied if the card replaces other files than a suite's, unless `options`
+    overwrite.
     """
     try:
         own = read_json(folder / "suite.json")["format"] == _FORMAT
@@ -263,11 +224,7 @@ def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
 
 
 def describe_set(made: Path) -> dict[str, Any]:
-    """Return the size, seed and checksums of a finished dataset.
-
-    Raises:
-        InvalidSuite: it wasn't made by `knotgym collect`.
-    """
+    """Return the size, seed and checksums of a finished dataset, made by `knotgym collect`."""
     try:
         said = read_json(made / "data" / REPORT)
         config, tally = said["config"], said["tally"]
@@ -289,27 +246,57 @@ def describe_set(made: Path) -> dict[str, Any]:
             "versions": said["versions"],
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidSuite(
+        raise InvalidConfig(
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
 
 
 def _write_card(
-    told: Mapping[str, Any], results: Sequence[Mapping[str, Any]], seed: int, folder: Path
+    sets: Mapping[str, Any], results: Sequence[Mapping[str, Any]], seed: int, folder: Path
 ) -> None:
     report = {
         "format": _FORMAT,
         "format_version": 1,
         "knotgym": knotgym.__version__,
         "seed": seed,
-        "sets": told,
+        "sets": sets,
         "results": list(results),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    texts = (
-        json.dumps(report, indent=1, sort_keys=True) + "\n",
-        suite_card(report, reference_scores()),
-    )
+    texts = json.dumps(report, indent=1, sort_keys=True) + "\n", suite_card(report)
     for name, text in zip(_CARD, texts, strict=True):
         with atomic_write(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
+
+
+def suite_card(report: Mapping[str, Any]) -> str:
+    """Return the card of the benchmark as Markdown; `report` is the content of suite.json."""
+    sets = report["sets"]
+    columns = "id states engine policy seed episodes steps".split()
+    head = (*columns, "reached the goal", "MB", "SHA-256 of main_data.hdf5")
+    rows = [
+        (
+            *(code_span(name), *(plain(one[key]) for key in ("states", "engine", "policy"))),
+            *(one["seed"], one["episodes"], one["steps"]),
+            f"{100 * one['succeeded'] / max(one['episodes'], 1):.1f} %",
+            f"{one['bytes'] / 1e6:.1f}",
+            f"`{one['sha256']['main_data.hdf5'][:16]}...`",
+        )
+        for name, one in sorted(sets.items())
+    ]
+    references = [
+        (setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
+        for setup, one in reference_scores().items()
+    ]
+    none = ["", "None yet: no evaluation file lies in `evaluations`."]
+    return filled(
+        "suite_card.md",
+        count=len(sets),
+        episodes=sum(one["episodes"] for one in sets.values()),
+        steps=sum(one["steps"] for one in sets.values()),
+        version=report["knotgym"],
+        seed=report["seed"],
+        sets=table(head, rows),
+        references=table(("set-up", "random", "expert", "episodes"), references),
+        results=score_tables(report["results"], "###") or none,
+    )

@@ -1,10 +1,11 @@
 """Read files of `knotgym evaluate --out` and tabulate them beside the published scores."""
 
-from __future__ import annotations
-
 import hashlib
 import json
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,9 @@ from knotgym.datasets.cards.state_card import table
 from knotgym.generate.episodes.evaluate import EvaluateConfig
 from knotgym.runs.intervals import cluster_interval
 
-TASKS, CROSSINGS = ("unknot", "tie", "convert"), (2, 3, 4)
-# success rates in percent on the train split, learners after a million steps; arXiv 2505.18028
-PUBLISHED = {
-    "random": (11.1, 8.4, 6.7, 35.9, 2.5, 1.4, 36.8, 9.2, 2.9),
-    "DreamerV3": (93.3, 93.4, 89.3, 83.2, 16.1, 4.1, 71.5, 15.3, 5.4),
-    "PPO": (65.7, 63.3, 37.0, 41.3, 3.3, 1.3, 47.7, 6.3, 4.7),
-    "TD-MPC2": (71.3, 55.4, 50.3, 39.2, 4.6, 1.7, 40.8, 8.7, 3.8),
-}
+SUITE: dict[str, Any] = tomllib.loads(
+    (files("knotgym.generate.episodes") / "data" / "suite.toml").read_text("utf-8")
+)
 # Episodes that agree in all of these fields are pooled: LINE selects a table row, CELL a cell.
 LINE = ("policy", "settings", "policy_sha256", "code_sha256", "versions")
 CELL = ("states", "states_sha256", "split", "task", "nx")
@@ -76,48 +72,54 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
 
     Scores of macro-actions have tables of their own, without the published scores.
     """
-    setups = [(task, nx) for task in TASKS for nx in CROSSINGS]
+    setups = list(product(SUITE["tasks"], SUITE["nx"]))
     head = (
         *("policy", "settings", "files", "code", *(f"{task} {nx}" for task, nx in setups)),
         "trained for, s",
     )
+    published = [
+        (f"*{policy}, published*", "", "", "", *rates, "")
+        for policy, rates in SUITE["published"].items()
+    ]
     lines: list[str] = []
-    tracks: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
-    for row in sorted(rows, key=_in_macros):
-        key = (row["states"], row["states_sha256"], row["split"], _in_macros(row))
-        tracks.setdefault(key, []).append(row)
-    for (states, digest, split, in_macros), own in tracks.items():
+    tracks = [
+        (in_macros, *track)
+        for in_macros in (False, True)
+        for track in _grouped(
+            [row for row in rows if _in_macros(row) == in_macros],
+            ("states", "states_sha256", "split"),
+        )
+    ]
+    for in_macros, (states, digest, split), own in tracks:
         body: list[Sequence[object]] = []
-        for line in dict.fromkeys(tuple(row[name] for name in LINE) for row in own):
-            cells = {
-                (row["task"], row["nx"]): row
-                for row in own
-                if tuple(row[name] for name in LINE) == line
-            }
-            told = [_cell(cells[setup]) if setup in cells else "" for setup in setups]
-            trained = {row["training"].get("seconds") for row in cells.values()} - {None}
-            policy, settings, files, code, _ = line
+        for (policy, settings, weights, code, _), same in _grouped(own, LINE):
+            cells = {(row["task"], row["nx"]): _cell(row) for row in same}
+            trained = {row["training"].get("seconds") for row in same} - {None}
             body.append(
-                (*map(plain, (policy, settings, files[:8], code[:8])), *told)
-                + ("; ".join(map(_seconds, sorted(trained))),)
+                (
+                    *map(plain, (policy, settings, weights[:8], code[:8])),
+                    *(cells.get(setup, "") for setup in setups),
+                    "; ".join(f"{seconds:,.0f}" for seconds in sorted(trained)),
+                )
             )
-        if not in_macros:
-            body += [
-                (f"*{policy}, published*", "", "", "", *told, "")
-                for policy, told in PUBLISHED.items()
-            ]
-        lines += [
-            "",
-            f"{heading} States {plain(states)} ({plain(digest[:8])}), {plain(split)} split"
-            + (", macro-actions" if in_macros else ""),
-            "",
-            *table(head, body),
-        ]
+        named = f"{heading} States {plain(states)} ({plain(digest[:8])}), {plain(split)} split"
+        named += ", macro-actions" if in_macros else ""
+        lines += ["", named, "", *table(head, body if in_macros else [*body, *published])]
     return lines
 
 
 def _in_macros(row: Mapping[str, Any]) -> bool:
     return 'action="macro"' in row["settings"].split("; ")
+
+
+def _grouped(
+    rows: Sequence[Mapping[str, Any]], names: Sequence[str]
+) -> list[tuple[tuple[Any, ...], list[Mapping[str, Any]]]]:
+    """Group rows that agree in the named fields, in the order of their first rows."""
+    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in names), []).append(row)
+    return list(groups.items())
 
 
 def _rows(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -150,9 +152,7 @@ def _rows(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             "seeds": [asked["seed"]],
             "rules": task,
             "training": training,
-            "outcomes": {
-                name: one["outcomes"][name] for name in ("start", "goal", "success", "steps")
-            },
+            "outcomes": {name: one["outcomes"][name] for name in _OUTCOMES},
             **{name: _number(one[name]) for name in ("planned_actions", "planning_seconds")},
         }
         for name in (*LINE, *CELL):
@@ -230,7 +230,3 @@ def _cell(row: Mapping[str, Any]) -> str:
     low, high = row["interval"]
     rate = 100 * row["success_rate"]
     return f"**{rate:.1f}** ({100 * low:.0f} to {100 * high:.0f}, of {row['episodes']})"
-
-
-def _seconds(value: float) -> str:
-    return f"{value:,.0f}"

@@ -7,24 +7,22 @@ depend only on the configuration, the states and their numbers, and are separate
 staging folder, so a resumed run continues from the existing files.
 """
 
-from __future__ import annotations
-
+import itertools
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import as_json
+from knotgym.common.configuration import InvalidConfig, as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.image_folder import finish
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
 from knotgym.datasets.image_table import arrow, shard_name
 from knotgym.generate.images.images_config import (
     ImagesConfig,
-    InvalidImagesConfig,
     held_out,
     quotas,
 )
@@ -32,13 +30,13 @@ from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Chooser, ChosenFrame
 from knotgym.generate.images.unit_files import UnitFile, load_frames, walked
 from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk
-from knotgym.runs.engine import Batch, run
+from knotgym.runs.engine import Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
 
+Quota = tuple[str, int]  # split and nx
 CORE_SECONDS = 0.13  # per picture: 20,000 took 22 minutes on two cores
 
 
@@ -63,7 +61,7 @@ def make_images(
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidImagesConfig, NoSeedStates: such pictures can't be made.
+        InvalidConfig, NoSeedStates: such pictures can't be made.
         NotEnough: walks from the states don't reach enough different configurations.
     """
     arrow()
@@ -74,27 +72,27 @@ def make_images(
     return run(recipe, options.shard.folder(out), options, progress)
 
 
-class ImageRecipe:
-    """Recipe for labelled pictures, see `runs.engine.Recipe`."""
-
-    flexible: tuple[str, ...] = ()
+class ImageRecipe(Recipe):
+    """Recipe for labelled pictures; finished walks and table files are detected one by one."""
 
     def __init__(self, config: ImagesConfig, options: RunOptions, start: SeedStates) -> None:
         self.config, self.shard, self.start = config, options.shard, start
+        self.engine = config.engine
         codes = {
-            nx: sorted({code for knot in start.knots for code in codes_of(knot, nx)}, key=_visits)
+            nx: sorted(
+                {code for knot in start.knots for code in codes_of(knot, nx)},
+                key=lambda code: code.visits,
+            )
             for nx in config.nx
         }
         for nx in config.nx:
             if not codes[nx]:
-                raise InvalidImagesConfig(
-                    f"no diagram of {' or '.join(start.knots)} has {nx} crossings"
-                )
+                raise InvalidConfig(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
         quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
         shares = {key: self.shard.share(count) for key, count in quota.items()}
         self.wanted = {key: len(share) for key, share in shares.items() if share}
         if not self.wanted:
-            raise InvalidImagesConfig(
+            raise InvalidConfig(
                 f"shard {self.shard} has no picture to make: split the run into fewer shards"
             )
         self.split = splits_of(config, start, set(quota))
@@ -106,25 +104,14 @@ class ImageRecipe:
             config.walk.limits,
         )
         self.walked: list[Frames] = []
+        # by quota: walks made, and frames chosen from them
+        self.made, self.gave = Counter[Quota](), Counter[Quota]()
         self.frames = 0
         self.table = Path()
         self.written: list[Path] = []
 
-    @property
-    def engine(self) -> str:
-        return self.config.engine
-
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": self.start.source}
-
-    def begin(self) -> None:
-        pass
-
-    def load(self, folder: Path) -> bool:
-        return False  # finished walks and table files are detected one by one
-
-    def save(self, folder: Path) -> None:
-        pass
 
     def batches(self, folder: Path) -> Iterator[Batch]:
         yield from self._choose(folder / "units")
@@ -138,21 +125,15 @@ class ImageRecipe:
 
     def _choose(self, folder: Path) -> Iterator[Batch]:
         """Make waves of walks and choose among their frames until every quota is full."""
-        gave = dict.fromkeys(self.wanted, _Stretch(0, 0))
-        wave, idle, first = self.shard.first, 0, self.shard.first
+        wave, idle = self.shard.first, 0
         while lacking := self.chooser.lacking():
-            number = first + sum(len(frames.numbers) for frames in self.walked)
-            walks, quota_of = _wave(
-                self.config, self.start, self.split, lacking, gave, wave, number
-            )
+            walks, quota_of = self._wave(wave, lacking)
             chosen = len(self.chooser.chosen)
 
-            def absorb(
-                unit: UnitFile, path: Path, quota_of: dict[int, tuple[str, int]] = quota_of
-            ) -> None:
-                self._consider(load_frames(path), quota_of, gave)
+            def absorb(unit: UnitFile, path: Path, quota_of: dict[int, Quota] = quota_of) -> None:
+                self._consider(load_frames(path), quota_of)
 
-            units = self._units(walks, quota_of, folder)
+            units = list(self._units(walks, quota_of, folder))
             yield Batch(walked, units, absorb, "walking and choosing")
             idle = 0 if len(self.chooser.chosen) > chosen else idle + 1
             wave += 1
@@ -166,47 +147,84 @@ class ImageRecipe:
                     f" waves of walks; missing {lacks}"
                 )
 
+    def _wave(self, wave: int, lacking: dict[Quota, int]) -> tuple[list[Walk], dict[int, Quota]]:
+        """Return the walks of a wave and the quota of each.
+
+        A walk for nx crossings starts from a class of codes with nx crossings in its split, drawn
+        uniformly; if there is none, from the nearest nx that has one.
+        """
+        start, split = self.start, self.split
+        rng = generator(Stream.IMAGE_WAVE, self.config.seed, wave)
+        # Request 10 % more walks than the yield so far suggests, smoothed by 1 walk and 4 frames.
+        wanted = {
+            key: int(np.ceil(1.1 * count * (self.made[key] + 1) / (self.gave[key] + 4)))
+            for key, count in lacking.items()
+        }
+        most, total = self.config.wave * WALKS, sum(wanted.values())
+        if total > most:
+            wanted = {key: max(1, count * most // total) for key, count in wanted.items()}
+        number = self.shard.first + sum(len(frames.numbers) for frames in self.walked)
+        walks: list[Walk] = []
+        quota_of: dict[int, Quota] = {}
+        for key, count in wanted.items():
+            # loops are of no split; a quota without crossings prefers them, others their own split
+            sides = start.nx == 0, split == key[0]
+            first, second = sides if key[1] == 0 else sides[::-1]
+            own = np.flatnonzero(first if first.any() else second)
+            if not len(own):
+                raise NotEnough(
+                    f"no family of states is left for {key[0]} with nx {key[1]}; start from more"
+                    " states"
+                )
+            away = np.abs(start.nx[own] - key[1])
+            own = own[away == away.min()]
+            kinds = np.unique(start.kind[own])
+            for kind in kinds[rng.integers(len(kinds), size=count)]:
+                same = own[start.kind[own] == kind]
+                walk = Walk(number + len(walks), int(same[rng.integers(len(same))]))
+                quota_of[walk.number] = key
+                walks.append(walk)
+            self.made[key] += count
+        return walks, quota_of
+
     def _units(
-        self, walks: list[Walk], quota_of: dict[int, tuple[str, int]], folder: Path
-    ) -> list[UnitFile]:
-        units: list[UnitFile] = []
-        for steps, group in _by_steps(self.config, walks, quota_of):
+        self, walks: list[Walk], quota_of: dict[int, Quota], folder: Path
+    ) -> Iterator[UnitFile]:
+        """Yield units of walks with equally many steps; many crossings are lost sooner."""
+        config = self.config
+        groups: dict[int, list[Walk]] = {}
+        for walk in walks:
+            nx = quota_of[walk.number][1]
+            steps = config.steps * (3 if nx == 0 else 2 if nx < 3 else 1) // 3
+            groups.setdefault(max(config.stride, steps), []).append(walk)
+        done = itertools.count(len(self.walked))
+        for steps, group in sorted(groups.items()):
             for begin in range(0, len(group), WALKS):
                 some = tuple(group[begin : begin + WALKS])
-                unit = Unit(
-                    some,
-                    self.start.states[[walk.base for walk in some]],
-                    self.config.seed,
-                    steps,
-                    self.config.stride,
-                    max(self.config.nx),
-                    self.config.engine,
-                    self.config.walk,
-                )
-                path = folder / f"{len(self.walked) + len(units):06d}.npz"
-                units.append(UnitFile(path, unit))
-        return units
+                states = self.start.states[[walk.base for walk in some]]
+                most = max(config.nx)
+                length = steps, config.stride
+                unit = Unit(some, states, config.seed, *length, most, config.engine, config.walk)
+                yield UnitFile(folder / f"{next(done):06d}.npz", unit)
 
-    def _consider(
-        self,
-        frames: Frames,
-        quota_of: dict[int, tuple[str, int]],
-        gave: dict[tuple[str, int], _Stretch],
-    ) -> None:
+    def _consider(self, frames: Frames, quota_of: dict[int, Quota]) -> None:
         """Offer the frames of a unit to the chooser, one by one."""
         self.walked.append(frames)
-        for points, number, ease in zip(
-            frames.points, frames.walk.tolist(), frames.ease.tolist(), strict=True
-        ):
+        columns = frames.points, frames.walk.tolist(), frames.ease.tolist()
+        for points, number, ease in zip(*columns, strict=True):
             quota = quota_of[number]
             rng = generator(Stream.IMAGE_CHOICE, self.config.seed, self.shard.first + self.frames)
-            if self.chooser.consider(points, quota[0], ease, self.frames, rng):
-                gave[quota] = gave[quota]._replace(chosen=gave[quota].chosen + 1)
+            self.gave[quota] += self.chooser.consider(points, quota[0], ease, self.frames, rng)
             self.frames += 1
 
     def _table_files(self) -> list[TableFile]:
         """Return the files of the table; each split's rows are in random order."""
-        config, rows = self.config, _Provenance(self.start, self.walked, self.config.seed)
+        config = self.config
+        columns = {
+            name: np.concatenate([getattr(frames, name) for frames in self.walked]).tolist()
+            for name in ("walk", "steps", "rounds", "numbers", "bases")
+        }
+        base_of = dict(zip(columns["numbers"], columns["bases"], strict=True))
         files: list[TableFile] = []
         number = self.shard.first
         for place, split in enumerate(IMAGE_SPLITS):
@@ -215,12 +233,30 @@ class ImageRecipe:
             count = -(-len(chosen) // config.rows_per_file)
             for index in range(count):
                 picked = order[index * config.rows_per_file : (index + 1) * config.rows_per_file]
-                here = tuple(rows.row(chosen[k], number + at) for at, k in enumerate(picked))
-                number += len(here)
+                rows = []
+                for at, choice in enumerate(chosen[k] for k in picked):
+                    walk = columns["walk"][choice.frame]
+                    source = {
+                        "walk": walk,
+                        "pulls": columns["steps"][choice.frame],
+                        "rounds": columns["rounds"][choice.frame],
+                        **self._origin(choice, walk, base_of[walk]),
+                        "seed": config.seed,
+                        "row": number + at,
+                    }
+                    rows.append(Row(choice.points, choice.code, choice.split, source))
+                number += len(rows)
                 name = shard_name(split, index, count)
                 seal = self.table.with_name("seals") / name
-                files.append(TableFile(self.table / name, seal, here, config.appearance))
+                files.append(TableFile(self.table / name, seal, tuple(rows), config.appearance))
         return files
+
+    def _origin(self, choice: ChosenFrame, walk: int, base: int) -> dict[str, Any]:
+        """Return the symmetry of a row and its family; a walk from a plain loop is its own."""
+        names = ("reflect", "switch", "reverse", "base_shift")
+        alone = int(self.start.family.max()) + 1 + walk
+        family = int(self.start.family[base]) if self.start.nx[base] else alone
+        return {**{name: getattr(choice.symmetry, name) for name in names}, "family": family}
 
     def status(self) -> Status:
         facts = {
@@ -246,47 +282,6 @@ class ImageRecipe:
 
     def summary(self) -> str:
         return f"{len(self.chooser.chosen)} pictures"
-
-
-class _Stretch(NamedTuple):
-    """Walks made for a split and nx, and the frames chosen from them so far."""
-
-    walks: int
-    chosen: int
-
-
-class _Provenance:
-    """Makes table rows of chosen frames, with their provenance as `source`."""
-
-    def __init__(self, start: SeedStates, walked: list[Frames], seed: int) -> None:
-        self._start, self._seed = start, seed
-        self._walk = np.concatenate([frames.walk for frames in walked]).tolist()
-        self._steps = np.concatenate([frames.steps for frames in walked]).tolist()
-        self._rounds = np.concatenate([frames.rounds for frames in walked]).tolist()
-        self._base_of = {
-            number: base
-            for frames in walked
-            for number, base in zip(frames.numbers.tolist(), frames.bases.tolist(), strict=True)
-        }
-
-    def row(self, choice: ChosenFrame, number: int) -> Row:
-        """Return row `number` of the table; a walk from a plain loop is a family of its own."""
-        start, walk = self._start, self._walk[choice.frame]
-        base = self._base_of[walk]
-        alone = int(start.family.max()) + 1 + walk
-        source = {
-            "walk": walk,
-            "pulls": self._steps[choice.frame],
-            "rounds": self._rounds[choice.frame],
-            "reflect": choice.symmetry.reflect,
-            "switch": choice.symmetry.switch,
-            "reverse": choice.symmetry.reverse,
-            "base_shift": choice.symmetry.base_shift,
-            "family": int(start.family[base]) if start.nx[base] else alone,
-            "seed": self._seed,
-            "row": number,
-        }
-        return Row(choice.points, choice.code, choice.split, source)
 
 
 def splits_of(
@@ -319,65 +314,3 @@ def splits_of(
             out[start.family == family] = split
     out[start.nx == 0] = ""
     return out
-
-
-def _by_steps(
-    config: ImagesConfig, walks: list[Walk], quota_of: dict[int, tuple[str, int]]
-) -> list[tuple[int, list[Walk]]]:
-    """Group walks by their number of steps."""
-    groups: dict[int, list[Walk]] = {}
-    for walk in walks:
-        nx = quota_of[walk.number][1]
-        steps = config.steps * (3 if nx == 0 else 2 if nx < 3 else 1) // 3
-        groups.setdefault(max(config.stride, steps), []).append(walk)
-    return sorted(groups.items())
-
-
-def _wave(
-    config: ImagesConfig,
-    start: SeedStates,
-    split: NDArray[np.str_],
-    lacking: dict[tuple[str, int], int],
-    gave: dict[tuple[str, int], _Stretch],
-    wave: int,
-    first: int,
-) -> tuple[list[Walk], dict[int, tuple[str, int]]]:
-    """Return the walks of a wave and the quota of each; update `gave`.
-
-    A walk for nx crossings starts from a class of codes with nx crossings in its split, drawn
-    uniformly; if there is none, from the nearest nx that has one.
-    """
-    # Request 10 % more walks than the yield so far suggests, smoothed by 1 walk and 4 frames.
-    rng = generator(Stream.IMAGE_WAVE, config.seed, wave)
-    wanted = {
-        key: int(np.ceil(1.1 * count * (gave[key].walks + 1) / (gave[key].chosen + 4)))
-        for key, count in lacking.items()
-    }
-    most = config.wave * WALKS
-    if sum(wanted.values()) > most:
-        total = sum(wanted.values())
-        wanted = {key: max(1, count * most // total) for key, count in wanted.items()}
-    walks: list[Walk] = []
-    quota_of: dict[int, tuple[str, int]] = {}
-    for key, count in wanted.items():
-        own = np.flatnonzero((start.nx == 0) if key[1] == 0 else (split == key[0]))
-        if not len(own):
-            own = np.flatnonzero((split == key[0]) if key[1] == 0 else (start.nx == 0))
-        if not len(own):
-            raise NotEnough(
-                f"no family of states is left for {key[0]} with nx {key[1]}; start from more states"
-            )
-        away = np.abs(start.nx[own] - key[1])
-        own = own[away == away.min()]
-        kinds = np.unique(start.kind[own])
-        for kind in kinds[rng.integers(len(kinds), size=count)]:
-            same = own[start.kind[own] == kind]
-            number = first + len(walks)
-            walks.append(Walk(number, int(same[rng.integers(len(same))])))
-            quota_of[number] = key
-        gave[key] = gave[key]._replace(walks=gave[key].walks + count)
-    return walks, quota_of
-
-
-def _visits(code: GaussCode) -> tuple[int, ...]:
-    return code.visits

@@ -1,10 +1,8 @@
 """The configuration of `knotgym images`, with its quotas and held-out codes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.configuration import InvalidConfig, check_numbers, check_nx
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
@@ -14,24 +12,20 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 
 
-class InvalidImagesConfig(KnotgymError, ValueError):
-    """The requested pictures can't be made."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class ImagesConfig:
     """Which pictures to make.
 
     Attributes:
-        nx: crossing numbers, with equally many pictures each.
-        count: total number of pictures.
+        nx: numbers of crossings: 3, 2,3 or 0-4.
+        count: total pictures, spread evenly over the numbers of crossings.
         test_nx: crossing numbers held out for split "test-nx", larger than all others; None for the
             largest if there are several.
-        test_share: share of split "test" among the other pictures.
-        code_share: share of split "test-code" among them, and share of Gauss codes held out for it;
-            none for nx with fewer than 4 codes.
-        seed: random seed of the run.
-        engine: the engine that walks use, see `knotgym.rope.engines`.
+        test_share: share of pictures in split test. Held-out crossing numbers don't count.
+        code_share: share of pictures in split test-code, and of Gauss codes held out for it. None
+            are held out for nx with fewer than 4 codes.
+        seed: random seed; the same seed gives the same bytes.
+        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
         steps: maximum steps of a walk. Walks for 3 or more crossings make a third of them, those
             for 1 or 2 two thirds, because many crossings are lost sooner.
         stride: steps between frames.
@@ -61,15 +55,13 @@ class ImagesConfig:
 
     def __post_init__(self) -> None:
         require_engine(self.engine)
-        if (
-            not self.nx
-            or any(not 0 <= nx <= LISTED_NX for nx in self.nx)
-            or len(set(self.nx)) != len(self.nx)
-        ):
-            raise InvalidImagesConfig(
-                f"nx takes distinct numbers of crossings from 0 to {LISTED_NX}, got"
-                f" {', '.join(map(str, self.nx)) or 'none'}"
-            )
+        check_numbers(
+            self,
+            counts=("count", "steps", "stride", "rows_per_file", "wave", "idle"),
+            whole=("seed",),
+            shares=("test_share", "code_share"),
+        )
+        check_nx(self.nx, LISTED_NX)
         if self.test_nx is None:
             object.__setattr__(self, "test_nx", (max(self.nx),) if len(self.nx) > 1 else ())
         rest = self.trained
@@ -78,26 +70,17 @@ class ImagesConfig:
             or not rest
             or min(self.held_nx, default=LISTED_NX + 1) <= max(rest)
         ):
-            raise InvalidImagesConfig(
+            raise InvalidConfig(
                 f"test-nx takes the largest of the requested nx, {sorted(self.nx)}, but not all of"
                 f" them; got {sorted(self.held_nx)}"
             )
-        for name in ("count", "steps", "stride", "rows_per_file", "wave", "idle"):
-            if getattr(self, name) < 1:
-                raise InvalidImagesConfig(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.stride > self.steps:
-            raise InvalidImagesConfig(
-                f"stride must be at most steps, {self.steps}, got {self.stride}"
-            )
-        if not (
-            0 <= self.test_share and 0 <= self.code_share and self.test_share + self.code_share < 1
-        ):
-            raise InvalidImagesConfig(
-                "test and code shares must be at least 0 and below 1 together, got"
+            raise InvalidConfig(f"stride must be at most steps, {self.steps}, got {self.stride}")
+        if not self.test_share + self.code_share < 1:
+            raise InvalidConfig(
+                "test and code shares must be below 1 together, got"
                 f" {self.test_share} and {self.code_share}"
             )
-        if self.seed < 0:
-            raise InvalidImagesConfig(f"seed must be at least 0, got {self.seed}")
 
     @property
     def held_nx(self) -> tuple[int, ...]:

@@ -6,8 +6,6 @@ belong to one split. The exception is the plain loop, from which every state com
 state without crossings is a family of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,25 +31,15 @@ class NoSeedStates(KnotgymError, ValueError):
 
 @dataclass(frozen=True, eq=False)
 class SeedStates:
-    """Start states for walks.
+    """Start states for walks."""
 
-    Attributes:
-        states: float64 (n, nstate), integration states.
-        points: float64 (n, beads, 3), metres.
-        nx: int64 (n,), numbers of crossings.
-        kind: int64 (n,), index of the class of codes under the rope's symmetries.
-        family: int64 (n,), index of the family.
-        knots: knot types of the states.
-        source: kind, name and SHA-256 of the file that they were read from.
-    """
-
-    states: Array
-    points: Array
-    nx: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    family: NDArray[np.int64]
-    knots: tuple[str, ...]
-    source: dict[str, str]
+    states: Array  # float64 (n, nstate), integration states
+    points: Array  # float64 (n, beads, 3), metres
+    nx: NDArray[np.int64]  # int64 (n,), numbers of crossings
+    kind: NDArray[np.int64]  # int64 (n,), index of the class of codes under the rope's symmetries
+    family: NDArray[np.int64]  # int64 (n,), index of the family
+    knots: tuple[str, ...]  # knot types of the states
+    source: dict[str, str]  # kind, name and SHA-256 of the file that they were read from
 
     def __len__(self) -> int:
         return len(self.states)
@@ -63,17 +51,12 @@ def seed_states(
     states: Path | None = None,
     engine: str = MUJOCO,
 ) -> SeedStates:
-    """Read the states that have at most max(nx) crossings.
+    """Read the states that have at most max(nx) crossings from an archive of play or a state file.
 
-    Args:
-        nx: requested numbers of crossings.
-        archive: an archive of play.
-        states: a state file; if neither is given, the included states are used.
-        engine: the engine that the walks use; an archive must be of the same one.
+    Without either, the included states are used. An archive must be of the same engine.
 
     Raises:
         NoSeedStates: both files were given, or there is no suitable state.
-        FileNotFoundError, InvalidArchive, InvalidStates: a file can't be read.
     """
     if archive and states:
         raise NoSeedStates(
@@ -81,7 +64,7 @@ def seed_states(
         )
     simulation = simulation_of(1, RopeConfig(), engine)
     path = archive or states or shipped()
-    read = _archived if archive else _curated
+    kind, read = ("archive", _archived) if archive else ("states", _curated)
     found = read(path, max(nx), simulation)
     if not found:
         raise NoSeedStates(f"{path} contains no state with at most {max(nx)} crossings")
@@ -100,11 +83,7 @@ def seed_states(
         kind=np.array([classes.index(canonical_form(code)) for code in codes], dtype=np.int64),
         family=families(np.stack(points)),
         knots=tuple(sorted({knot_type(code) for code in codes})),
-        source={
-            "kind": "archive" if archive else "states",
-            "name": path.name,
-            "sha256": sha256(path),
-        },
+        source={"kind": kind, "name": path.name, "sha256": sha256(path)},
     )
 
 

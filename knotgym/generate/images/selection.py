@@ -9,8 +9,6 @@ without chirality; it is made to show the code that is rarest in its split so fa
 depends only on the frames and their order.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache
@@ -46,21 +44,13 @@ class SelectionConfig:
 
 
 class ChosenFrame(NamedTuple):
-    """A chosen frame.
+    """A chosen frame."""
 
-    Attributes:
-        points: float64 (beads, 3), metres, the configuration to store.
-        code: its Gauss code with chirality.
-        split: one of IMAGE_SPLITS.
-        symmetry: transformation from the frame to `points`.
-        frame: index among all frames.
-    """
-
-    points: Array
-    code: GaussCode
-    split: str
-    symmetry: Symmetry
-    frame: int
+    points: Array  # float64 (beads, 3), metres, the configuration to store
+    code: GaussCode  # its Gauss code with chirality
+    split: str  # one of IMAGE_SPLITS
+    symmetry: Symmetry  # transformation from the frame to `points`
+    frame: int  # index among all frames
 
 
 @dataclass(frozen=True)
@@ -74,12 +64,9 @@ class _Option:
 
 
 class Chooser:
-    """Fills quotas, frame by frame.
+    """Fills quotas, frame by frame: `quota` (split, nx) -> requested pictures.
 
-    Attributes:
-        quota: (split, nx) -> requested pictures.
-        chosen: the chosen frames so far.
-        refused: reason -> number of refused frames.
+    `chosen` has the chosen frames so far, `refused` reason -> number of refused frames.
     """
 
     def __init__(
@@ -92,12 +79,7 @@ class Chooser:
     ) -> None:
         """Start without chosen frames.
 
-        Args:
-            quota: see the attribute.
-            held_out: codes, without chirality, allowed only in split "test-code".
-            beads: number of beads of the rope.
-            config: settings of the selection.
-            limits: limits that make a code unambiguous.
+        `held_out` are the codes, without chirality, allowed only in split "test-code".
         """
         self.quota, self.chosen, self.refused = quota, list[ChosenFrame](), Counter[str]()
         self._held_out, self._config, self._limits = held_out, config, limits
@@ -119,6 +101,7 @@ class Chooser:
         self, points: Array, split: str, ease: float, frame: int, rng: np.random.Generator
     ) -> bool:
         """Choose or refuse a frame (beads, 3) of a family in `split`; return True if chosen."""
+        # Cheap refusals come first; the comparison with all chosen frames is the last.
         crossings = find_crossings(points)
         key = split, crossings.nx
         if self.quota.get(key, 0) <= self._have[key]:
@@ -126,6 +109,7 @@ class Chooser:
         is_extreme = grade_of(ease) == "extreme"
         if is_extreme and self._extreme[key] >= self._config.extreme * self.quota[key]:
             return self._refuse("extreme enough")
+        # The generator is the frame's own, so a refused frame doesn't change the draws of others.
         symmetry = self._symmetry(crossings, len(points), split, rng)
         if symmetry is None:
             return self._refuse("no code wanted")
@@ -154,6 +138,7 @@ class Chooser:
         self, crossings: Crossings, beads: int, split: str, rng: np.random.Generator
     ) -> Symmetry | None:
         """Return the symmetry that shows the rarest code so far, with a random base bead."""
+        # always the same draws, whether they are used or not
         reflect, draws = bool(rng.random() < 0.5), rng.random(3)
         if crossings.nx == 0:
             return Symmetry(
@@ -162,6 +147,8 @@ class Chooser:
                 reverse=bool(draws[1] < 0.5),
                 base_shift=int(draws[2] * beads),
             )
+        # A base bead lies in the gap between two visits. Gap k is the one before visit k of the
+        # walk; gap 0 closes the rope.
         places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
         gaps = [
             _inside(before, after, beads, self._limits.base)
@@ -174,6 +161,7 @@ class Chooser:
         ]
         if not able:
             return None
+        # ties between rarest codes, and the bead within the gap, are drawn
         fewest = min(self._codes[split, option.shown] for option in able)
         rarest = [option for option in able if self._codes[split, option.shown] == fewest]
         option = rarest[int(draws[0] * len(rarest))]
@@ -191,6 +179,7 @@ class Chooser:
         # root mean square sizes of near-duplicates differ by less than NEAR
         larger = np.abs(np.sqrt(self._known.square[:n]) - np.sqrt(own.square))
         like = np.flatnonzero(larger < NEAR * np.sqrt(len(points)))
+        # within a split only the same shape as it lies counts, across splits any symmetric one
         if (own.turned_distances(self._known.taken(like)) < NEAR).any():
             return False
         elsewhere = [row for row in like.tolist() if self.chosen[row].split != split]
@@ -199,6 +188,7 @@ class Chooser:
         if (own.taken(np.zeros(len(close.flat), np.int64)).pair_distances(close) < NEAR).any():
             return False
         if n == len(self._known.square):
+            # full: double the capacity
             self._known = Spectra(*(np.concatenate([a, np.empty_like(a)]) for a in self._known))
         for known, new in zip(self._known, own, strict=True):
             known[n] = new[0]

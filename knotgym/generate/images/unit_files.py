@@ -1,46 +1,12 @@
 """Files of the staging folder with units of walks, from which a killed run is resumed."""
 
-from __future__ import annotations
-
-import json
-import struct
-import zlib
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile
 
-import numpy as np
-
-from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import require_regular
 from knotgym.generate.images.walks import Frames, Unit, make_walks
-
-_DTYPES = {
-    "points": "<f8",
-    "walk": "<i8",
-    "steps": "<i8",
-    "rounds": "<i8",
-    "ease": "<f8",
-    "numbers": "<i8",
-    "bases": "<i8",
-    "beads": "<i2",
-    "forces": "<f4",
-}
-# errors of NumPy and zipfile for a file that isn't a complete archive
-_FOREIGN = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    EOFError,
-    MemoryError,
-    RuntimeError,  # of zipfile; NotImplementedError is one
-    BadZipFile,
-    struct.error,
-    zlib.error,
-)
+from knotgym.generate.packed_records import FOREIGN, read_records, write_records
 
 
 class SpoiltUnit(KnotgymError, ValueError):
@@ -59,26 +25,17 @@ def walked(work: UnitFile) -> Path:
     try:
         load_frames(work.path)  # the file has checksums
     except (SpoiltUnit, OSError):
-        frames = make_walks(work.unit)
-        with atomic_write(work.path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **{**vars(frames), "dropped": np.array(json.dumps(frames.dropped))})
+        write_records(work.path, {"frames": [make_walks(work.unit)]})
     return work.path
 
 
 def load_frames(path: Path) -> Frames:
-    """Read a file of `walked`.
-
-    Raises:
-        SpoiltUnit: the file is truncated, corrupted or of another kind.
-        OSError: it can't be read.
+    """Read a file of `walked`; raise SpoiltUnit if it is truncated, corrupted or of another
+    kind.
     """
     require_regular(path, "walks", SpoiltUnit)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in _DTYPES}
-            dropped = json.loads(str(file["dropped"]))
-        if {name: own.dtype.str for name, own in arrays.items()} != _DTYPES:
-            raise SpoiltUnit("its columns are of other types")
-        return Frames(**arrays, dropped={str(name): int(n) for name, n in dropped.items()})
-    except _FOREIGN as error:
+        (frames,) = read_records(path, "frames", Frames)
+    except FOREIGN as error:
         raise SpoiltUnit(f"{path} holds no walks of a run: {error}") from error
+    return frames

@@ -5,8 +5,6 @@ pass strands over each other, as in play. Frames are kept, unrelaxed and with se
 relaxation, if their Gauss code is unambiguous and visible in the picture.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -75,55 +73,33 @@ class Walk(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """Up to WALKS walks.
+    """Up to WALKS walks."""
 
-    Attributes:
-        walks: the walks.
-        states: float64 (walks, nstate), their start states.
-        seed: random seed of the run.
-        steps: steps per walk.
-        stride: steps between examined frames.
-        max_nx: frames with more crossings are dropped.
-        engine: the engine that moves the ropes.
-        config: how walks are made.
-    """
-
-    walks: tuple[Walk, ...]
-    states: Array
-    seed: int
-    steps: int
-    stride: int
-    max_nx: int
-    engine: str
-    config: WalkConfig
+    walks: tuple[Walk, ...]  # the walks
+    states: Array  # float64 (walks, nstate), their start states
+    seed: int  # random seed of the run
+    steps: int  # steps per walk
+    stride: int  # steps between examined frames
+    max_nx: int  # frames with more crossings are dropped
+    engine: str  # moves the ropes
+    config: WalkConfig  # how walks are made
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The m kept frames of a unit of w walks, by walk, and how to reproduce them.
+    """The m kept frames of a unit of w walks, by walk, and how to reproduce them."""
 
-    Attributes:
-        points: float64 (m, beads, 3), metres.
-        walk: int64 (m,), number of the walk.
-        steps: int64 (m,), steps before the frame.
-        rounds: int64 (m,), rounds of `relaxation.relaxed`; 0 for an unrelaxed frame.
-        ease: float64 (m,), see `difficulty.ease`, without the base bead.
-        numbers, bases: int64 (w,), fields of the unit's walks.
-        beads: int16 (w, steps), bead pulled at each step.
-        forces: float32 (w, steps, 3), relative to the largest force.
-        dropped: reason -> number of dropped frames.
-    """
-
-    points: Array
-    walk: NDArray[np.int64]
-    steps: NDArray[np.int64]
+    points: Array  # float64 (m, beads, 3), metres
+    walk: NDArray[np.int64]  # int64 (m,), number of the walk
+    steps: NDArray[np.int64]  # int64 (m,), steps before the frame
+    # int64 (m,), rounds of `relaxation.relaxed`; 0 for an unrelaxed frame.
     rounds: NDArray[np.int64]
-    ease: Array
-    numbers: NDArray[np.int64]
+    ease: Array  # float64 (m,), see `difficulty.ease`, without the base bead.
+    numbers: NDArray[np.int64]  # int64 (w,), fields of the unit's walks
     bases: NDArray[np.int64]
-    beads: NDArray[np.int16]
-    forces: NDArray[np.float32]
-    dropped: dict[str, int]
+    beads: NDArray[np.int16]  # int16 (w, steps), bead pulled at each step
+    forces: NDArray[np.float32]  # float32 (w, steps, 3), relative to the largest force
+    dropped: dict[str, int]  # reason -> number of dropped frames
 
 
 class _Met(NamedTuple):
@@ -151,6 +127,8 @@ def make_walks(unit: Unit) -> Frames:
     dropped: Counter[str] = Counter()
     for step in range(unit.steps):
         points = simulation.points[:count]
+        # A controller is idle when its macro-action has ended; advancing again turns a new one into
+        # the bead and force of this step.
         controller.advance(points)
         for row in np.flatnonzero(controller.idle).tolist():
             draw = _gentle_action if gentle[row] else _any_action
@@ -161,6 +139,7 @@ def make_walks(unit: Unit) -> Frames:
         alive &= held
         if (step + 1) % unit.stride:
             continue
+        # A simulation that blew up is not examined again; its walk keeps its place in the batch.
         for row in np.flatnonzero(alive).tolist():
             frame = simulation.points[row].copy()
             if count_crossings(frame) > unit.max_nx:
@@ -219,6 +198,7 @@ def judged(points: Array, limits: LabelLimits) -> tuple[str, float]:
     crossings = find_crossings(points)
     if visits_too_close(crossings, len(points), limits):
         return "visits too close", 0.0
+    # infinite: the base bead is chosen later
     quality = replace(measure(points, crossings, quick=True), base_spacing=float("inf"))
     if pressed_together(quality.clearance, limits):
         return "strands pressed together", 0.0

@@ -25,7 +25,6 @@ from knotgym.common.hdf5_files import Column, member, opened_hdf5, read_column
 from knotgym.control.action_sequence import ActionSequence
 from knotgym.control.transition_counts import TransitionCounts
 from knotgym.rope.model import Array
-from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import mirror_images
 
@@ -67,23 +66,15 @@ class ArchiveConfig:
 
 @dataclass(frozen=True, eq=False)
 class Elite:
-    """A state reached by play, with one reading of its code.
+    """A state reached by play, with one reading of its code."""
 
-    Attributes:
-        code: its code with chirality, read from vertex `base_shift`, backwards if `reverse`.
-        base_shift: the base vertex, the start of a sub-chain.
-        reverse: whether the code is read towards falling bead indices.
-        sequence: actions from the start at rest, in the rope's own numbering of beads.
-        state: MuJoCo integration state at the end of the sequence, float64.
-        objective: distance from the limits of legibility, see `Limits.objective`.
-    """
-
+    # its code with chirality, read from vertex `base_shift`, backwards if `reverse`
     code: GaussCode
-    base_shift: int
-    reverse: bool
-    sequence: ActionSequence
-    state: Array
-    objective: float
+    base_shift: int  # the base vertex, the start of a sub-chain
+    reverse: bool  # whether the code is read towards falling bead indices
+    sequence: ActionSequence  # actions from the start at rest, in the rope's own numbering of beads
+    state: Array  # MuJoCo integration state at the end of the sequence, float64
+    objective: float  # distance from the limits of legibility, see `Limits.objective`.
 
     @property
     def exact(self) -> bool:
@@ -93,29 +84,24 @@ class Elite:
 
 @dataclass
 class Archive:
-    """Elites by class, and the history of the search.
+    """Elites by class, and the history of the search."""
 
-    Attributes:
-        niches: class -> elites, the shortest sequence first.
-        visits: class -> how often a rope started from it.
-        growth: one row per round: total actions and known classes.
-        settings: settings of the search that created it, as JSON.
-        transitions: changes of code caused by macro-actions.
-    """
-
+    # class -> elites, the shortest sequence first
     niches: dict[GaussCode, list[Elite]] = field(default_factory=dict)
+    # class -> how often a rope started from it
     visits: dict[GaussCode, int] = field(default_factory=dict)
+    # one row per round: total actions and known classes
     growth: list[dict[str, int]] = field(default_factory=list)
+    # settings of the search that created it, as JSON
     settings: dict[str, object] = field(default_factory=dict)
+    # changes of code caused by macro-actions
     transitions: TransitionCounts = field(default_factory=TransitionCounts)
 
     def offer(self, elite: Elite, config: ArchiveConfig) -> bool:
-        """Keep an elite if it is among the shortest or most legible of its class.
+        """Keep an elite if it is among the shortest or most legible of its class; return whether
+        the class is new.
 
         Legibility is compared together with length, see `ArchiveConfig.fair`.
-
-        Returns:
-            Whether the class is new.
         """
 
         def by_length(elite: Elite) -> tuple[float, float]:
@@ -134,17 +120,6 @@ class Archive:
         # `in` compares identity, since Elite has eq=False
         self.niches[niche] = short + [elite for elite in good_looking if elite not in short]
         return is_new
-
-    def codes(self, nx: int) -> list[GaussCode]:
-        """Return the known codes with nx crossings, without chirality, sorted by visits."""
-        niches = [niche for niche in self.niches if niche.nx == nx]
-        known = {image.plain for niche in niches for image in mirror_images(niche)}
-        return sorted(known, key=lambda code: code.visits)
-
-    def known_chiralities(self, code: GaussCode) -> list[GaussCode]:
-        """Return the known codes with chirality that have the visits of `code`."""
-        chiral = [GaussCode(code.visits, letters) for letters in chiralities(code)]
-        return [code for code in chiral if mirror_images(code)[0] in self.niches]
 
     def sure(self, code: GaussCode) -> bool:
         """Whether `code`, which has chirality, or a mirror image of it has an exact elite."""
@@ -181,24 +156,16 @@ class Archive:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Archive:
-        """Read an archive.
-
-        Raises:
-            MissingFile: there is no such file.
-            InvalidArchive: the file is not an archive, truncated, or of an unknown version.
+        """Read an archive; raise InvalidArchive if the file is another, truncated, or of an unknown
+        version.
         """
+        versions = (FORMAT_VERSION,)
         with opened_hdf5(
-            path,
-            what="archive",
-            format=FORMAT,
-            versions=(FORMAT_VERSION,),
-            error=InvalidArchive,
+            path, what="archive", format=FORMAT, versions=versions, error=InvalidArchive
         ) as file:
+            visits = _json(file, "visits", dict).items()
             archive = cls(
-                visits={
-                    GaussCode.parse(code): int(count)
-                    for code, count in _json(file, "visits", dict).items()
-                },
+                visits={GaussCode.parse(code): int(count) for code, count in visits},
                 growth=_json(file, "growth", list),
                 settings=_json(file, "settings", dict),
                 transitions=TransitionCounts.read(member(file, "transitions")),
@@ -209,18 +176,13 @@ class Archive:
             beads, forces = read["beads"], read["forces"]
             if not len(ends) or len(beads) != int(ends[-1]):
                 raise InvalidArchive(f"{path} isn't a whole archive: its sequences are truncated")
-            rows = zip(
-                *(read[name] for name in ("code", "base_shift", "reverse", "objective", "state")),
-                np.concatenate([[0], ends[:-1]]),
-                ends,
-                strict=True,
-            )
-            for text, base_shift, reverse, objective, state, start, end in rows:
-                code = GaussCode.parse(text)
-                sequence = ActionSequence(beads[start:end], forces[start:end])
-                elite = Elite(
-                    code, int(base_shift), bool(reverse), sequence, state, float(objective)
-                )
+            names = ("code", "base_shift", "reverse", "objective", "state")
+            parts = (np.split(one, ends[:-1]) for one in (beads, forces))
+            for text, shift, reverse, objective, state, *sequence in zip(
+                *(read[name] for name in names), *parts, strict=True
+            ):
+                code, taken = GaussCode.parse(text), ActionSequence(*sequence)
+                elite = Elite(code, int(shift), bool(reverse), taken, state, float(objective))
                 archive.niches.setdefault(mirror_images(code)[0], []).append(elite)
             return archive
 

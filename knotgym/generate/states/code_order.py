@@ -1,13 +1,12 @@
 """The codes for which a run makes states, and their order."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from knotgym.common.configuration import InvalidConfig
 from knotgym.common.streams import Stream, generator
-from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.runs.shards import Shard
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import based_diagrams, diagram_of, type_of
@@ -20,13 +19,10 @@ _RARE = 20_000  # random codes to try until one shows the knot
 class CodeOrder:
     """The codes with one nx, by index, and the order in which a shard makes states of them.
 
-    A *slot* (index, copy) stands for one state of a code.
-
-    Attributes:
-        listed: all codes; None if there are too many to list. For a knot whose crossing number
-            exceeds LISTED_NX: the diagram of the knot table from every base point.
-        existing: number of codes with this nx that show the knot; None if unknown.
-        wanted: number of states to make.
+    `listed` has all codes, None if there are too many to list; for a knot whose crossing number
+    exceeds LISTED_NX, the diagram of the knot table from every base point. `existing` is the number
+    of codes that show the knot, None if unknown; `wanted` that of states to make. A *slot* (index,
+    copy) stands for one state of a code.
     """
 
     def __init__(self, config: GenerateConfig, knot: str, shard: Shard, nx: int) -> None:
@@ -47,7 +43,7 @@ class CodeOrder:
             self.wanted = len(shard.share(config.count))
             return
         if not self.listed:
-            raise InvalidGenerateConfig(f"no diagram of {config.knot} has {nx} crossings")
+            raise InvalidConfig(f"no diagram of {config.knot} has {nx} crossings")
         order = generator(Stream.CODE_ORDER, config.seed, nx).permutation(len(self.listed))
         each = config.every_code or -(-config.count // len(self.listed))
         # first copies of all codes come before second copies; shards take slots in turn
@@ -82,6 +78,6 @@ class CodeOrder:
             code = uniform_code(self._nx, self._rng)
             if shows(code, self._knot):
                 return code
-        raise InvalidGenerateConfig(
+        raise InvalidConfig(
             f"none of {_RARE} random codes with {self._nx} crossings shows {self._knot}"
         )

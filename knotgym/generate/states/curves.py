@@ -1,7 +1,5 @@
 """Starts of action sequences: the plain loop, a knot's minimal diagram, or a user's curve."""
 
-from __future__ import annotations
-
 import warnings
 from itertools import product
 from pathlib import Path
@@ -29,17 +27,11 @@ class InvalidCurveFile(KnotgymError, ValueError):
 
 
 class Start(NamedTuple):
-    """The state from which action sequences start.
+    """The state from which action sequences start."""
 
-    Attributes:
-        knot: name in the knot table, including handedness.
-        points: float64 (beads, 3), metres.
-        code: its Gauss code with chirality.
-    """
-
-    knot: str
-    points: Array
-    code: GaussCode
+    knot: str  # name in the knot table, including handedness
+    points: Array  # float64 (beads, 3), metres
+    code: GaussCode  # its Gauss code with chirality
 
 
 def start_of(knot: str) -> Start:

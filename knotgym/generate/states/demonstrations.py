@@ -41,42 +41,25 @@ TURNED = 4  # the first replays have a rotated start; the others start like the 
 
 
 class DemonstrationTask(NamedTuple):
-    """A demonstration to make.
-
-    Attributes:
-        config: of the run.
-        knot: name of the rope's knot in the knot table.
-        code: goal, without chirality.
-        which: index of the code among those of its nx.
-        start: start configuration (beads, 3) of the sequences.
-        elites: their sequences lead to the code or its mirror image.
-        seed: key of the random stream.
-    """
+    """A demonstration to make."""
 
     config: GenerateConfig
-    knot: str
-    code: GaussCode
-    which: int
-    start: Array
-    elites: tuple[Elite, ...]
-    seed: tuple[int, ...]
+    knot: str  # name of the rope's knot in the knot table
+    code: GaussCode  # goal, without chirality
+    which: int  # index of the code among those of its nx
+    start: Array  # start configuration (beads, 3) of the sequences
+    elites: tuple[Elite, ...]  # their sequences lead to the code or its mirror image
+    seed: tuple[int, ...]  # key of the random stream
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """T actions from the start to a state with a given code.
+    """T actions from the start to a state with a given code."""
 
-    Attributes:
-        start_qpos: float64 (nq,), the start, at rest.
-        actions: float32 (T, 6).
-        points: float64 (T + 1, beads, 3), metres, before and after each action.
-        shares: float64 (T + 1,), the fraction of its force that each action applied; the first
-            value is 1.
-    """
-
-    start_qpos: Array
-    actions: NDArray[np.float32]
-    points: Array
+    start_qpos: Array  # float64 (nq,), the start, at rest
+    actions: NDArray[np.float32]  # float32 (T, 6)
+    points: Array  # float64 (T + 1, beads, 3), metres, before and after each action
+    # float64 (T + 1,), the fraction of its force that each action applied; the first value is 1
     shares: Array
 
     def __len__(self) -> int:
@@ -120,17 +103,11 @@ class Demonstration:
 
 
 class Demonstrated(NamedTuple):
-    """Result of a DemonstrationTask.
+    """Result of a DemonstrationTask."""
 
-    Attributes:
-        demonstration: None if no replay reached the code.
-        state: its final state if that is accepted for the set, otherwise None.
-        spent: number of simulated actions.
-    """
-
-    demonstration: Demonstration | None
-    state: MadeState | None
-    spent: int
+    demonstration: Demonstration | None  # None if no replay reached the code
+    state: MadeState | None  # its final state if that is accepted for the set, otherwise None
+    spent: int  # number of simulated actions
 
 
 def demonstrate(task: DemonstrationTask) -> Demonstrated:
@@ -138,6 +115,7 @@ def demonstrate(task: DemonstrationTask) -> Demonstrated:
     rng = generator_of(task.seed)
     simulation = simulation_of(1, RopeConfig(), task.config.engine)
     before = simulation.steps_taken
+    # elites whose end is legible may give a state as well as a way
     legible = [elite for elite in task.elites if _is_legible(elite, simulation, task)]
     for number in range(TRIES):
         turned = number < TURNED

@@ -4,8 +4,6 @@ A curve with the code is drawn (`drawing.drawn_curve`), placed in the simulator,
 left to rest and judged. Drawings are random, so this is repeated until one is accepted.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -35,52 +33,30 @@ ONE = np.array([0])
 
 
 class DrawnUnit(NamedTuple):
-    """A few drawings of one code.
-
-    Attributes:
-        config: of the run.
-        knot: name of the rope's knot in the knot table.
-        code: with chirality, or without for any chirality.
-        which: index of the code among those of its nx.
-        first: number of the first drawing.
-        drawings: maximum number of drawings.
-        wanted: stop after this many states.
-    """
+    """A few drawings of one code."""
 
     config: GenerateConfig
-    knot: str
-    code: GaussCode
-    which: int
-    first: int
-    drawings: int
-    wanted: int
+    knot: str  # name of the rope's knot in the knot table
+    code: GaussCode  # with chirality, or without for any chirality
+    which: int  # index of the code among those of its nx
+    first: int  # number of the first drawing
+    drawings: int  # maximum number of drawings
+    wanted: int  # stop after this many states
 
 
 @dataclass(frozen=True, eq=False)
 class MadeState:
-    """An accepted state and how to reproduce it.
+    """An accepted state and how to reproduce it."""
 
-    Attributes:
-        policy: "drawing", or "play" for the end of an action sequence.
-        code: with chirality.
-        index: index of the code among those of its nx.
-        seed: key of its random stream.
-        start_qpos: float64 (nq,), the configuration before the actions, at rest.
-        actions: float32 (T, 6), applied from there.
-        qpos: float64 (nq,), after the last action.
-        points: float64 (beads, 3), metres, bead positions of qpos.
-        quality: all quality measures.
-    """
-
-    policy: str
-    code: GaussCode
-    index: int
-    seed: tuple[int, ...]
-    start_qpos: Array
-    actions: NDArray[np.float32]
-    qpos: Array
-    points: Array
-    quality: Quality
+    policy: str  # "drawing", or "play" for the end of an action sequence
+    code: GaussCode  # with chirality
+    index: int  # index of the code among those of its nx
+    seed: tuple[int, ...]  # key of its random stream
+    start_qpos: Array  # float64 (nq,), the configuration before the actions, at rest
+    actions: NDArray[np.float32]  # float32 (T, 6), applied from there
+    qpos: Array  # float64 (nq,), after the last action
+    points: Array  # float64 (beads, 3), metres, bead positions of qpos
+    quality: Quality  # all quality measures
 
 
 @dataclass(eq=False)
@@ -134,6 +110,7 @@ def _drawn(
     except UndrawnCode:
         rejected["too tight"] += 1
         return None
+    # most rejections are seen on the curve, before anything is simulated
     faults = config.limits.faults(measure(curve, quick=True), code.nx)
     if faults:
         rejected.update(faults)
@@ -157,17 +134,8 @@ def judged(
 ) -> tuple[Quality, list[str]]:
     """Measure a state at rest and list why it can't be accepted as one that shows `code`.
 
-    The cheap measures come first: noise survival, which is half of the time, and the second
-    labeller are only asked about states that pass them.
-
-    Args:
-        points: float64 (beads, 3), metres.
-        code: with chirality.
-        limits: that it must keep.
-        rng: draws the reset noise.
-
-    Returns:
-        All measures, noise survival NaN where it wasn't asked for, and the faults.
+    The cheap measures come first: noise survival, which is half of the time and NaN where it isn't
+    measured, and the second labeller are only for states that pass them.
     """
     crossings = find_crossings(points)
     quality = measure(points, crossings)
@@ -186,10 +154,9 @@ def judged(
 def _stirred(
     simulation: Simulation, config: GenerateConfig, code: GaussCode, rng: np.random.Generator
 ) -> NDArray[np.float32] | None:
-    """Stir rope 0 with random pulls and let it rest.
+    """Stir rope 0 with random pulls and let it rest; return the actions.
 
-    Returns:
-        The actions, or None if the simulation fails or the rope shows another code afterwards.
+    None if the simulation fails or the rope shows another code afterwards.
     """
     few = code.nx < 2
     most = config.loop_stir if few else config.stir

@@ -1,11 +1,8 @@
 """The configuration of `knotgym generate`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
-from knotgym.common.configuration import check_numbers
-from knotgym.common.errors import KnotgymError
+from knotgym.common.configuration import InvalidConfig, check_numbers, check_nx
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.drawing.drawn_curve import DrawingConfig
 from knotgym.envs.tasks import MAX_NX
@@ -17,43 +14,30 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 
 
-class InvalidGenerateConfig(KnotgymError, ValueError):
-    """The requested states can't be made."""
-
-
-def check_nx(nx: tuple[int, ...], most: int) -> None:
-    """Require distinct crossing numbers in [0, most].
-
-    Raises:
-        InvalidGenerateConfig: they are not, or there are none.
-    """
-    if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
-        raise InvalidGenerateConfig(
-            f"nx takes distinct numbers of crossings from 0 to {most}, got"
-            f" {', '.join(map(str, nx)) or 'none'}"
-        )
-
-
 @dataclass(frozen=True, kw_only=True)
 class GenerateConfig:
     """Which states to make, and how.
 
     Attributes:
-        nx: crossing numbers.
+        nx: numbers of crossings: 3, 2,3 or 0-4.
         codes: Gauss codes to use instead of all those of `knot`, with or without chirality; `nx`
             must list their crossing numbers.
-        count: states per crossing number, spread over as many Gauss codes as possible.
-        every_code: number of states for every code, instead of `count`; 0 to use `count`.
-        split_by: "state", or "code" for splits that share no code.
+        count: states per number of crossings, spread over as many Gauss codes as possible.
+        every_code: instead of --count: number of states for every existing Gauss code.
+        split_by: "state" or "code"; with "code", train and test share no Gauss code.
         train_share: share of states (or codes) in the train split.
-        knot: the rope's knot: a name of `topology.knot_table.diagram_of`, or a file with a curve.
-        engine: the engine of every simulation, see `knotgym.rope.engines`.
-        demonstrations: whether to find an action sequence to every code and write demonstrations.
-        seed: random seed of the run.
-        attempts: drawings per requested state of a code before the code is skipped.
+        knot: knot type of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror image
+            (m3_1) or a sum (3_1#4_1); or a file with a closed curve, as .npy or three numbers per
+            line, from which action sequences start.
+        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
+        demonstrations: search for an action sequence that reaches the Gauss code of every state,
+            and write the sequences as Minari datasets; up to 6 crossings.
+        seed: random seed; the same seed gives the same bytes.
+        attempts: drawings per requested state before a Gauss code is skipped; with random-walk,
+            walks per requested state.
         searches: planner searches for a code before it is skipped; the first has the budget
             `planner.budget`, each further one twice that of the one before.
-        cycles: waves of work after which the run ends with the states it has; 0 for no limit.
+        cycles: stop after this many rounds of work and keep the states made; 0 for no limit.
         wave: maximum number of units of work in a wave.
         planned: codes that the planner searches for in one wave.
         batch: drawings of a code in one wave.
@@ -102,16 +86,13 @@ class GenerateConfig:
             whole=("every_code", "seed", "cycles", "stalled", "stir", "loop_stir"),
             shares=("train_share",),
             ranges=("force",),
-            error=InvalidGenerateConfig,
         )
         check_nx(self.nx, MAX_NX)
         require_engine(self.engine)
         if self.split_by not in ("state", "code"):
-            raise InvalidGenerateConfig(
-                f'split_by must be "state" or "code", got {self.split_by!r}'
-            )
+            raise InvalidConfig(f'split_by must be "state" or "code", got {self.split_by!r}')
         if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"there are too many codes with {max(self.nx)} crossings to list, so every_code"
                 f" takes nx up to {LISTED_NX}; give a count"
             )
@@ -119,7 +100,7 @@ class GenerateConfig:
             if not is_planar(code):
                 raise NotPlanar(code)
             if code.nx not in self.nx:
-                raise InvalidGenerateConfig(
+                raise InvalidConfig(
                     f"nx must include the crossings of all codes, got {self.nx} and {str(code)!r}"
                 )
 

@@ -6,8 +6,6 @@ loop converge). From then on, every few actions a configuration is examined. Sta
 more legible. Only positions are kept, at rest: an episode starts without the velocity of the walk.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -15,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import InvalidConfig, check_numbers, check_nx
 from knotgym.common.streams import Stream, generator, key
-from knotgym.generate.states.generate_config import InvalidGenerateConfig, check_nx
 from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, require_engine, simulation_of
@@ -107,14 +104,13 @@ class RandomWalkConfig:
             counts=("count", "every", "longest", "attempts", "batch", "wave"),
             whole=("loops", "seed", "burn_in"),
             shares=("train_share",),
-            error=InvalidGenerateConfig,
         )
         check_nx(self.nx, LISTED_NX)
         require_engine(self.engine)
         if self.start not in STARTS:
-            raise InvalidGenerateConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
+            raise InvalidConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
         if self.longest < self.burn_in + 1:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"longest must be above burn_in, {self.burn_in}, got {self.longest}"
             )
 
@@ -139,23 +135,14 @@ class WalkUnit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WalkState:
-    """A state reached by a random walk.
+    """A state reached by a random walk."""
 
-    Attributes:
-        rope: number of the rope.
-        step: number of actions before it.
-        code: with chirality.
-        qpos: float64 (nq,).
-        points: float64 (beads, 3), metres.
-        quality: all measures.
-    """
-
-    rope: int
-    step: int
-    code: GaussCode
-    qpos: Array
-    points: Array
-    quality: Quality
+    rope: int  # number of the rope
+    step: int  # number of actions before it
+    code: GaussCode  # with chirality
+    qpos: Array  # float64 (nq,)
+    points: Array  # float64 (beads, 3), metres
+    quality: Quality  # all measures
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +177,7 @@ def walk(unit: WalkUnit) -> Walked:
     simulation = simulation_of(config.batch, RopeConfig(), config.engine)
     start = simulation.rope.qpos(STARTS[config.start](simulation.rope))
     simulation.lay(np.repeat(start[None], config.batch, axis=0))
+    # all actions of a rope come from one stream, so its row needs no column of actions
     actions = np.stack([drawn_actions(key_of(config, rope), config.longest) for rope in ropes])
     whole = np.ones(config.batch, dtype=bool)  # no blow-up so far
     found: dict[tuple[int, int], WalkState] = {}

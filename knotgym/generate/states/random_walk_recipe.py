@@ -6,22 +6,23 @@ Until the run is finished, the staging folder contains
     accepted.npz   the accepted states, column by column
 """
 
-from __future__ import annotations
-
-import json
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import as_json
+from knotgym.generate.packed_records import (
+    read_records,
+    reading_checkpoint,
+    require_digest,
+    write_records,
+)
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.random_walk import (
     STARTS,
@@ -32,19 +33,15 @@ from knotgym.generate.states.random_walk import (
     key_of,
     walk,
 )
-from knotgym.generate.states.state_recipe import SpoiltCheckpoint
-from knotgym.quality.measures import UNITS, Quality
-from knotgym.rendering.picture import draw_many
 from knotgym.rope.model import Array, Rope
-from knotgym.runs.engine import CHECKPOINT, Batch, run
+from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.states.near_duplicates import pairs_within
 from knotgym.states.schema import RANDOM_WALK, STATE_SPLITS
 from knotgym.states.state_file import States, write_states
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import codes_of, knot_type
+from knotgym.topology.knots import codes_of
 
 _RUN, _ACCEPTED = "walks.json", "accepted.npz"
 
@@ -54,14 +51,8 @@ def walk_states(
 ) -> Path:
     """Make states of random walks in the new folder `out`, and return it.
 
-    Args:
-        config: which states to make.
-        out: the folder.
-        options: how to execute the run; shards are not supported.
-        progress: where to show progress; a new display by default.
-
     Raises:
-        Occupied, InvalidRun: as in `runs.engine.run`.
+        Occupied, InvalidRun: as in `runs.engine.run`; shards are not supported.
         NotEnough: `config.attempts` were used up.
     """
     if not options.shard.is_whole:
@@ -69,92 +60,52 @@ def walk_states(
     return run(RandomWalkRecipe(config), out, options, progress)
 
 
-class RandomWalkRecipe:
+class RandomWalkRecipe(Recipe):
     """Recipe for states of random walks, see `runs.engine.Recipe`."""
 
-    flexible: tuple[str, ...] = ("attempts",)
+    flexible = ("attempts",)
 
     def __init__(self, config: RandomWalkConfig) -> None:
         self.config = config
+        self.engine = config.engine
         self.walked = 0  # ropes
         self.accepted: list[WalkState] = []
         self.rejected: dict[int, Counter[str]] = {nx: Counter() for nx in config.nx}
 
-    @property
-    def engine(self) -> str:
-        return self.config.engine
-
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": RANDOM_WALK}
-
-    def begin(self) -> None:
-        pass  # nothing to prepare
 
     def batches(self, folder: Path) -> Iterator[Batch]:
         config = self.config
         most = config.attempts * max(config.count, config.loops)
-        while not self.done():
+        while lacking := self._lacking():
             if self.walked >= most:
                 raise NotEnough(
-                    f"states are missing for {self._lacking()} after {self.walked} walks; give more"
+                    f"states are missing for {lacking} after {self.walked} walks; give more"
                     " --attempts"
                 )
-            yield Batch(
-                work=walk,
-                units=[
-                    WalkUnit(config, self.walked + k * config.batch) for k in range(config.wave)
-                ],
-                absorb=self._absorb,
-                name="walking",
-            )
+            firsts = range(self.walked, self.walked + config.wave * config.batch, config.batch)
+            units = [WalkUnit(config, first) for first in firsts]
+            yield Batch(walk, units, self._absorb, "walking")
             yield CHECKPOINT
 
-    def done(self) -> bool:
-        """Whether all requested states are made."""
-        return not self._lacking()
-
     def save(self, folder: Path) -> None:
-        with atomic_write(folder / _ACCEPTED) as temporary, open(temporary, "wb") as file:
-            np.savez(
-                file,
-                rope=np.array([one.rope for one in self.accepted], dtype=np.int64),
-                step=np.array([one.step for one in self.accepted], dtype=np.int64),
-                code=np.array([one.code.chiral for one in self.accepted], dtype=np.str_),
-                qpos=np.array([one.qpos for one in self.accepted]),
-                points=np.array([one.points for one in self.accepted]),
-                quality=np.array([json.dumps(asdict(one.quality)) for one in self.accepted]),
-            )
         counters = {
             "walked": self.walked,
             "rejected": {str(nx): dict(reasons) for nx, reasons in self.rejected.items()},
-            "sha256": sha256(folder / _ACCEPTED),
+            "sha256": write_records(folder / _ACCEPTED, {"states": self.accepted}),
         }
         write_sealed(folder / _RUN, counters)
 
     def load(self, folder: Path) -> bool:
         if not (folder / _RUN).is_file():
             return False
-        try:
-            said = read_sealed(folder / _RUN)
-            if sha256(folder / _ACCEPTED) != said["sha256"]:
-                raise ValueError(f"SHA-256 of {_ACCEPTED} differs")
-            with np.load(folder / _ACCEPTED, allow_pickle=False) as file:
-                columns = [file[field.name] for field in fields(WalkState)]
-            self.accepted = [
-                WalkState(
-                    rope=int(rope),
-                    step=int(step),
-                    code=GaussCode.parse(str(code)),
-                    qpos=qpos,
-                    points=points,
-                    quality=Quality(**json.loads(str(quality))),
-                )
-                for rope, step, code, qpos, points, quality in zip(*columns, strict=True)
-            ]
-            self.walked = int(said["walked"])
-            self.rejected = {nx: Counter(said["rejected"][str(nx)]) for nx in self.config.nx}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, BadZipFile) as error:
-            raise SpoiltCheckpoint(folder, error) from error
+        with reading_checkpoint(folder):
+            stored = read_sealed(folder / _RUN)
+            require_digest(folder / _ACCEPTED, stored["sha256"])
+            self.accepted = read_records(folder / _ACCEPTED, "states", WalkState)
+            self.walked = int(stored["walked"])
+            self.rejected = {nx: Counter(stored["rejected"][str(nx)]) for nx in self.config.nx}
         return True
 
     def status(self) -> Status:
@@ -235,23 +186,12 @@ def states_of(config: RandomWalkConfig, accepted: list[WalkState]) -> States:
     """Return the accepted states as rows, sorted by nx and then by rope."""
     order = {nx: index for index, nx in enumerate(config.nx)}
     rows = sorted(accepted, key=lambda one: (order[one.code.nx], one.rope))
-    points, rope = np.stack([one.points for one in rows]), Rope()
+    rope = Rope()
     start = rope.qpos(STARTS[config.start](rope))
     steps = np.array([one.step for one in rows], dtype=np.int64)
-    return States(
-        qpos=np.stack([one.qpos for one in rows]),
-        points=points,
-        image=draw_many(points),
-        gauss_code=np.array([str(one.code) for one in rows]),
-        gauss_code_chiral=np.array([one.code.chiral for one in rows]),
-        knot=np.array([knot_type(one.code) for one in rows]),
-        nx=np.array([one.code.nx for one in rows], dtype=np.int64),
-        split=np.array([config.split(one.rope) for one in rows]),
-        quality={
-            field.name: np.array([getattr(one.quality, field.name) for one in rows])
-            for field in fields(Quality)
-        },
-        units=dict(UNITS),
+    return state_folder.rows_of(
+        rows,
+        split=[config.split(one.rope) for one in rows],
         source={
             "start_qpos": np.repeat(start[None], len(rows), axis=0),
             "steps": steps,
@@ -260,11 +200,5 @@ def states_of(config: RandomWalkConfig, accepted: list[WalkState]) -> States:
             "trajectory": np.array([one.rope for one in rows], dtype=np.int64),
             "step": steps,
         },
-        attributes={
-            "knotgym": knotgym.__version__,
-            "mujoco": mujoco.__version__,
-            "rope": rope.config.fingerprint,
-            "engine": config.engine,
-            "config": json.dumps(asdict(config), sort_keys=True),
-        },
+        config=asdict(config),
     )

@@ -6,8 +6,6 @@ of the batch. A rope's motion depends only on the archive at the start of the ro
 round and the rope's index, so the result doesn't depend on the workers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
@@ -25,7 +23,6 @@ from knotgym.rope.engines import MUJOCO, require_engine, simulation, simulation_
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
 from knotgym.runs.engine import Batch
-from knotgym.runs.pools import Pool
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, mirror_images, shifted_base
@@ -148,15 +145,6 @@ def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     return archive
 
 
-def advance(archive: Archive, config: SearchConfig, pool: Pool) -> int:
-    """Play one round on a pool and grow the archive by it; how many classes are new."""
-    known = len(archive.niches)
-    for batch in search_round(archive, config):
-        for _ in batch.follow(pool):
-            pass
-    return len(archive.niches) - known
-
-
 def search_round(
     archive: Archive,
     config: SearchConfig,
@@ -169,10 +157,11 @@ def search_round(
         archive: changed in place.
         config: the same for every round of an archive.
         chunk: ropes per unit of work; doesn't change the result.
-        wanted: passed to `replays`.
+        wanted: as for `replays`.
     """
     number = len(archive.growth)
     actions = archive.growth[-1]["actions"] if archive.growth else 0
+    # Work is chosen from the archive as it is before the round, whatever the pool absorbs first.
     replayed = replays(archive, config, number, 0, chunk, wanted)
     parents = _parents(archive, config, number)
     units = [
@@ -190,6 +179,7 @@ def search_round(
         archive.transitions.add(played.transitions, config.most_templates)
         actions += int(played.taken.sum())
         for discovery in played.discoveries:
+            # the state's own way: that of the parent, and what this rope did until it was seen
             row, steps = discovery.batch_index - unit.indices.start, discovery.steps
             sequence = parents[discovery.batch_index].sequence + ActionSequence(
                 played.beads[row, :steps], played.forces[row, :steps]
@@ -197,6 +187,7 @@ def search_round(
             if len(sequence) <= config.longest:
                 archive.offer(discovery.reading.elite(sequence, discovery.state), config.archive)
 
+    # replays first: an elite that becomes exact can be a parent of the next round
     yield replayed
     actions += sum(len(sequence) for unit in replayed.units for sequence in unit.sequences)
     yield Batch(play, units, absorb_unit, "playing")
@@ -247,6 +238,7 @@ def confirm(replay: Replay) -> list[Discovery]:
     alive = np.ones(len(sequences), dtype=bool)
     lengths = np.array([len(sequence) for sequence in sequences])
     for step in range(max(lengths)):
+        # Sequences differ in length: a rope whose sequence is done is not stepped any more.
         ids = np.flatnonzero(alive & (step < lengths))
         if len(ids):
             beads = np.array([sequences[row].beads[step] for row in ids])
@@ -261,21 +253,13 @@ def confirm(replay: Replay) -> list[Discovery]:
 
 
 class Played(NamedTuple):
-    """Result of a SearchUnit.
+    """Result of a SearchUnit."""
 
-    Attributes:
-        discoveries: ordered by rope, then by step.
-        beads: int16 (ropes, steps), the bead pulled at each step.
-        forces: float32 (ropes, steps, 3), the force at each step.
-        taken: int (ropes,), steps of each rope before its simulation failed.
-        transitions: changes of code caused by macro-actions.
-    """
-
-    discoveries: list[Discovery]
-    beads: NDArray[np.int16]
-    forces: NDArray[np.float32]
-    taken: NDArray[np.int64]
-    transitions: TransitionCounts
+    discoveries: list[Discovery]  # ordered by rope, then by step
+    beads: NDArray[np.int16]  # int16 (ropes, steps), the bead pulled at each step
+    forces: NDArray[np.float32]  # float32 (ropes, steps, 3), the force at each step
+    taken: NDArray[np.int64]  # int (ropes,), steps of each rope before its simulation failed
+    transitions: TransitionCounts  # changes of code caused by macro-actions
 
 
 def play(unit: SearchUnit) -> Played:
@@ -298,6 +282,7 @@ def play(unit: SearchUnit) -> Played:
     for step in range(config.steps):
         # A macro-action may end by itself when its bead has arrived; only then is a new one drawn.
         controller.advance(ropes.points)
+        # Each rope draws from its own generator, so the ropes in a unit don't matter.
         for row in np.flatnonzero(controller.idle).tolist():
             macro_action = propose(ropes.points[row], rngs[row], config.macro_actions)
             controller.begin(row, macro_action)
@@ -343,6 +328,7 @@ def readings(points: Array, limits: Limits, rope: RopeConfig) -> list[Reading]:
     """
     crossings = find_crossings(points)
     quality = measure(points, crossings, quick=True)
+    # Crossings don't depend on the base vertex, only their numbering and the base spacing do.
     best: dict[GaussCode, Reading] = {}
     for base_shift in base_shifts(rope):
         code = shifted_base(crossings, base_shift)
@@ -370,12 +356,14 @@ def _unconfirmed(
     if archive.settings["start"] != "loop":
         return []
     rng = generator(Stream.SEARCH_REPLAYS, config.seed, *number)
+    # codes that some exact elite reaches, in any chirality and mirror image
     sure = {
         image.plain
         for niche in archive.niches
         if archive.sure(niche)
         for image in mirror_images(niche)
     }
+    # niches still to be made exact; the plain loop (nx 0) always is
     near = [
         niche
         for niche in archive.niches
@@ -384,6 +372,7 @@ def _unconfirmed(
         and (wanted is None or any(image.plain in wanted for image in mirror_images(niche)))
     ]
     drawn = [near[pick] for pick in rng.permutation(len(near))]
+    # stable: within either group the random order stays
     drawn.sort(key=lambda niche: niche.plain in sure)
     sequences = []
     for niche in drawn[: int(config.replay_share * config.batch_size)]:
@@ -398,6 +387,7 @@ def renumbered(elite: Elite, beads: int) -> ActionSequence:
 
     From the plain loop it leads approximately to the elite's state.
     """
+    # Reversal comes before the shift, so a reversed reading shifts the other way.
     numbering = Symmetry(
         reverse=elite.reverse,
         base_shift=-elite.base_shift if elite.reverse else elite.base_shift,
@@ -412,6 +402,7 @@ def renumbered(elite: Elite, beads: int) -> ActionSequence:
 def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]:
     """Draw the elites from which ropes start; rarely visited classes are more likely."""
     rng = generator(Stream.SEARCH_PARENTS, config.seed, number)
+    # An elite whose sequence leaves no room for a round can't be a parent.
     near = {niche: elites for niche, elites in archive.niches.items() if niche.nx <= config.max_nx}
     able = {
         niche: [elite for elite in elites if len(elite.sequence) + config.room <= config.longest]

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.cards.state_card import card, summary
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
-from knotgym.datasets.machine import machine
+from knotgym.datasets.manifest_check import write_manifest
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.demonstrations import POLICY
@@ -35,6 +34,8 @@ from knotgym.topology.knot_table import type_of
 from knotgym.topology.knots import knot_type
 
 if TYPE_CHECKING:
+    from knotgym.generate.states.drawn_states import MadeState
+    from knotgym.generate.states.random_walk import WalkState
     from knotgym.generate.states.state_recipe import StateRecipe
 
 HORIZON = 200  # actions, longer than any demonstration
@@ -50,28 +51,17 @@ def states_of(recipe: StateRecipe) -> States:
         codes = [one.code for one in made if one.code.nx == nx]
         rng = generator(Stream.SPLIT, config.seed, nx)
         splits += split(codes, config.split_by, config.train_share, rng).tolist()
-    points = np.stack([one.points for one in made])
     crossings = np.array([one.code.nx for one in made], dtype=np.int64)
+    points = np.stack([one.points for one in made])
     dealt = kept_together(np.array(splits), points, [one.code for one in made])
     longest = max(len(one.actions) for one in made)
     actions = [np.pad(one.actions, ((0, longest - len(one.actions)), (0, 0))) for one in made]
     steps = np.array([len(one.actions) for one in made], dtype=np.int64)
     demonstrated = [recipe.demonstration(slot) for slot in slots]
     drawing = json.dumps(as_json(config.drawing))
-    return States(
-        qpos=np.stack([one.qpos for one in made]),
-        points=points,
-        image=draw_many(points),
-        gauss_code=np.array([str(one.code) for one in made]),
-        gauss_code_chiral=np.array([one.code.chiral for one in made]),
-        knot=np.array([knot_type(one.code) for one in made]),
-        nx=crossings,
-        split=dealt,
-        quality={
-            field.name: np.array([getattr(one.quality, field.name) for one in made])
-            for field in fields(Quality)
-        },
-        units=dict(UNITS),
+    return rows_of(
+        made,
+        split=dealt.tolist(),
         source={
             "start_qpos": np.stack([one.start_qpos for one in made]),
             "actions": np.stack(actions),
@@ -87,12 +77,39 @@ def states_of(recipe: StateRecipe) -> States:
             ),
             "drawing": np.array([drawing if one.policy == DRAWING else "" for one in made]),
         },
+        config=as_json(config),
+    )
+
+
+def rows_of(
+    made: Sequence[MadeState] | Sequence[WalkState],
+    split: Sequence[str],
+    source: dict[str, NDArray[Any]],
+    config: dict[str, Any],
+) -> States:
+    """Return measured states as rows of a state file, with their pictures and labels."""
+    points = np.stack([one.points for one in made])
+    return States(
+        qpos=np.stack([one.qpos for one in made]),
+        points=points,
+        image=draw_many(points),
+        gauss_code=np.array([str(one.code) for one in made]),
+        gauss_code_chiral=np.array([one.code.chiral for one in made]),
+        knot=np.array([knot_type(one.code) for one in made]),
+        nx=np.array([one.code.nx for one in made], dtype=np.int64),
+        split=np.array(split),
+        quality={
+            field.name: np.array([getattr(one.quality, field.name) for one in made])
+            for field in fields(Quality)
+        },
+        units=dict(UNITS),
+        source=source,
         attributes={
             "knotgym": knotgym.__version__,
             "mujoco": mujoco.__version__,
             "rope": RopeConfig().fingerprint,
-            "engine": config.engine,
-            "config": json.dumps(as_json(config), sort_keys=True),
+            "engine": config["engine"],
+            "config": json.dumps(config, sort_keys=True),
         },
     )
 
@@ -102,17 +119,9 @@ def demonstrations_of(
 ) -> dict[str, NDArray[Any]]:
     """Return the columns that locate each state's demonstration.
 
-    There is one dataset per nx and split, with episodes in the order of the states.
-
-    Args:
-        nx: int64 (n,), crossing numbers of the states.
-        splits: str (n,), splits of the states.
-        knot: knot type of all states.
-        demonstrated: n values, whether a state has a demonstration.
-
-    Returns:
-        "dataset", str (n,), and "trajectory", int64 (n,), the index of the episode in it; "" and -1
-        for states without a demonstration.
+    There is one dataset per nx and split, with episodes in the order of the states: "dataset", str
+    (n,), and "trajectory", int64 (n,), the index of the episode in it; "" and -1 for states without
+    a demonstration.
     """
     ids = [
         demonstrations_id(crossings, split, knot) if has else ""
@@ -147,32 +156,13 @@ def finish(
 ) -> None:
     """Write gallery, card and manifest into a folder that has the states and demonstrations.
 
-    Args:
-        folder: the folder of the run.
-        states: as in its states.h5.
-        report: the run's counts.
-        request: the run's request.
-        machines: the machines that made the data; this one by default.
+    `machines` made the data; this one by default.
     """
     write_gallery(folder / "gallery.png", states)
     (folder / "README.md").write_text(card(states, report, request["config"]), encoding="utf-8")
-    manifest = {
-        "format": "knotgym-manifest",
-        "format_version": 1,
-        **request,
-        "machines": machines or [machine()],
-        "report": report,
-        "summary": summary(states),
-        "splits": states.split.tolist(),
-        "files": {
-            str(path.relative_to(folder)): sha256(path)
-            for path in sorted(folder.rglob("*"))
-            if path.is_file()
-        },
-    }
-    (folder / "manifest.json").write_text(
-        json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8"
-    )
+    splits = states.split.tolist()
+    entries = {"report": report, "summary": summary(states), "splits": splits}
+    write_manifest(folder, "knotgym-manifest", request, machines, **entries)
 
 
 def write_demonstrations(recipe: StateRecipe, states: States, folder: Path, carried: Path) -> None:

@@ -16,24 +16,26 @@ the run is finished, the staging folder contains
     wave-{cycle}.npz    the states and demonstrations made since the previous wave
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, sha256
-from knotgym.common.configuration import as_json
-from knotgym.common.errors import KnotgymError, MissingFile
+from knotgym.common.atomic_files import sha256
+from knotgym.common.configuration import InvalidConfig, as_json
+from knotgym.common.errors import MissingFile
 from knotgym.common.streams import Stream, derived_seed, key
+from knotgym.generate.packed_records import (
+    read_records,
+    reading_checkpoint,
+    require_digest,
+    write_records,
+)
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.code_order import CodeOrder
@@ -47,13 +49,12 @@ from knotgym.generate.states.demonstrations import (
     demonstrate,
 )
 from knotgym.generate.states.drawn_states import DrawnOnes, DrawnUnit, MadeState, draw_states
-from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.planned_sequences import Found, Target, reach
 from knotgym.generate.states.search import SearchConfig, new_archive, replays, search_round
-from knotgym.quality.measures import Quality
 from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Rope, RopeConfig
-from knotgym.runs.engine import CHECKPOINT, Batch, run
+from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
@@ -78,16 +79,6 @@ Slot = tuple[int, int, int]  # nx, index of the code, copy
 _UNLIKE_DRAWINGS = 3
 
 
-class SpoiltCheckpoint(KnotgymError, ValueError):
-    """The checkpoint of a run is corrupted."""
-
-    def __init__(self, folder: Path, reason: object) -> None:
-        said = " ".join(str(reason).split())
-        super().__init__(
-            f"{folder} can't be resumed, it is corrupted ({said}); start with --restart"
-        )
-
-
 def generate(
     config: GenerateConfig,
     out: Path,
@@ -107,7 +98,7 @@ def generate(
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidGenerateConfig: such states can't be made.
+        InvalidConfig: such states can't be made.
         NotEnough: `config.attempts` or `config.searches` were used up.
     """
     recipe = StateRecipe(config, options.shard, archive)
@@ -117,29 +108,13 @@ def generate(
     return run(recipe, options.shard.folder(out), options, progress)
 
 
-class StateRecipe:
+class StateRecipe(Recipe):
     """Recipe for states with demonstrations, see `runs.engine.Recipe`.
 
     A slot (nx, index, copy) stands for one requested state: copy `copy` of code `index`.
-
-    Attributes:
-        config, shard: of the run.
-        knot: name of the rope's knot in the knot table.
-        codes: nx -> the codes, by index.
-        archive: the states and sequences found by play and by the planner.
-        states: slot -> the accepted state.
-        demonstrations: slot -> the demonstration that ends in its code.
-        drawings: (nx, index) -> number of drawings made.
-        searches: (nx, index) -> number of failed planner searches.
-        missed: (nx, index) of codes that no sequence in the archive reaches when replayed.
-        rejected: nx -> reason -> number of rejected drawings.
-        actions: actions simulated by the planner and by demonstrations; the archive counts those
-            of play.
-        play_over: whether play has ended because it added too few codes.
-        cycle: number of finished waves.
     """
 
-    flexible: tuple[str, ...] = ("attempts", "cycles", "searches")
+    flexible = "attempts", "cycles", "searches"
 
     def __init__(
         self, config: GenerateConfig, shard: Shard | None = None, archive: Path | None = None
@@ -147,6 +122,7 @@ class StateRecipe:
         if archive is not None and not archive.is_file():
             raise MissingFile(f"no archive at {archive}")
         self.config, self.shard, self.given = config, shard or Shard(), archive
+        self.engine = config.engine
         self._start: Start | None = None
         self.knot = config.knot if _is_tabled(config.knot) else self.start.knot
         if type_of(self.knot) == UNKNOT:
@@ -156,21 +132,23 @@ class StateRecipe:
         self.codes = {nx: CodeOrder(config, self.knot, self.shard, nx) for nx in config.nx}
         self.wanted = sum(codes.wanted for codes in self.codes.values())
         if not self.wanted:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"shard {self.shard} has no state to make: split the run into fewer shards"
             )
-        self.archive = Archive()
-        self.states: dict[Slot, MadeState] = {}
-        self.demonstrations: dict[Slot, Demonstration] = {}
-        self.drawings: Counter[tuple[int, int]] = Counter()
-        self.searches: Counter[tuple[int, int]] = Counter()
-        self.missed: set[tuple[int, int]] = set()
-        self.rejected: dict[int, Counter[str]] = {nx: Counter() for nx in config.nx}
-        self.actions, self.cycle, self.play_over = 0, 0, False
+        self.archive = Archive()  # states and sequences found by play and by the planner
+        self.states: dict[Slot, MadeState] = {}  # accepted
+        self.demonstrations: dict[Slot, Demonstration] = {}  # each ends in the code of its slot
+        self.drawings = Counter[tuple[int, int]]()  # (nx, index) -> drawings made
+        self.searches = Counter[tuple[int, int]]()  # (nx, index) -> failed planner searches
+        self.missed = set[tuple[int, int]]()  # codes that no sequence reaches when replayed
+        self.rejected = {nx: Counter[str]() for nx in config.nx}  # reason -> drawings
+        self.actions = 0  # of the planner and of demonstrations; the archive counts those of play
+        self.cycle = 0  # finished waves
+        self.play_over = False  # play has added too few codes
         self.growth: list[dict[str, Any]] = []
-        self._files: dict[str, str] = {}  # saved waves -> SHA-256
+        self._waves: dict[str, Any] = {}  # file -> its SHA-256 and slots
         self._saved: set[Slot] = set()  # slots whose state is saved
-        self._saved_ways: set[Slot] = set()  # slots whose demonstration is saved
+        self._tied: set[Slot] = set()  # slots whose demonstration is saved
 
     @property
     def start(self) -> Start:
@@ -190,10 +168,6 @@ class StateRecipe:
             **vars(self.config.search), max_nx=most, seed=seed, engine=self.config.engine
         )
 
-    @property
-    def engine(self) -> str:
-        return self.config.engine
-
     def request(self) -> dict[str, Any]:
         curve = Path(self.config.knot)
         source = {
@@ -209,7 +183,7 @@ class StateRecipe:
         fresh = new_archive(self.search, None if is_loop else self.start.points)
         self.archive = Archive.load(self.given) if self.given else fresh
         if _origin(self.archive) != _origin(fresh):
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"the action sequences of {self.given} start from another curve, move another rope"
                 f" or were made with another engine than those of knot {self.config.knot} with"
                 f" engine {self.config.engine} here"
@@ -265,12 +239,10 @@ class StateRecipe:
     ) -> tuple[list[Slot], list[Slot]]:
         """Return the slots with nx crossings to work on, without those of skipped codes.
 
-        If there are more codes than requested states, sequences are searched for 25 % more codes
-        than needed: the hardest few of a fixed choice would take as long as all others.
-
-        Returns:
-            Slots that have a state or need only a replay or a drawing, at most as many as states
-            are requested; and slots to whose codes no sequence is known.
+        First those that have a state or need only a replay or a drawing, at most as many as states
+        are requested; then those to whose codes no sequence is known. If there are more codes than
+        requested states, sequences are searched for 25 % more codes than needed: the hardest few of
+        a fixed choice would take as long as all others.
         """
         codes, ways = self.codes[nx], self.has_ways(nx)
         most = int((1.25 if ways else 1) * codes.wanted)
@@ -463,16 +435,15 @@ class StateRecipe:
 
     def save(self, folder: Path) -> None:
         fresh = {slot: one for slot, one in self.states.items() if slot not in self._saved}
-        ways = {
-            slot: one for slot, one in self.demonstrations.items() if slot not in self._saved_ways
-        }
+        ways = {slot: one for slot, one in self.demonstrations.items() if slot not in self._tied}
         if fresh or ways:
             name = f"wave-{self.cycle:06d}.npz"
-            with atomic_write(folder / name) as temporary, open(temporary, "wb") as file:
-                np.savez(file, **_columns(fresh, ways))
-            self._files[name] = sha256(folder / name)
+            made: dict[str, list[Any]] = {"states": [*fresh.values()]}
+            made["demonstrations"] = [*ways.values()]
+            slots = {"states": list(fresh), "demonstrations": list(ways)}
+            self._waves[name] = {"sha256": write_records(folder / name, made), **slots}
             self._saved |= fresh.keys()
-            self._saved_ways |= ways.keys()
+            self._tied |= ways.keys()
         archive = folder / f"archive-{self.cycle:06d}.h5"
         kept = {}
         if self.archive.niches:
@@ -488,7 +459,7 @@ class StateRecipe:
             "missed": sorted(self.missed),
             "rejected": {str(nx): dict(reasons) for nx, reasons in self.rejected.items()},
             "archive": kept,
-            "waves": self._files,
+            "waves": self._waves,
         }
         write_sealed(folder / _RUN, counters)
         for old in folder.glob("archive-*.h5"):
@@ -498,27 +469,26 @@ class StateRecipe:
     def load(self, folder: Path) -> bool:
         if not (folder / _RUN).is_file():
             return False
-        try:
-            said = read_sealed(folder / _RUN)
-            for name, digest in {**said["archive"], **said["waves"]}.items():
-                if sha256(folder / name) != digest:
-                    raise ValueError(f"SHA-256 of {name} differs")
-            for name in said["archive"]:
+        with reading_checkpoint(folder):
+            stored = read_sealed(folder / _RUN)
+            for name, digest in stored["archive"].items():
+                require_digest(folder / name, digest)
                 self.archive = Archive.load(folder / name)
-            for name in said["waves"]:
-                with np.load(folder / name, allow_pickle=False) as file:
-                    self.states.update(_states_in(file))
-                    self.demonstrations.update(_demonstrations_in(file))
-            self._files = said["waves"]
-            self._saved, self._saved_ways = set(self.states), set(self.demonstrations)
-            self.cycle, self.actions = int(said["cycle"]), int(said["actions"])
-            self.play_over, self.growth = bool(said["play_over"]), said["growth"]
+            for name, wave in stored["waves"].items():
+                require_digest(folder / name, wave["sha256"])
+                states = read_records(folder / name, "states", MadeState)
+                self.states.update(zip(map(_slot, wave["states"]), states, strict=True))
+                ways = read_records(folder / name, "demonstrations", Demonstration)
+                slots = map(_slot, wave["demonstrations"])
+                self.demonstrations.update(zip(slots, ways, strict=True))
+            self._waves = stored["waves"]
+            self._saved, self._tied = set(self.states), set(self.demonstrations)
+            self.cycle, self.actions = int(stored["cycle"]), int(stored["actions"])
+            self.play_over, self.growth = bool(stored["play_over"]), stored["growth"]
             for counts, name in ((self.drawings, "drawings"), (self.searches, "searches")):
-                counts.update({(nx, index): count for nx, index, count in said[name]})
-            self.missed = {(nx, index) for nx, index in said["missed"]}
-            self.rejected = {nx: Counter(said["rejected"][str(nx)]) for nx in self.config.nx}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, BadZipFile) as error:
-            raise SpoiltCheckpoint(folder, error) from error
+                counts.update({(nx, index): count for nx, index, count in stored[name]})
+            self.missed = {(nx, index) for nx, index in stored["missed"]}
+            self.rejected = {nx: Counter(stored["rejected"][str(nx)]) for nx in self.config.nx}
         return True
 
     def status(self) -> Status:
@@ -581,11 +551,11 @@ def _require_possible(config: GenerateConfig, knot: str) -> None:
     least = diagram_of(knot).nx
     for nx in config.nx:
         if nx < least:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"no diagram of {config.knot} has {nx} crossings; it has at least {least}"
             )
         if config.demonstrations and nx > max(LISTED_NX, least):
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"action sequences are limited to {LISTED_NX} crossings, got nx {nx};"
                 " --no-demonstrations makes states without them"
             )
@@ -593,7 +563,7 @@ def _require_possible(config: GenerateConfig, knot: str) -> None:
         if not shows(code, knot):
             seen = knot_type(code)
             other_hand = " (handedness differs)" if seen == type_of(knot) else ""
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"the code {str(code)!r} shows the knot {seen}, not {config.knot}{other_hand}"
             )
 
@@ -607,75 +577,6 @@ def _origin(archive: Archive) -> str:
     return json.dumps(known, sort_keys=True)
 
 
-def _columns(
-    states: Mapping[Slot, MadeState], ways: Mapping[Slot, Demonstration]
-) -> dict[str, Any]:
-    """Return states and demonstrations as named arrays; ragged ones are concatenated.
-
-    Readers must zip against the slots: splitting an empty array gives one empty part, not none.
-    """
-    made, nq, beads = list(states.values()), Rope().nq, len(Rope().loop())
-
-    def joined(parts: list[Any], *each: int) -> Any:
-        return np.concatenate([np.empty((0, *each)), *parts])
-
-    return {
-        "slot": np.array(list(states), dtype=np.int64).reshape(-1, 3),
-        "policy": np.array([one.policy for one in made], dtype=np.str_),
-        "code": np.array([one.code.chiral for one in made], dtype=np.str_),
-        "seed": np.array([one.seed for one in made], dtype=np.int64),
-        "start_qpos": joined([one.start_qpos[None] for one in made], nq),
-        "steps": np.array([len(one.actions) for one in made], dtype=np.int64),
-        "actions": joined([one.actions for one in made], 6).astype(np.float32),
-        "qpos": joined([one.qpos[None] for one in made], nq),
-        "points": joined([one.points[None] for one in made], beads, 3),
-        "quality": np.array([json.dumps(asdict(one.quality)) for one in made], dtype=np.str_),
-        "way_slot": np.array(list(ways), dtype=np.int64).reshape(-1, 3),
-        "way_start_qpos": joined([one.start_qpos[None] for one in ways.values()], nq),
-        "way_steps": np.array([len(one) for one in ways.values()], dtype=np.int64),
-        "way_actions": joined([one.actions for one in ways.values()], 6).astype(np.float32),
-        "way_points": joined([one.points for one in ways.values()], beads, 3),
-        "way_shares": joined([one.shares for one in ways.values()]),
-    }
-
-
-def _states_in(columns: Any) -> Iterator[tuple[Slot, MadeState]]:
-    """Yield the states stored by `_columns`."""
-    actions = np.split(columns["actions"], np.cumsum(columns["steps"])[:-1])
-    names = ("slot", "policy", "code", "seed", "start_qpos", "qpos", "points", "quality")
-    rows = zip(*(columns[name] for name in names), strict=True)
-    for (slot, policy, code, seed, start_qpos, qpos, points, quality), taken in zip(
-        rows, actions, strict=False
-    ):
-        nx, index, copy = slot.tolist()
-        yield (
-            (nx, index, copy),
-            MadeState(
-                policy=str(policy),
-                code=GaussCode.parse(str(code)),
-                index=index,
-                seed=tuple(seed.tolist()),
-                start_qpos=start_qpos,
-                actions=taken,
-                qpos=qpos,
-                points=points,
-                quality=Quality(**json.loads(str(quality))),
-            ),
-        )
-
-
-def _demonstrations_in(columns: Any) -> Iterator[tuple[Slot, Demonstration]]:
-    """Yield the demonstrations stored by `_columns`."""
-    ends = np.cumsum(columns["way_steps"])
-    actions = np.split(columns["way_actions"], ends[:-1])
-    # each demonstration of T actions has T + 1 states
-    states = ends + np.arange(1, len(ends) + 1)
-    points, shares = (
-        np.split(columns[f"way_{name}"], states[:-1]) for name in ("points", "shares")
-    )
-    rows = zip(
-        columns["way_slot"], columns["way_start_qpos"], actions, points, shares, strict=False
-    )
-    for slot, start_qpos, taken, seen, applied in rows:
-        nx, index, copy = slot.tolist()
-        yield (nx, index, copy), Demonstration(start_qpos, taken, seen, applied)
+def _slot(numbers: list[int]) -> Slot:
+    nx, index, copy = numbers
+    return nx, index, copy

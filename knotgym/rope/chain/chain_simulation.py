@@ -105,6 +105,12 @@ class ChainSimulation(Simulation):
         self._states[where] = np.reshape(states, (len(where), *self._states.shape[1:]))
         self.points[where] = self._states[where, :, :3]
 
+    def at_rest(self, ids: Ids = None) -> Array:
+        """Copy of the states without their velocities: float64 (len(ids), beads * STATE)."""
+        states = self._states[self._all(ids)]
+        states[:, :, 3:6] = states[:, :, 9:] = 0.0
+        return states.reshape(len(states), -1)
+
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
         """Reset ropes to rest at generalized positions float64 (len(ids), nq).
 
@@ -112,17 +118,44 @@ class ChainSimulation(Simulation):
         """
         where = self._all(ids)
         rows = np.broadcast_to(qpos, (len(where), self.rope.nq))
-        points, lanes = self.rope.points(rows), -(-len(where) // LANES) * LANES
-        closed = np.empty((lanes, *points.shape[1:]))
-        closed[: len(where)], closed[len(where) :] = points, points[:1]
-        for first in range(0, lanes, LANES):
-            group = np.ascontiguousarray(closed[first : first + LANES].transpose(1, 2, 0))
-            set_lengths(group, self.rope.config.bead_length, 6)
-            closed[first : first + LANES] = group.transpose(2, 0, 1)
         states = np.zeros((len(where), *self._states.shape[1:]))
-        states[:, :, :3] = closed[: len(where)]
+        states[:, :, :3] = self._with_lengths(self.rope.points(rows))
         states[:, :, 6:9] = _sides(self.rope, rows, states[:, :, :3])
         self.restore(states, where)
+
+    def lay_points(self, points: Array, velocities: Array, ids: Ids = None) -> None:
+        """Lay ropes along curves whose edges are about as long as the beads.
+
+        Args:
+            points, velocities: float64 (len(ids), beads, 3), of the vertices, metres and m/s.
+            ids: the ropes; None for all.
+        """
+        states = np.zeros((len(points), *self._states.shape[1:]))
+        states[:, :, :3] = self._with_lengths(points)
+        states[:, :, 3:6] = velocities
+        # Joints resist rates, not angles, so each bead's axis may be chosen by itself: level, as
+        # in a flat rope.
+        along = _along(states[:, :, :3])
+        sides = np.cross((0.0, 0.0, 1.0), along)
+        upright = np.abs(along[..., 2]) > 0.999
+        sides[upright] = np.cross(along[upright], (1.0, 0.0, 0.0))
+        states[:, :, 6:9] = sides / np.linalg.norm(sides, axis=2, keepdims=True)
+        self.restore(states, ids)
+
+    def velocities(self, ids: Ids = None) -> Array:
+        """Copy of the vertices' velocities: float64 (len(ids), beads, 3), m/s."""
+        return self._states[self._all(ids), :, 3:6].copy()
+
+    def _with_lengths(self, points: Array) -> Array:
+        """Move vertices a little, so that all edges are as long as the beads."""
+        lanes = -(-len(points) // LANES) * LANES
+        padded = np.empty((lanes, *points.shape[1:]))
+        padded[: len(points)], padded[len(points) :] = points, points[:1]
+        for first in range(0, lanes, LANES):
+            group = np.ascontiguousarray(padded[first : first + LANES].transpose(1, 2, 0))
+            set_lengths(group, self.rope.config.bead_length, 6)
+            padded[first : first + LANES] = group.transpose(2, 0, 1)
+        return padded[: len(points)]
 
     def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
         where = self._all(ids)

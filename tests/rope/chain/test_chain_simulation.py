@@ -57,6 +57,30 @@ def lengths(points: Array) -> Array:
     return np.linalg.norm(np.roll(points, -1, axis=-2) - points, axis=-1)
 
 
+def test_ropes_laid_along_curves_move_as_those_laid_with_their_twist(
+    rope: Rope, curls: Array
+) -> None:
+    by_qpos, by_points = ChainSimulation(5, rope), ChainSimulation(5, rope)
+    by_qpos.lay(curls)
+    beads, forces = pulls(5, 1)[0]
+    before = by_qpos.points.copy()
+    by_points.lay_points(before, by_qpos.velocities())
+    assert np.allclose(by_points.points, before, atol=1e-9)
+    by_qpos.step(beads, forces)
+    by_points.step(beads, forces)
+    off = np.linalg.norm(by_points.points - by_qpos.points, axis=2)
+    # how beads are turned about the rope matters little, and is all that differs
+    assert off.mean() < 1e-3 and by_points.velocities().any()
+
+
+def test_ropes_laid_along_uneven_curves_get_edges_of_one_length(rope: Rope, curls: Array) -> None:
+    chain = ChainSimulation(5, rope)
+    uneven = rope.points(curls) * 1.02
+    chain.lay_points(uneven, np.zeros_like(uneven))
+    assert np.abs(lengths(chain.points) / LENGTH - 1).max() < 1e-3
+    assert chain.step(*pulls(5, 1)[0]).all() and (chain.applied_shares == 1).all()
+
+
 def test_beads_end_where_mujoco_puts_them(rope: Rope, curls: Array) -> None:
     chain, mujoco = ChainSimulation(5, rope), MujocoSimulation(5, rope)
     chain.lay(curls)

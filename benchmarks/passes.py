@@ -1,0 +1,69 @@
+"""Make the counts of passes that the demonstrator's order is drawn from, the file that ships.
+
+    python benchmarks/passes.py --rounds 14 --episodes 3000 --seed 0
+
+Plays in the chain engine from starts of the train split towards its goals, counts what passes do to
+diagrams, and takes the counts into the order after every round. Diagrams keep the passes that are
+among the best `--most` for one of the goals, unless fewer than `--least` began there. It takes
+about ten minutes of a core.
+"""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from knotgym.common.streams import Stream, generator
+from knotgym.control.macro_lanes import MacroLanes
+from knotgym.control.pass_counts import PASSES, PassCounts
+from knotgym.control.pass_play import PassPlay, PassPlayConfig, draw_starts, searches
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.macro_actions import MacroActionConfig
+
+# what an episode of each round plays, in turn: ties are learned from most
+TASKS = ("tie-2", "tie-3", "tie-3", "tie-4", "convert-2", "convert-3", "convert-4", "unknot-4")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=14)
+    parser.add_argument("--episodes", type=int, default=3000, help="of a round")
+    parser.add_argument("--starts", type=int, default=256, help="resets of each task")
+    parser.add_argument("--most", type=int, default=10)
+    parser.add_argument("--least", type=int, default=12, help="passes from a diagram that is kept")
+    parser.add_argument("--lanes", type=int, default=192, help="other numbers give other counts")
+    parser.add_argument("--split", default="train", help="train-code for sets split by code")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=PASSES)
+    args = parser.parse_args()
+    console, tasks = Console(), [name.split("-") for name in TASKS]
+    drawn = {
+        (task, nx): draw_starts(
+            TaskConfig(task=task, nx=int(nx), split=args.split, observation="state"),
+            args.starts,
+            generator(Stream.PASS_STARTS, args.seed, number),
+        )
+        for number, (task, nx) in enumerate(dict.fromkeys(map(tuple, tasks)))
+    }
+    play = PassPlay(PassCounts(), PassPlayConfig())
+    lanes = MacroLanes(args.lanes, MacroActionConfig())
+    starts = [drawn[task, nx] for task, nx in tasks]
+    for number in range(args.rounds):
+        won = [
+            reached
+            for _, reached in lanes.run(searches(play, starts, args.episodes, args.seed, number))
+        ]
+        play.learn()
+        console.print(
+            f"round {number + 1}: {100 * sum(won) / len(won):.1f} % reached the goal;"
+            f" {play.counts.seen.total()} passes counted",
+            highlight=False,
+        )
+    goals = dict.fromkeys(goal for one in drawn.values() for goal in one.goals)
+    play.counts.pruned([*goals], args.most, args.least).save(args.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+"""The command `knotgym play`."""
+
+import importlib.util
+import time
+from contextlib import ExitStack
+
+from knotgym.cli.options import (
+    ACTING,
+    ENVIRONMENT,
+    RUN,
+    Given,
+    Option,
+    command,
+    option,
+    options_of,
+    run_options,
+)
+from knotgym.cli.policy_commands import MINARI_ROOT
+from knotgym.common.errors import MissingExtra, install_command
+
+_RECORDING, _PAGE = "Recording", "The page"
+
+
+def _options() -> list[Option]:
+    from knotgym.play.page import PlayConfig
+
+    config = PlayConfig()
+    return [
+        Option(
+            path="dataset",
+            help="A dataset to watch, by path or id; without one, you pull the rope.",
+            default=None,
+        ),
+        *options_of(config, "task.task task.nx task.split"),
+        *options_of(config, "task.states task.horizon task.tow_limit task.engine", ENVIRONMENT),
+        *options_of(config, "policy compared", ACTING, compared={"names": "--compare"}),
+        option(
+            "--record",
+            bool,
+            "Write finished and abandoned episodes to a Minari dataset, which later sessions"
+            " continue.",
+            default=False,
+            group=_RECORDING,
+        ),
+        option(
+            "--id",
+            str,
+            "Its id; by default such as knotgym/tie-nx3/human-v0.",
+            default="",
+            group=_RECORDING,
+        ),
+        option("--player", str, "Who plays, in a few words; stored.", default="", group=_RECORDING),
+        MINARI_ROOT,
+        *options_of(config, "host port", _PAGE),
+        *options_of(config, "seed", RUN),
+        *run_options("quiet"),
+    ]
+
+
+@command(_options)
+def play(given: Given) -> None:
+    """Pull the rope by hand in a browser, or watch a dataset's episodes.
+
+    Episodes are those that `knotgym evaluate` plays with the same seed, so that a recording is
+    scored by `knotgym evaluate --policy recorded:DATASET`.
+
+    Examples:
+
+        knotgym play --task tie --nx 3 --record
+
+        knotgym play knotgym/tie-nx2/expert-v0
+    """
+    if importlib.util.find_spec("viser") is None:
+        raise MissingExtra("viser", install_command("play"), "knotgym play")
+    from knotgym.play.page import Page, PlayConfig
+    from knotgym.play.recorder import Recorder
+    from knotgym.play.watch import WatchPage
+    from knotgym.runs.progress import compile_first
+
+    config, dataset, progress = given.config(PlayConfig), given["dataset"], given.progress
+    compile_first(progress, config.task.engine)
+    with ExitStack() as stack:
+        recorder = None
+        if dataset is None and given["record"]:
+            task = config.task
+            mark = "" if task.split == "train" else f"-{task.split}"
+            wanted = given["id"] or f"knotgym/{task.task}-nx{task.nx}/human{mark}-v0"
+            recorder = stack.enter_context(
+                Recorder(task, config.seed, wanted, given["player"], given["out"])
+            )
+            progress.say(f"episodes are recorded in {recorder.folder}")
+            if recorder.recovered:
+                progress.say(f"stored {recorder.recovered} episodes of an interrupted session")
+        page = stack.enter_context(
+            Page(config, recorder) if dataset is None else WatchPage(config, dataset)
+        )
+        progress.say(f"open {page.address} in a browser; Ctrl-C ends it")
+        if page.token:
+            progress.say(f"token: {page.token}")
+        while True:
+            time.sleep(3600)

@@ -1,0 +1,300 @@
+"""The demonstrator: the same state and goal, the same macro-action.
+
+At a state it goes through the passes that lead nearer to the goal, in one order for the diagram and
+the goal (`pass_counts`), and takes the first that begins a way to the goal. Ways are found in the
+chain engine, depth first, with the rope at rest at every look. Each pass is acted out until its
+end, the goal, or LONGEST pulls; then it looks again. So what it does is a function of where
+the rope lies, which a network can learn; `planner` is a better player and a worse teacher.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.configuration import check_numbers
+from knotgym.control.expert import Expert
+from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
+from knotgym.control.pass_counts import DiagramValues, shipped_values, templates
+from knotgym.control.planner import REST
+from knotgym.control.planner_config import PlannerConfig
+from knotgym.control.policy import NO_MACRO, Choice, Effort, Policy
+from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram
+from knotgym.control.transition_counts import ArcCoordinates
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.rope.macro_actions import (
+    LONGEST,
+    MacroActionConfig,
+    Pass,
+    WaypointController,
+    pass_straight,
+)
+from knotgym.rope.model import Array
+from knotgym.rope.towing import TowBound
+from knotgym.topology.crossings import find_crossings
+from knotgym.topology.gauss import GaussCode
+
+PLANNER = "planner"  # first word of the reason for an action of the planner's
+RANDOM = "random pass"  # reason for a pass that nobody chose
+_LANES = 64  # ropes of the chain engine in which looks are simulated
+_CLOSE = 8  # fewest beads along the rope between the two of a random pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemonstratorConfig:
+    """Settings of the demonstrator.
+
+    Attributes:
+        candidates: passes tried at a state, at most.
+        budget: actions simulated for a look, at most.
+        steps: actions of a way, at most.
+        last_resort: actions that the planner may simulate for an episode without a way.
+        macro_actions: settings of the passes.
+    """
+
+    candidates: int = 12
+    budget: int = 2000
+    steps: int = 50
+    last_resort: int = 2000
+    macro_actions: MacroActionConfig = MacroActionConfig()
+
+    def __post_init__(self) -> None:
+        check_numbers(self, counts=("candidates", "budget", "steps"), whole=("last_resort",))
+
+
+class Decision(NamedTuple):
+    """A pass on the way to a goal.
+
+    Attributes:
+        points: float64 (beads, 3), metres: where the rope lay at rest.
+        code: with chirality.
+        move: the pass.
+        rank: how many passes were tried there, this one included.
+        pulls: actions that it took.
+    """
+
+    points: Array
+    code: GaussCode
+    move: Pass
+    rank: int
+    pulls: int
+
+
+@dataclass(eq=False)
+class _Look:
+    """A search from one state.
+
+    Attributes:
+        values: order of the passes.
+        goal: compared without chirality.
+        config: settings.
+        bound: region in which the rope's centre must stay; None for no limit.
+        spent: actions simulated.
+    """
+
+    values: DiagramValues
+    goal: GaussCode
+    config: DemonstratorConfig
+    bound: TowBound | None
+    spent: int = 0
+
+    def way(self, state: Array, points: Array, steps: int) -> Search[list[Decision] | None]:
+        """Find the first way to the goal, depth first; None if there is none within the limits."""
+        crossings = find_crossings(points)
+        diagram = seen_diagram(points, crossings)
+        here = self.values.reach(self.goal, diagram)
+        arcs = ArcCoordinates(crossings, len(points))
+        for rank, move in enumerate(self._passes(diagram, arcs, len(points)), 1):
+            if rank > self.config.candidates or self.spent >= self.config.budget:
+                return None
+            outcome: Landing = yield Trial(state, move, self.goal, min(LONGEST, steps))
+            self.spent += outcome.pulls
+            if self.bound is not None and self.bound.exceeded(outcome.points[None])[0]:
+                continue
+            decision = Decision(points, diagram.code, move, rank, outcome.pulls)
+            if outcome.code.matches(self.goal):
+                return [decision]
+            left = steps - outcome.pulls
+            if left > 0 and outcome.code != diagram.code:
+                there = seen_diagram(outcome.points, find_crossings(outcome.points))
+                if self.values.reach(self.goal, there) > here:
+                    rest = yield from self.way(outcome.state, outcome.points, left)
+                    if rest is not None:
+                        return [decision, *rest]
+        return None
+
+    def _passes(self, diagram: SeenDiagram, arcs: ArcCoordinates, beads: int) -> Iterator[Pass]:
+        """Yield the passes in their order, each once."""
+        known: set[Pass] = set()
+        for choice in self.values.order(self.goal, diagram):
+            template = templates(diagram.nx)[choice.template]
+            move = template.on(arcs, choice.element, diagram.nx, beads)
+            if move not in known and move.bead != move.target:
+                known.add(move)
+                yield move
+
+
+def find_way(
+    values: DiagramValues,
+    goal: GaussCode,
+    config: DemonstratorConfig,
+    state: Array,
+    points: Array,
+    bound: TowBound | None = None,
+) -> Search[tuple[list[Decision], int]]:
+    """Search for the demonstrator's way from a state at rest; see `MacroLanes.run`.
+
+    Returns:
+        The decisions on the way, empty if none was found; and the actions simulated.
+    """
+    look = _Look(values, goal, config, bound)
+    way = yield from look.way(state, points, config.steps)
+    return way or [], look.spent
+
+
+@dataclass(eq=False)
+class _Acting:
+    """The demonstrator's state in one episode.
+
+    Attributes:
+        move: the pass being acted out; None before a look.
+        pulls: actions taken of it.
+        why: the reason for it.
+        taken_over: whether the planner acts until the end.
+        effort: cost of the looks so far.
+    """
+
+    move: Pass | None = None
+    pulls: int = 0
+    why: str = ""
+    taken_over: bool = False
+    effort: Effort = Effort()
+
+
+class Demonstrator(Policy):
+    """Policy that leads every rope to its goal code.
+
+    Where a look finds no way, the planner takes over until the episode ends. It says so in the
+    reasons for its actions.
+    """
+
+    def __init__(
+        self,
+        config: DemonstratorConfig | None = None,
+        planner: PlannerConfig | None = None,
+        values: DiagramValues | None = None,
+    ) -> None:
+        """Take settings, those of the planner, and values; None for those that ship."""
+        self.config = config or DemonstratorConfig()
+        self._values = values
+        planner = planner or PlannerConfig()
+        least = min(planner.budget, self.config.last_resort)
+        self._planner = Expert(replace(planner, budget=least))
+        self._progress: dict[int, _Acting] = {}
+        self._controller = WaypointController(0, self.config.macro_actions)
+        self._lanes: MacroLanes | None = None
+
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
+        if len(self._controller.beads) != episodes.count:
+            self._controller = WaypointController(episodes.count, self.config.macro_actions)
+        self._progress[index] = _Acting()
+        self._planner.begin(episodes, index, rng)
+
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
+        simulation, controller = episodes.simulation, self._controller
+        controller.advance(simulation.points)
+        looking = [index for index in ids.tolist() if self._is_over(episodes, index)]
+        if looking:
+            self._look(episodes, np.array(looking))
+        forces = controller.forces(simulation.points)[ids] * simulation.max_force
+        actions = simulation.actions(controller.beads[ids], forces, ids)
+        moves, macros = [], np.tile(NO_MACRO, (len(ids), 1))
+        for row, index in enumerate(ids.tolist()):
+            progress = self._progress[index]
+            if progress.taken_over:
+                chosen = self._planner.act(episodes, ids[[row]])
+                actions[row], why = chosen.actions[0], f"{PLANNER} {chosen.moves[0]}"
+            elif progress.move is None:
+                actions[row] = simulation.actions([0], np.zeros((1, 3)), [index])[0]
+                why = REST
+            else:
+                macros[row] = (progress.pulls == 0, *progress.move)
+                progress.pulls += 1
+                why = progress.why
+            moves.append(why)
+        return Choice(actions, moves, macros)
+
+    def replan(self, index: int) -> None:
+        """Look again before the next action."""
+        progress = self._progress[index]
+        progress.move, progress.taken_over = None, False
+        self._planner.replan(index)
+
+    def begin_with(self, episodes: EpisodeBatch, index: int, move: Pass) -> None:
+        """Act out a pass of somebody else's choice before the first look."""
+        self._start(episodes, index, move, RANDOM)
+
+    def name(self, index: int) -> str:
+        return "expert"
+
+    def effort(self, index: int) -> Effort:
+        return self._progress[index].effort.plus(self._planner.effort(index))
+
+    def _is_over(self, episodes: EpisodeBatch, index: int) -> bool:
+        """Tell whether an episode needs a look; where the goal is shown, the rope rests."""
+        progress = self._progress[index]
+        if progress.taken_over:
+            return False
+        if episodes.codes[index].matches(episodes.goals[index]):
+            progress.move = None
+            return False
+        over = progress.pulls >= LONGEST or bool(self._controller.idle[index])
+        return progress.move is None or over
+
+    def _look(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> None:
+        """Find the next pass of some episodes, side by side."""
+        began = time.perf_counter()
+        if self._lanes is None:
+            rope = episodes.simulation.rope
+            self._lanes = MacroLanes(_LANES, self.config.macro_actions, rope)
+        values = self._values or shipped_values()
+        states, points = self._lanes.at_rest(episodes.simulation.qpos(ids))
+        searches = [
+            find_way(
+                values,
+                episodes.goals[index],
+                self.config,
+                states[row],
+                points[row],
+                episodes.tow_bound(index),
+            )
+            for row, index in enumerate(ids.tolist())
+        ]
+        found = dict(self._lanes.run(searches))
+        seconds = (time.perf_counter() - began) / len(ids)
+        for row, index in enumerate(ids.tolist()):
+            way, spent = found[row]
+            progress = self._progress[index]
+            progress.effort = progress.effort.plus(Effort(spent, seconds))
+            if way:
+                self._start(episodes, index, way[0].move, f"choice {way[0].rank}")
+            else:
+                progress.taken_over = True
+                self._controller.release(index)
+
+    def _start(self, episodes: EpisodeBatch, index: int, move: Pass, why: str) -> None:
+        progress, points = self._progress[index], episodes.simulation.points[index]
+        progress.move, progress.pulls, progress.why = move, 0, why
+        macro_action = pass_straight(points, *move, self.config.macro_actions)
+        self._controller.begin(index, macro_action, points)
+
+
+def random_pass(beads: int, rng: np.random.Generator) -> Pass:
+    """Draw a pass over or under any bead that isn't close along the rope."""
+    bead, apart = int(rng.integers(beads)), int(rng.integers(_CLOSE, beads - _CLOSE + 1))
+    return Pass(bead, (bead + apart) % beads, (-1, 1)[int(rng.integers(2))])

@@ -1,0 +1,380 @@
+"""Datasets of the three kinds as rows with columns, for `subsets`: states, pictures, episodes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Hashable
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.atomic_files import require_output, sha256
+from knotgym.common.errors import MissingFile
+from knotgym.common.hdf5_files import hdf5_format
+from knotgym.datasets import image_folder
+from knotgym.datasets.cards.state_card import card, summary
+from knotgym.datasets.episode_reader import Chosen, EpisodeReader
+from knotgym.datasets.episode_writer import merge_episodes
+from knotgym.datasets.gallery import write_gallery
+from knotgym.datasets.image_table import (
+    COLUMNS,
+    arrow,
+    file_stem,
+    is_images,
+    points_of,
+    read_table,
+    shard_name,
+    shards,
+    write_table,
+)
+from knotgym.datasets.manifest_check import read_manifest
+from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
+from knotgym.datasets.selectable_rows import (
+    InvalidSelection,
+    Rows,
+    RowsOfDataset,
+    json_list,
+    selection_sentence,
+    with_selection,
+)
+from knotgym.datasets.walks_file import read_walks, write_walks
+from knotgym.states.near_duplicates import families
+from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
+from knotgym.states.schema import FORMAT as STATES_FORMAT
+from knotgym.states.splits import IMAGE_SPLITS
+from knotgym.states.state_file import SHIPPED, read_states, shipped, ships, states_at, write_states
+from knotgym.topology.gauss import GaussCode
+
+_REST = ("format", "format_version", "machines", "report", "summary", "splits", "files")
+
+
+class _States(RowsOfDataset):
+    splits = (*STATE_SPLITS, *CODE_SPLITS)
+
+    def __init__(self, source: str | Path, path: Path) -> None:
+        super().__init__(source, path)
+        self.states = read_states(states_at(path))
+
+    @cached_property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        flat = {name: values for name, values in self.states.columns().items() if values.ndim == 1}
+        return {"row": self.ids} | {name.replace("/", "."): flat[name] for name in flat}
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        return np.arange(len(self.states))
+
+    def in_split(self, split: str) -> NDArray[np.bool_]:
+        if split not in CODE_SPLITS:
+            return super().in_split(split)
+        of_nx = [self.states.rows(nx, split) for nx in sorted(set(self.states.nx.tolist()))]
+        return np.isin(self.ids, np.concatenate(of_nx))
+
+    def keys(self) -> list[list[Hashable]]:
+        source, near = self.states.source, families(self.states.points).tolist()
+        out: list[list[Hashable]] = [[("near", one)] for one in near]
+        for row, keys in enumerate(out):
+            if "seed" in source:
+                keys.append(("seed", *source["seed"][row].tolist()))
+            if {"dataset", "trajectory"} <= source.keys() and source["dataset"][row]:
+                keys.append((str(source["dataset"][row]), int(source["trajectory"][row])))
+        return out
+
+    def digested(self) -> Path:
+        return states_at(self.path)
+
+    def earlier(self) -> list[dict[str, Any]]:
+        return super().earlier() or json_list(self.states.attributes.get("selection", "[]"))
+
+    def _write(self, rows: Rows, made: list[dict[str, Any]], target: Path, named: str) -> None:
+        states = self.states.taken(rows)
+        attributes = {**states.attributes, "selection": json.dumps(made, sort_keys=True)}
+        states = replace(states, attributes=attributes)
+        if not self.path.is_dir():
+            write_states(target, states)
+            return
+        manifest, faults = read_manifest(self.path)
+        if faults:
+            raise InvalidSelection(f"{self.source}: {faults[0]}")
+        target.mkdir()
+        names = states.source.get("dataset", np.array([]))
+        old = states.source.get("trajectory", np.array([]))
+        if len(old):
+            new = old.copy()
+            for name in sorted(set(names.tolist()) - {""}):
+                new[names == name] = np.arange((names == name).sum())
+            states = replace(states, source={**states.source, "trajectory": new})
+        write_states(target / "states.h5", states)
+        for name in sorted(set(names.tolist()) - {""}):
+            chosen = Chosen(self.path / "minari" / name, old[names == name].tolist())
+            _publish(chosen, name, made, target / "minari", target / "states.h5")
+        write_gallery(target / "gallery.png", states)
+        text = card(states, manifest["report"], manifest["config"])
+        (target / "README.md").write_text(with_selection(text, made), encoding="utf-8")
+        manifest |= {
+            "selection": made,
+            "summary": summary(states),
+            "splits": states.split.tolist(),
+            "files": {
+                path.relative_to(target).as_posix(): sha256(path)
+                for path in sorted(target.rglob("*"))
+                if path.is_file()
+            },
+        }
+        text = json.dumps(manifest, indent=1, sort_keys=True)
+        (target / "manifest.json").write_text(text, encoding="utf-8")
+
+
+class _Pictures(RowsOfDataset):
+    splits = IMAGE_SPLITS
+
+    def __init__(self, source: str | Path, path: Path) -> None:
+        super().__init__(source, path)
+        flat = [
+            name for name, kind in COLUMNS.items() if name != "image" and not isinstance(kind, list)
+        ]
+        self.table = read_table(path, columns=[*flat, "points"])
+
+    @cached_property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        out: dict[str, NDArray[Any]] = {}
+        for name in self.table.column_names:
+            values = self.table[name].combine_chunks()
+            kind = COLUMNS[name]
+            if isinstance(kind, dict):
+                for inner, of in kind.items():
+                    if isinstance(of, str):
+                        out[f"{name}.{inner}"] = _array(values.field(inner))
+            elif isinstance(kind, str):
+                out[name] = _array(values)
+        return out
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        return self.columns["source.row"]
+
+    def keys(self) -> list[list[Hashable]]:
+        near = families(points_of(self.table)).tolist()
+        names = ("source.family", "source.walk")
+        columns = [[(name, one) for one in self.columns[name].tolist()] for name in names]
+        return [[("near", one), *shared] for one, *shared in zip(near, *columns, strict=True)]
+
+    def earlier(self) -> list[dict[str, Any]]:
+        metadata = self.table.schema.metadata or {}
+        return super().earlier() or json_list(metadata.get(b"selection", b"[]").decode())
+
+    def digested(self) -> Path:
+        manifest = self.path / "manifest.json"
+        return manifest if manifest.is_file() else shards(self.path)[0]
+
+    def _write(self, rows: Rows, made: list[dict[str, Any]], target: Path, named: str) -> None:
+        kept = np.zeros(self.count, dtype=bool)
+        kept[rows] = True
+        if not self.path.is_dir():
+            table = read_table(self.path).filter(arrow().array(kept))
+            metadata = {**table.schema.metadata, b"selection": json.dumps(made, sort_keys=True)}
+            write_table(target, table.replace_schema_metadata(metadata))
+            return
+        manifest, faults = read_manifest(self.path)
+        if faults:
+            raise InvalidSelection(f"{self.source}: {faults[0]}")
+        tables: dict[str, list[Any]] = {}
+        first = 0
+        for path in shards(self.path):
+            table = read_table(path)
+            own = table.filter(arrow().array(kept[first : first + len(table)]))
+            first += len(table)
+            tables.setdefault(path.name.partition("-")[0], []).append(own)
+        most, written = int(manifest["config"]["rows_per_file"]), list[Path]()
+        for name in IMAGE_SPLITS:
+            own = tables.get(file_stem(name), [])
+            whole: Any = arrow().concat_tables(own) if own else []
+            count = -(-len(whole) // most)
+            for index in range(count):
+                written.append(target / shard_name(name, index, count))
+                write_table(written[-1], whole.slice(index * most, most))
+        walks = read_walks(self.path / "walks.h5")
+        used = np.flatnonzero(np.isin(walks.number, self.columns["source.walk"][rows]))
+        starts, start = np.unique(walks.start[used], return_inverse=True)
+        write_walks(
+            target / "walks.h5",
+            replace(
+                walks,
+                state=walks.state[starts],
+                number=walks.number[used],
+                start=start.astype(np.int64),
+                beads=walks.beads[used],
+                forces=walks.forces[used],
+            ),
+        )
+        request = {name: value for name, value in manifest.items() if name not in _REST}
+        image_folder.write_card_and_manifest(
+            target,
+            written,
+            {**request, "selection": made},
+            manifest["report"],
+            manifest.get("machines"),
+            lambda text: with_selection(text, made),
+        )
+
+
+class _Episodes(RowsOfDataset):
+    def __init__(self, source: str | Path, path: Path) -> None:
+        super().__init__(source, path)
+        self.reader = EpisodeReader(source)
+
+    @cached_property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        rows = [self._row(index) for index in range(len(self.reader))]
+        return {name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {}
+
+    def _row(self, index: int) -> dict[str, Any]:
+        reader = self.reader
+        stored = reader.attributes(index)
+        codes = reader.column(index, "gauss_code")
+        goal = str(stored["goal_gauss_code"])
+        return {
+            "episode": reader.rows[index],
+            "length": int(reader.lengths[index]),
+            "success": bool(reader.column(index, "is_success")[-1]),
+            "total_reward": float(reader.column(index, "rewards").sum()),
+            "terminated": bool(reader.column(index, "terminations")[-1]),
+            "truncated": bool(reader.column(index, "truncations")[-1]),
+            "simulation_failed": bool(reader.column(index, "simulation_failed")[-1]),
+            "policy": str(stored["policy"]),
+            "goal_gauss_code": goal,
+            "start_gauss_code": str(codes[0]),
+            "final_gauss_code": str(codes[-1]),
+            "nx": max(GaussCode.parse(goal).nx, GaussCode.parse(str(codes[0])).nx),
+            "task": reader.task.task,
+            "split": reader.task.split,
+            "relabelled": bool(stored["relabelled"]),
+            "seed": int(stored.get("seed", -1)),
+            "start": int(stored.get("options/start", -1)),
+            "goal": int(stored.get("options/goal", -1)),
+        }
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        return np.array(self.reader.rows, dtype=np.int64)
+
+    def in_split(self, split: str) -> NDArray[np.bool_]:
+        own = self.reader.task.split
+        if split != own:
+            raise InvalidSelection(f"the episodes of {self.source} are of split {own!r}")
+        return np.ones(self.count, dtype=bool)
+
+    def keys(self) -> list[list[Hashable]]:
+        out: list[list[Hashable]] = []
+        for index in range(self.count):
+            start, actions, goal = (
+                self.reader.column(index, name) for name in ("start_qpos", "actions", "goal_points")
+            )
+            # cuts of one episode begin alike
+            keys: list[Hashable] = [("walk", start.tobytes(), actions[0].tobytes())]
+            if self.columns["start_gauss_code"][index]:
+                row = int(self.columns["start"][index])
+                keys.append(("state", row) if row >= 0 else ("qpos", start.tobytes()))
+            if self.columns["goal_gauss_code"][index]:
+                row = int(self.columns["goal"][index])
+                digest = hashlib.sha256(goal.tobytes()).digest()
+                keys += [("state", row)] * (row >= 0) + [("points", digest)]
+            out.append(keys)
+        return out
+
+    def digested(self) -> Path:
+        return self.reader.path
+
+    def earlier(self) -> list[dict[str, Any]]:
+        return json_list(self.reader.file.attrs.get("selection", "[]"))
+
+    def require_target(self, out: str | Path | None, named: str, overwrite: bool) -> None:
+        if not named:
+            if out is None:
+                raise InvalidSelection("give an output: --out FILE, or --id for a Minari dataset")
+            require_output(out, folder=False, overwrite=overwrite)
+
+    def _placed(
+        self,
+        rows: Rows,
+        made: list[dict[str, Any]],
+        out: str | Path | None,
+        named: str,
+        overwrite: bool,
+    ) -> Path:
+        if not named:
+            return super()._placed(rows, made, out, named, overwrite)
+        own = None if ships(self.reader.task.states) else self.reader.states_path()
+        return _publish(self._chosen(rows), named, made, out, own, overwrite)
+
+    def _chosen(self, rows: Rows) -> Chosen:
+        return Chosen(self.reader.path, [self.reader.rows[row] for row in rows.tolist()])
+
+    def _write(self, rows: Rows, made: list[dict[str, Any]], target: Path, named: str) -> None:
+        entries = self.reader.metadata()
+        attributes = {"selection": json.dumps(made, sort_keys=True)}
+        if entries is not None:
+            attributes["metadata"] = json.dumps(entries)
+        merge_episodes([self._chosen(rows)], target, concatenate=True, attributes=attributes)
+
+
+def opened(source: str | Path) -> RowsOfDataset:
+    """Open a dataset by its path, name or id.
+
+    Raises:
+        MissingFile: there is no such dataset.
+    """
+    given = Path(source)
+    if not given.exists() and str(source) in SHIPPED:
+        given = shipped(str(source))
+    if given.exists():
+        if is_images(given):
+            return _Pictures(source, given)
+        single = given.is_file() and hdf5_format(given) in (STATES_FORMAT, None)
+        if single or (given / "states.h5").is_file():
+            return _States(source, given)
+    try:
+        return _Episodes(source, given)
+    except MissingFile as error:
+        raise MissingFile(
+            f"no dataset at {source}: give a file or folder of states, episodes or pictures, the id"
+            f" of a Minari dataset, or {', '.join(SHIPPED)}"
+        ) from error
+
+
+def _publish(
+    chosen: Chosen,
+    named: str,
+    made: list[dict[str, Any]],
+    root: str | Path | None,
+    states: Path | None,
+    overwrite: bool = False,
+) -> Path:
+    """Publish some episodes as a Minari dataset, with the metadata and states of their own."""
+    metadata, reader = metadata_of(chosen.source), EpisodeReader(chosen)
+    task = replace(reader.task, states=named) if states is not None else None
+    if metadata is None:
+        policy = str(reader.attributes(0)["policy"])
+        metadata = MinariMetadata(dataset_id=named, algorithm_name=policy, description="")
+    reader.close()
+    description = "\n\n".join(filter(None, [metadata.description, selection_sentence(made[-1])]))
+    metadata = replace(metadata, dataset_id=named, description=description)
+    return publish(
+        [chosen],
+        metadata,
+        root,
+        concatenate=True,
+        states=states,
+        task=task,
+        overwrite=overwrite,
+        attributes={"selection": json.dumps(made, sort_keys=True)},
+    )
+
+
+def _array(values: Any) -> NDArray[Any]:
+    return np.array(values.to_pylist())

@@ -1,0 +1,229 @@
+"""Select, split and delete rows of a dataset: states, episodes or pictures.
+
+The result is a dataset of the same kind, as complete as its source: a file for a file; for a folder
+of states with the demonstrations of its rows, for a folder of pictures with the walks that they
+come from, each with a new card and new checksums. Manifests, state files and episode files have
+under "selection" the sources and the conditions. Pictures and actions are copied, not made again.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from knotgym.common.streams import Stream, generator
+from knotgym.datasets.row_expressions import matching_rows
+from knotgym.datasets.rows_of_datasets import opened
+from knotgym.datasets.selectable_rows import InvalidSelection, Rows
+
+_MOST_ROWS = 10_000_000
+_RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
+_PART = re.compile(r"([A-Za-z0-9_]+)=([0-9.]{1,20})")
+
+
+def select(
+    source: str | Path,
+    *,
+    where: str = "",
+    split: str = "",
+    sample: int | None = None,
+    seed: int = 0,
+    out: str | Path | None = None,
+    dataset_id: str = "",
+    overwrite: bool = False,
+) -> Path:
+    """Write the rows that fulfil a condition as a new dataset.
+
+    Args:
+        source: a state file, the folder of a run, an included set, a folder or file of pictures, an
+            episode file, or the folder or id of a Minari dataset.
+        where: a condition on the columns, see `row_expressions`; "" for all rows.
+        split: keep the rows of this split only.
+        sample: keep this many of them, drawn at random; their order stays.
+        seed: of the draw.
+        out: the new file or folder, whichever the source is; with `dataset_id` the Minari root.
+        dataset_id: for episodes, the id of the new Minari dataset.
+        overwrite: replace an existing output.
+
+    Returns:
+        The new file or folder.
+
+    Raises:
+        InvalidExpression: `where` isn't a condition on these columns.
+        InvalidSelection: no row is left, fewer than `sample` are, or there is no such split.
+        Occupied: the output exists.
+    """
+    given = opened(source)
+    chosen = matching_rows(where, given.columns) if where else np.ones(given.count, dtype=bool)
+    if split:
+        chosen &= given.in_split(split)
+    rows = np.flatnonzero(chosen)
+    if sample is not None:
+        if not 0 < sample <= len(rows):
+            raise InvalidSelection(f"{len(rows)} rows match, can't sample {sample} of them")
+        rows = np.sort(generator(Stream.SELECTION, seed).choice(rows, sample, replace=False))
+    how: dict[str, Any] = {"where": where, "split": split, "sample": sample}
+    how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
+    return given.write(rows, how, out, dataset_id, overwrite)
+
+
+def split(
+    source: str | Path,
+    parts: str | Mapping[str, float],
+    *,
+    seed: int = 0,
+    out: str | Path | None = None,
+    dataset_id: str = "",
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write a dataset as several, by fractions of its rows.
+
+    What belongs together stays together: near-duplicates; rows of one trajectory, walk or family;
+    episodes with a common start or goal state that has crossings (all start or end in the few plain
+    loops), and cuts of one episode. The column `split` isn't changed.
+
+    Args:
+        source: as for `select`.
+        parts: name -> fraction, or "train=0.8,val=0.2"; the fractions add up to 1.
+        seed: of the random assignment.
+        out: as for `select`; "-NAME" is appended to it, before a suffix.
+        dataset_id: as for `select`; "-NAME" is inserted before the version.
+        overwrite: replace existing outputs.
+
+    Returns:
+        The new files or folders, in the order of the parts.
+
+    Raises:
+        InvalidSelection: the parts aren't fractions of 1, or the rows can't be dealt to so many.
+        Occupied: an output exists.
+    """
+    shares = _shares(parts)
+    given = opened(source)
+    together = _groups(given.keys())
+    dealt = _dealt(together, [*shares.values()], generator(Stream.SELECTION, seed, 1))
+    if len(set(dealt.tolist())) < len(shares):
+        raise InvalidSelection(
+            f"{source} can't be cut into {len(shares)} parts: its {given.count} rows share starts,"
+            f" goals, walks or near-duplicates, which leaves {together.max() + 1} separate groups"
+        )
+    targets = [
+        (
+            Path(out).with_name(f"{Path(out).stem}-{name}{Path(out).suffix}")
+            if out and not dataset_id
+            else out,
+            re.sub(r"(?=-v\d+$)", f"-{name}", dataset_id),
+        )
+        for name in shares
+    ]
+    for target, named in targets:
+        given.require_target(target, named, overwrite)
+    return [
+        given.write(
+            np.flatnonzero(dealt == part),
+            {"part": name, "parts": shares, "seed": seed},
+            target,
+            named,
+            overwrite,
+        )
+        for part, (name, (target, named)) in enumerate(zip(shares, targets, strict=True))
+    ]
+
+
+def delete(
+    source: str | Path,
+    ids: Sequence[int],
+    *,
+    out: str | Path | None = None,
+    dataset_id: str = "",
+    overwrite: bool = False,
+) -> Path:
+    """Write a dataset without some rows.
+
+    Args:
+        source: as for `select`.
+        ids: rows of states, numbers k of episodes, or `source.row` of pictures.
+        out, dataset_id, overwrite: as for `select`.
+
+    Raises:
+        InvalidSelection: there is no row with an id, or none would be left.
+        Occupied: the output exists.
+    """
+    given = opened(source)
+    unknown = sorted({*ids} - {*given.ids.tolist()})
+    if unknown:
+        raise InvalidSelection(f"{source} has no row {', '.join(map(str, unknown[:8]))}")
+    left = np.flatnonzero(~np.isin(given.ids, [*ids]))
+    return given.write(left, {"deleted": sorted({*ids})}, out, dataset_id, overwrite)
+
+
+def kept(path: Path) -> str:
+    """Say how many rows of its source a selected dataset has."""
+    last = opened(path).earlier()[-1]
+    return f"{last['kept']} of {last['rows']} rows"
+
+
+def row_numbers(text: str) -> list[int]:
+    """Read "3,7-9".
+
+    >>> row_numbers("3,7-9")
+    [3, 7, 8, 9]
+    """
+    out: list[int] = []
+    for word in text.split(","):
+        found = _RANGE.fullmatch(word.strip())
+        first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
+        if last < first or last - first > _MOST_ROWS:
+            raise InvalidSelection(f"rows are numbers such as 3,7-9, got {text!r}")
+        out += range(first, last + 1)
+    return out
+
+
+def _shares(parts: str | Mapping[str, float]) -> dict[str, float]:
+    if isinstance(parts, str):
+        words = [_PART.fullmatch(word.strip()) for word in parts.split(",")]
+        try:
+            pairs = [(word[1], float(word[2])) for word in words if word]
+        except ValueError:
+            pairs = []
+        if len(dict(pairs)) < len(words):
+            raise InvalidSelection(f"parts are such as train=0.8,val=0.2, got {parts!r}")
+        parts = dict(pairs)
+    shares = {str(name): float(share) for name, share in parts.items()}
+    if len(shares) < 2 or min(shares.values()) <= 0 or abs(sum(shares.values()) - 1) > 1e-6:
+        raise InvalidSelection(
+            f"parts are at least 2 fractions above 0 that add up to 1, got {shares}"
+        )
+    return shares
+
+
+def _groups(keys: Sequence[Sequence[Hashable]]) -> Rows:
+    """Number the groups of rows that share keys, directly or by way of others, from 0."""
+    root = [*range(len(keys))]
+
+    def find(row: int) -> int:
+        while root[row] != row:
+            root[row] = root[root[row]]  # halves the path, which keeps the trees flat
+            row = root[row]
+        return row
+
+    seen: dict[Hashable, int] = {}
+    for row, own in enumerate(keys):
+        for key in own:
+            root[find(row)] = find(seen.setdefault(key, row))
+    return np.unique([find(row) for row in range(len(keys))], return_inverse=True)[1]
+
+
+def _dealt(groups: Rows, shares: Sequence[float], rng: np.random.Generator) -> Rows:
+    """Return the part of each row: the largest groups first, each where the most is missing."""
+    sizes = np.bincount(groups)
+    missing = np.array(shares) * len(groups)
+    order = rng.permutation(len(sizes))
+    part = np.zeros(len(sizes), dtype=np.int64)
+    for group in order[np.argsort(-sizes[order], kind="stable")]:
+        part[group] = int(missing.argmax())
+        missing[part[group]] -= sizes[group]
+    return part[groups]

@@ -1,0 +1,210 @@
+"""The "marked" observation: a rope in a canonical frame, its crossings marked, codes as tokens.
+
+Turning a rope about z, reflecting it and switching over and under change nothing that matters, and
+walking it the other way next to nothing (`topology.symmetry`). A learner would have to see every
+image of a state; instead, each state is observed in one frame, and what the learner chooses there
+is mapped back to the world:
+
+    walk and z    the goal's code, then the rope's, is the greatest of its four images (reversed,
+                  switched), so the goal begins over
+    x and y       the first Fourier mode of the curve, c = mean(w_k exp(-2 pi i k / n)) with
+                  w = x + iy, is real and positive, and larger than that of the reversed walk: a
+                  plain loop is walked counterclockwise and starts on the x axis
+    origin        the centre of the rope
+
+The observation is one float32 vector; `split` names its parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.topology.crossings import find_crossings
+from knotgym.topology.gauss import GaussCode
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Tokens = NDArray[np.int16]
+
+TOKENS = 24  # visits of a code in the observation, two per crossing; longer codes are cut off
+_FRAME = 13  # numbers that describe the frame
+
+
+class Frames(NamedTuple):
+    """The canonical frames of n ropes.
+
+    Attributes:
+        axes: float64 (n, 3, 3), orthogonal; rows are the frame's axes in the world.
+        centres: float64 (n, 3), the ropes' centres in the world, metres.
+        reverse: bool (n,), whether the canonical walk is the reversed one: its vertex j is the
+            world's vertex -j, and its bead b is the world's bead -b - 1.
+    """
+
+    axes: Array
+    centres: Array
+    reverse: NDArray[np.bool_]
+
+    def points(self, points: Array) -> Array:
+        """Map vertices (n, beads, 3) of the world into the frame, and renumber them."""
+        seen = self.vectors(points - self.centres[:, None])
+        back = np.roll(seen[:, ::-1], 1, axis=1)
+        return np.where(self.reverse[:, None, None], back, seen)
+
+    def vectors(self, vectors: ArrayLike) -> Array:
+        """Map vectors (n, ..., 3) of the world, such as forces, into the frame."""
+        mapped: Array = np.einsum("nij,n...j->n...i", self.axes, np.asarray(vectors, np.float64))
+        return mapped
+
+    def world_vectors(self, vectors: ArrayLike) -> Array:
+        """Map vectors (n, ..., 3) of the frame back into the world."""
+        mapped: Array = np.einsum("nji,n...j->n...i", self.axes, np.asarray(vectors, np.float64))
+        return mapped
+
+    def renumber(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
+        """Map beads (n,), of `count` per rope, from the world into the frame, or back."""
+        own = np.asarray(beads, dtype=np.int64)
+        return np.where(self.reverse, count - 1 - own, own)
+
+    def sides(self, sides: ArrayLike) -> NDArray[np.int64]:
+        """Map sides (n,), +1 over and -1 under, from the world into the frame, or back."""
+        return np.asarray(sides, dtype=np.int64) * np.rint(self.axes[:, 2, 2]).astype(np.int64)
+
+
+class Marked(NamedTuple):
+    """The parts of n observations.
+
+    Attributes:
+        points: float (n, beads, 3), vertices in the canonical frame, metres.
+        marks: (n, beads, 2), how often each bead crosses over, and under, another.
+        code, goal: (n, TOKENS, 2). A token per visit: 1 over or -1 under, and the index of
+            the crossing's other visit; (0, -1) after the end.
+        frames: maps to the world and back.
+    """
+
+    points: NDArray[np.floating]
+    marks: NDArray[Any]
+    code: NDArray[Any]
+    goal: NDArray[Any]
+    frames: Frames
+
+    def rows(self, index: Any) -> Marked:
+        """Return some of the observations."""
+        return Marked(
+            self.points[index],
+            self.marks[index],
+            self.code[index],
+            self.goal[index],
+            Frames(*(column[index] for column in self.frames)),
+        )
+
+
+def size(beads: int) -> int:
+    """Return the length of an observation."""
+    return 5 * beads + 4 * TOKENS + _FRAME
+
+
+def mark(points: ArrayLike, goals: Sequence[GaussCode]) -> Marked:
+    """Observe ropes.
+
+    Args:
+        points: (n, beads, 3), metres.
+        goals: n codes; chirality is ignored.
+    """
+    ropes = np.asarray(points, dtype=np.float64)
+    count, beads = ropes.shape[:2]
+    over, under = np.zeros((2, count, beads), dtype=np.int16)
+    code, goal = np.zeros((2, count, TOKENS, 2), dtype=np.int16)
+    reverse, switch = np.zeros((2, count), dtype=bool)
+    for row, rope in enumerate(ropes):
+        crossings = find_crossings(rope)
+        # a place is a fractional bead, and the end of the last bead is place `beads`
+        for marks, places in ((over, crossings.over_place), (under, crossings.under_place)):
+            np.add.at(marks[row], np.minimum(places.astype(np.int64), beads - 1), 1)
+        image = _canonical_image(goals[row].visits, crossings.code.visits)
+        reverse[row], switch[row], goal[row], code[row] = image
+    marks = np.stack([over, under], axis=2)
+    marks = np.where(switch[:, None, None], marks[..., ::-1], marks)
+    marks = np.where(reverse[:, None, None], marks[:, ::-1], marks)
+    frames = _frames(ropes, reverse, switch)
+    return Marked(frames.points(ropes), marks, code, goal, frames)
+
+
+def join(parts: Marked) -> Floats:
+    """Return observations as one array, float32 (n, size(beads))."""
+    frames = parts.frames
+    columns = (*parts[:4], frames.axes, frames.centres, frames.reverse)
+    rows = [np.reshape(column, (len(parts.points), -1)) for column in columns]
+    return np.concatenate(rows, axis=1).astype(np.float32)
+
+
+def split(observations: ArrayLike) -> Marked:
+    """Return the parts of observations (n, size(beads)); the inverse of `join`."""
+    rows = np.asarray(observations)
+    count, beads = len(rows), (rows.shape[1] - size(0)) // 5
+    lengths = (3 * beads, 2 * beads, 2 * TOKENS, 2 * TOKENS, 9, 3)
+    points, marks, code, goal, axes, centres, reverse = np.split(rows, np.cumsum(lengths), axis=1)
+    return Marked(
+        points.reshape(count, beads, 3),
+        marks.reshape(count, beads, 2),
+        code.reshape(count, TOKENS, 2),
+        goal.reshape(count, TOKENS, 2),
+        Frames(
+            axes.reshape(count, 3, 3).astype(np.float64),
+            centres.astype(np.float64),
+            reverse[:, 0] > 0.5,
+        ),
+    )
+
+
+def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_]) -> Frames:
+    centres = ropes.mean(axis=1)
+    flat = ropes[..., 0] + 1j * ropes[..., 1] - (centres[:, :1] + 1j * centres[:, 1:2])
+    wave = np.exp(-2j * np.pi * np.arange(ropes.shape[1]) / ropes.shape[1])
+    ahead, back = (flat * wave).mean(axis=1), (flat * wave.conj()).mean(axis=1)
+    # walking the other way swaps the two modes; reflecting y conjugates and swaps them
+    ahead, back = np.where(reverse, back, ahead), np.where(reverse, ahead, back)
+    reflect = np.abs(back) > np.abs(ahead)
+    first, mirror = np.where(reflect, back.conj(), ahead), np.where(reflect, -1.0, 1.0)
+    length = np.maximum(np.abs(first), 1e-12)
+    cosine, sine = first.real / length, -first.imag / length
+    axes = np.zeros((len(ropes), 3, 3))
+    # the rotation that makes the mode real, after the reflection diag(1, mirror)
+    axes[:, 0, 0], axes[:, 0, 1] = cosine, -sine * mirror
+    axes[:, 1, 0], axes[:, 1, 1] = sine, cosine * mirror
+    axes[:, 2, 2] = np.where(switch, -1.0, 1.0)
+    return Frames(axes, centres, reverse)
+
+
+@lru_cache(maxsize=100_000)
+def _canonical_image(
+    goal: tuple[int, ...], code: tuple[int, ...]
+) -> tuple[bool, bool, Tokens, Tokens]:
+    """Return whether to reverse and to switch, and the tokens of the goal and of the code then."""
+    images = []
+    for reverse in (False, True):
+        for switch in (False, True):
+            shown = [GaussCode(visits) for visits in (goal, code)]
+            shown = [one.reversed() for one in shown] if reverse else shown
+            shown = [one.mirrored() for one in shown] if switch else shown
+            images.append((shown[0].visits, shown[1].visits, reverse, switch))
+    # the first of equal ones, so that a rope isn't reversed without need
+    best = max(images, key=lambda image: image[:2])
+    return best[2], best[3], _tokens(best[0]), _tokens(best[1])
+
+
+def _tokens(visits: tuple[int, ...]) -> Tokens:
+    """Return the tokens of a code, int16 (TOKENS, 2).
+
+    >>> _tokens((1, -1))[:3].tolist()
+    [[1, 1], [-1, 0], [0, -1]]
+    """
+    tokens = np.full((TOKENS, 2), (0, -1), dtype=np.int16)
+    at = {visit: index for index, visit in enumerate(visits)}
+    for index, visit in enumerate(visits[:TOKENS]):
+        tokens[index] = (visit > 0) - (visit < 0), at[-visit]
+    return tokens

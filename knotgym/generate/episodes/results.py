@@ -1,0 +1,146 @@
+"""Results of an evaluation: one per policy and setup, printed beside reference scores."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from knotgym.envs.task_states import OWN, SHIPPED
+from knotgym.rope.engines import MUJOCO
+from knotgym.runs.tables import narrow_table
+
+_SETUP = ("policy", "task", "split", "nx")  # columns
+_REFERENCES = Path(__file__).parent / "data" / "references.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """Result of one policy in one setup.
+
+    Attributes:
+        policy, task, nx, split: the setup.
+        action: the view that the policy acted in, see `TaskConfig`.
+        episodes, successes: numbers of episodes.
+        success_rate, low, high: success rate and the 95 % interval of `cluster_interval`.
+        steps: mean over successful episodes; None if there are none.
+        mean_return: mean return of an episode.
+        planned_actions, planning_seconds: means per episode.
+        simulation_failures: episodes that ended because the simulation diverged.
+        start_states, goal_states: source of the states, "own" for the requested state file or
+            "shipped" for the included one.
+        outcomes: for each episode `start` and `goal` (rows of those state files), `success` (0 or
+            1) and `steps`.
+    """
+
+    policy: str
+    task: str
+    nx: int
+    split: str
+    action: str
+    episodes: int
+    successes: int
+    success_rate: float
+    low: float
+    high: float
+    steps: float | None
+    mean_return: float
+    planned_actions: float
+    planning_seconds: float
+    simulation_failures: int
+    start_states: str
+    goal_states: str
+    outcomes: dict[str, list[int]]
+
+
+def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:
+    """Print a row per setup, and a matrix if there are several nx, in at most 80 columns."""
+    reached = any(one.steps is not None for one in results)
+    table = narrow_table(
+        (*_SETUP, "success", "95 % interval", *(["steps"] if reached else []), "return"),
+        left=_SETUP[:3],
+    )
+    for one in results:
+        table.add_row(
+            _acting(one),
+            one.task,
+            one.split,
+            str(one.nx),
+            f"{100 * one.success_rate:.1f} %",
+            f"{100 * one.low:.1f} to {100 * one.high:.1f} %",
+            *(["" if one.steps is None else f"{one.steps:.1f}"] if reached else []),
+            f"{one.mean_return:.2f}",
+        )
+    console.print(table)
+    for one in results:
+        if one.planned_actions:
+            console.print(
+                f"{one.policy}, {one.task} nx {one.nx}, {one.split}: planned with"
+                f" {one.planned_actions:.0f} actions, {one.planning_seconds:.2f} s an episode",
+                highlight=False,
+            )
+    for task, nx in dict.fromkeys(
+        (one.task, one.nx)
+        for one in results
+        if {one.start_states, one.goal_states} == {OWN, SHIPPED}
+    ):
+        console.print(
+            f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",
+            highlight=False,
+        )
+    if engine == MUJOCO:
+        for line in reference_lines(results):
+            console.print(line, highlight=False)
+    else:
+        console.print(f"engine {engine}, not the reference engine {MUJOCO}", highlight=False)
+    columns = list(dict.fromkeys(one.nx for one in results))
+    if len(columns) > 1:
+        matrix = narrow_table(
+            (*_SETUP[:3], *(f"nx {nx}" for nx in columns)), title="success, %", left=_SETUP[:3]
+        )
+        for key in dict.fromkeys((_acting(one), one.task, one.split) for one in results):
+            cells = {
+                one.nx: f"{100 * one.success_rate:.1f}"
+                for one in results
+                if (_acting(one), one.task, one.split) == key
+            }
+            matrix.add_row(*key, *(cells[nx] for nx in columns))
+        console.print(matrix)
+
+
+def _acting(result: Result) -> str:
+    """Name the policy, and the view that it acted in unless that is "pull"."""
+    return result.policy if result.action == "pull" else f"{result.policy} ({result.action})"
+
+
+def reference_lines(results: Sequence[Result]) -> list[str]:
+    """Return a line per task and nx with reference returns to compare a result with.
+
+    References are always measured on readable states, with MuJoCo.
+    """
+    known = reference_scores()
+    lines = []
+    for task, nx in dict.fromkeys((one.task, one.nx) for one in results if one.action == "pull"):
+        scores = known.get(f"{task}-nx{nx}")
+        if scores is not None:
+            lines.append(
+                f"for reference, mean return of {task} nx {nx}: random {scores['random']:.2f},"
+                f" expert {scores['expert']:.2f} ({scores['episodes']} episodes, test split,"
+                " readable states)"
+            )
+    return lines
+
+
+def reference_scores() -> dict[str, Any]:
+    """Return mean returns of a random and an expert policy by setup, for example "tie-nx3".
+
+    They are measured on readable states; `episodes` is the number of episodes. Empty if unknown.
+    """
+    if not _REFERENCES.is_file():
+        return {}
+    found: dict[str, Any] = json.loads(_REFERENCES.read_text(encoding="utf-8"))
+    return found

@@ -1,0 +1,262 @@
+"""Decisions to clone: which macro-action, or pull, was chosen in which state for which goal."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import one_line
+from knotgym.common.hdf5_files import require_regular
+from knotgym.control.demonstrator import RANDOM
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.trajectory import MACRO_INFOS, Episode
+from knotgym.envs.marked import Marked, mark
+from knotgym.learn.imagination import BEADS
+from knotgym.learn.train_config import InvalidTraining
+from knotgym.learn.training_data import require_trainable
+from knotgym.rope.actions import force_choices
+from knotgym.rope.model import RopeConfig
+from knotgym.topology.gauss import GaussCode
+
+
+class Decisions(NamedTuple):
+    """n choices of macro-actions, in the world.
+
+    Attributes:
+        points: float32 (n, beads, 3), metres.
+        goals: str (n,), codes without chirality.
+        macros: int64 (n, 3): bead to lead, bead of the strand to pass, +1 over or -1 under.
+        forces: float32 (n, 3), relative to the largest, of pulls; not used for macro-actions.
+        episodes: int64 (n,), episodes are held out whole.
+        asked: bool (n,), whether the goal had been asked for; else it was reached by chance.
+    """
+
+    points: NDArray[np.float32]
+    goals: NDArray[np.str_]
+    macros: NDArray[np.int64]
+    forces: NDArray[np.float32]
+    episodes: NDArray[np.int64]
+    asked: NDArray[np.bool_]
+
+    def rows(self, index: NDArray[Any]) -> Decisions:
+        """Return some of the decisions."""
+        return Decisions(*(column[index] for column in self))
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all columns, hexadecimal."""
+        whole = hashlib.sha256("\n".join(self.goals.tolist()).encode())
+        for column in (self.points, self.macros, self.forces, self.episodes, self.asked):
+            whole.update(np.ascontiguousarray(column).tobytes())
+        return whole.hexdigest()
+
+
+class Step(NamedTuple):
+    """One decision: the rope before it, the codes before and after it, and the macro-action."""
+
+    points: NDArray[np.float32]
+    before: GaussCode
+    after: GaussCode
+    macro: tuple[int, int, int]
+
+
+class Examples(NamedTuple):
+    """n decisions in the canonical frame.
+
+    Attributes:
+        seen: states; frames apart, all that the network is shown.
+        macros: int64 (n, 3): bead, strand, 0 for under or 1 for over.
+        forces: int64 (n, 3), choices of the force components of pulls.
+        asked: bool (n,), as of `Decisions`.
+    """
+
+    seen: Marked
+    macros: NDArray[np.int64]
+    forces: NDArray[np.int64]
+    asked: NDArray[np.bool_]
+
+    def rows(self, index: NDArray[Any]) -> Examples:
+        """Return some of the examples."""
+        own = self.macros[index], self.forces[index], self.asked[index]
+        return Examples(self.seen.rows(index), *own)
+
+
+def examples(decisions: Decisions) -> Examples:
+    """Bring decisions into the canonical frame."""
+    codes = {text: GaussCode.parse(text) for text in set(decisions.goals.tolist())}
+    seen = mark(decisions.points, [codes[text] for text in decisions.goals.tolist()])
+    frames, (beads, targets, sides) = seen.frames, decisions.macros.T
+    macros = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
+    forces = np.clip(frames.vectors(decisions.forces), -1, 1)
+    return Examples(
+        seen._replace(points=seen.points.astype(np.float32)),
+        np.stack(macros, axis=1),
+        force_choices(forces),
+        decisions.asked,
+    )
+
+
+def read_decisions(
+    datasets: Sequence[Any], action: str = "macro", failed: bool = False, hindsight: int = 0
+) -> Decisions:
+    """Read the decisions of datasets, given as ids or folders.
+
+    Args:
+        datasets: of the train split.
+        action: "macro" for the macro-actions that a demonstrator chose; "bead" for every pull.
+        failed: also imitate episodes that didn't reach their goal.
+        hindsight: macro-actions before a state for which its code counts as a goal.
+
+    Raises:
+        InvalidTraining: a dataset is not of the train split, has no episodes, was made with another
+            rope, or holds no macro-actions.
+        InvalidEpisodeFile, MissingFile: a dataset is missing or not of this version.
+    """
+    if not datasets:
+        raise InvalidTraining("name at least one dataset to train on, as in --data FOLDER")
+    parts = list[Decisions]()
+    number = 0
+    for dataset in datasets:
+        reader = EpisodeReader(dataset)
+        require_trainable(reader, dataset)
+        if action == "macro" and not reader.has("macro_start"):
+            raise InvalidTraining(
+                f"{dataset} doesn't say which macro-actions its policy chose, so the clone can't"
+                " learn them; use a demonstrator's set, or set action = bead to learn pulls"
+            )
+        for index in range(len(reader)):
+            episode = reader.episode(index)
+            if action == "macro":
+                parts.append(_macros(episode, number, failed, hindsight))
+            elif failed or episode.terminations[-1]:
+                parts.append(_pulls(episode, number))
+            number += 1
+        reader.close()
+    if not any(part.asked.any() for part in parts):
+        raise InvalidTraining(
+            f"no episode of {', '.join(map(str, datasets))} reached its goal, so there is nothing"
+            " to imitate; set failed = true to learn from the others too"
+        )
+    return join(parts)
+
+
+def join(parts: Sequence[Decisions]) -> Decisions:
+    """Return all decisions in one; episode numbers stay as they are."""
+    return Decisions(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+
+
+def without_loops(steps: Sequence[Step]) -> list[Step]:
+    """Leave out what happened between two visits to the same code, and steps that changed none."""
+    way = list[Step]()
+    for step in steps:
+        codes = [one.before for one in way]
+        if step.before in codes:
+            del way[codes.index(step.before) :]
+        way.append(step)
+    return [step for step in way if step.before != step.after]
+
+
+def gathered(
+    way: Sequence[Step], asked: Sequence[Step], goal: GaussCode, window: int, number: int
+) -> Decisions:
+    """Return the decisions of an episode that are worth learning.
+
+    Args:
+        way: steps whose consequences are goals too, in order: a code that a step led to is taken
+            for the goal of that step and of up to `window` - 1 steps before it (hindsight).
+        asked: steps to imitate for the episode's own goal.
+        goal: the episode's own.
+        window: 0 for no hindsight.
+        number: of the episode.
+    """
+    rows = [(step, goal.plain, True) for step in asked]
+    for end, last in enumerate(way):
+        reached = last.after.plain
+        for step in way[max(0, end + 1 - window) : end + 1]:
+            if reached != goal.plain and not step.before.matches(reached):
+                rows.append((step, reached, False))
+    count = len(rows)
+    points = np.stack([step.points for step, *_ in rows]) if rows else np.zeros((0, BEADS, 3))
+    return Decisions(
+        points.astype(np.float32),
+        np.array([str(code) for _, code, _ in rows], dtype=np.str_),
+        np.array([step.macro for step, *_ in rows], dtype=np.int64).reshape(-1, 3),
+        np.zeros((count, 3), dtype=np.float32),
+        np.full(count, number, dtype=np.int64),
+        np.array([own for *_, own in rows], dtype=bool),
+    )
+
+
+def save_decisions(path: Path, decisions: Decisions, rates: dict[str, float]) -> None:
+    """Write decisions and the success rates of the play that made them, as safetensors."""
+    arrays = decisions._asdict()
+    arrays["goals"] = np.frombuffer(
+        "".join(f"{goal}\n" for goal in decisions.goals.tolist()).encode(), dtype=np.uint8
+    )
+    with atomic_write(path) as part:
+        part.write_bytes(save(arrays, metadata={key: repr(rate) for key, rate in rates.items()}))
+
+
+def load_decisions(path: Path) -> tuple[Decisions, dict[str, float]]:
+    """Read what `save_decisions` wrote; raise InvalidTraining if it is corrupted."""
+    require_regular(path, "training", InvalidTraining)
+    try:
+        with safe_open(path, framework="numpy") as file:
+            arrays = {name: file.get_tensor(name) for name in file.keys()}
+            rates = {key: float(rate) for key, rate in (file.metadata() or {}).items()}
+        goals = np.array(bytes(arrays.pop("goals")).decode().split("\n")[:-1], dtype=np.str_)
+        decisions = Decisions(goals=goals, **arrays)
+        lengths = {len(column) for column in decisions}
+    except (SafetensorError, TypeError, ValueError) as error:
+        raise InvalidTraining(f"{path} can't be read: {one_line(error)}") from error
+    if len(lengths) != 1:
+        raise InvalidTraining(f"{path} is corrupted: its columns have different lengths")
+    return decisions, rates
+
+
+def _pulls(episode: Episode, number: int) -> Decisions:
+    """Return every pull of an episode as a decision."""
+    count = len(episode)
+    macros = np.zeros((count, 3), dtype=np.int64)
+    # an info at state t + 1 belongs to the pull that led there from state t
+    macros[:, 0] = episode.bead[1:]
+    return Decisions(
+        episode.points[:-1].astype(np.float32),
+        np.full(count, episode.goal_gauss_code),
+        macros,
+        (episode.force[1:] / RopeConfig().max_force).astype(np.float32),
+        np.full(count, number, dtype=np.int64),
+        np.ones(count, dtype=bool),
+    )
+
+
+def _macros(episode: Episode, number: int, failed: bool, window: int) -> Decisions:
+    """Return the macro-actions of an episode as decisions, and what they reached in hindsight."""
+    start, *macro = (getattr(episode, name)[1:] for name in MACRO_INFOS)
+    count = len(episode)
+    starts, part_of_none = np.flatnonzero(start), np.asarray(macro[0]) < 0
+    reasons = np.full(count, "") if episode.move is None else episode.move[1:]
+    table = np.stack(macro, axis=1)
+    codes = [GaussCode.parse(text) for text in episode.gauss_code_chiral.tolist()]
+    goal = GaussCode.parse(episode.goal_gauss_code)
+    asked, way, decisions = list[Step](), list[Step](), list[Decisions]()
+    for at, end in zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True):
+        points, (bead, target, side) = episode.points[at].astype(np.float32), table[at].tolist()
+        step = Step(points, codes[at], codes[end], (bead, target, side))
+        # a pass that nobody chose isn't imitated, but led somewhere all the same
+        if reasons[at] != RANDOM and (failed or episode.terminations[-1]):
+            asked.append(step)
+        if part_of_none[at:end].any():  # cut short by a random pull
+            decisions.append(gathered(without_loops(way), [], goal, window, number))
+            way = []
+        elif step.before != step.after:
+            way.append(step)
+    return join([*decisions, gathered(without_loops(way), asked, goal, window, number)])

@@ -1,0 +1,329 @@
+"""Train the clone: supervised on decisions, then on its own play; resumable and reproducible.
+
+Weights are averaged over steps, and of the averages the one with the lowest held-out loss is kept:
+a few thousand decisions are learned by heart in minutes. In a round of improvement the clone plays
+the tasks of its data in the chain engine, and goes on training on all decisions that are on a way
+to a goal (`clone_play`): what a network did, a network can learn.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+import knotgym
+from knotgym.common.atomic_files import remove
+from knotgym.common.streams import Stream, generator
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.envs.tasks import TaskConfig
+from knotgym.learn.clone_config import CloneConfig
+from knotgym.learn.clone_data import (
+    Decisions,
+    Examples,
+    examples,
+    join,
+    load_decisions,
+    read_decisions,
+    save_decisions,
+)
+from knotgym.learn.clone_network import CloneNetwork, Macros, inputs
+from knotgym.learn.clone_play import play
+from knotgym.learn.clone_policy import ClonePolicy, load_clone, save_clone
+from knotgym.learn.training import begin_training, draw_curve, keep_training, run_training
+from knotgym.runs.progress import Progress, Status
+from knotgym.runs.run_options import REFUSE_EXISTING, Existing
+from knotgym.states.state_file import ships
+from knotgym.topology.gauss import GaussCode
+
+_WARM_UP = 50  # steps over which the learning rate rises
+_LEAST_RATE = 0.02  # of the peak, at the last step
+_JUDGED = 2048  # held-out decisions on which weights are judged, at most
+
+
+class CloneTraining:
+    """A clone in training.
+
+    Attributes:
+        network: as trained so far.
+        step: steps done.
+        curve: step, mean training loss since the last row, and held-out loss of the averaged
+            weights.
+    """
+
+    def __init__(self, config: CloneConfig) -> None:
+        # more threads would sum in another order and round otherwise
+        torch.set_num_threads(1)
+        torch.manual_seed(config.seed)
+        self._config = config
+        self.network = CloneNetwork(config.width, config.layers)
+        self._optimizer = torch.optim.AdamW(
+            self.network.parameters(), lr=config.rate, weight_decay=config.decay
+        )
+        self._average = {name: own.clone() for name, own in self.network.state_dict().items()}
+        self._best, self._least = self._average, math.inf
+        self.step, self.curve = 0, list[tuple[int, float, float]]()
+
+    def advance(self, data: Examples, held: Examples, start: int, stop: int) -> None:
+        """Train on `data` for up to `judge_every` steps of those from `start` to `stop`.
+
+        The learning rate falls by a cosine over them; then the weights are judged on `held`.
+        """
+        config, losses = self._config, list[float]()
+        self.network.train()
+        for _ in range(min(config.judge_every, stop - self.step)):
+            done = (self.step - start) / (stop - start)
+            falling = _LEAST_RATE + (1 - _LEAST_RATE) * (0.5 + 0.5 * math.cos(math.pi * done))
+            for group in self._optimizer.param_groups:
+                group["lr"] = config.rate * min(1.0, (self.step + 1) / _WARM_UP) * falling
+            rng = generator(Stream.LEARN_CLONE, config.seed, self.step)
+            loss = self._loss(self.network, data.rows(self._drawn(data, rng)))
+            self._optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+            self._optimizer.step()
+            self.step += 1
+            losses.append(loss.item())
+            # the average forgets the first steps faster
+            share = min(config.average, self.step / (self.step + 20))
+            with torch.no_grad():
+                for name, own in self.network.state_dict().items():
+                    self._average[name].mul_(share).add_(own, alpha=1 - share)
+        averaged = self._made(self._average)
+        with torch.no_grad():
+            judged = self._loss(averaged, held).item() if len(held.asked) else losses[-1]
+        if judged < self._least:
+            self._least, self._best = judged, {k: v.clone() for k, v in self._average.items()}
+        self.curve.append((self.step, float(np.mean(losses)), judged))
+
+    def best(self) -> CloneNetwork:
+        """Return the network with the averaged weights of least held-out loss."""
+        return self._made(self._best)
+
+    def averaged(self) -> CloneNetwork:
+        """Return the network with the averaged weights."""
+        return self._made(self._average)
+
+    def state(self) -> dict[str, Tensor]:
+        """Return the tensors that `restore` needs to resume."""
+        tensors = {f"network.{name}": own for name, own in self.network.state_dict().items()}
+        tensors |= {f"average.{name}": own for name, own in self._average.items()}
+        tensors |= {f"best.{name}": own for name, own in self._best.items()}
+        for number, moments in self._optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{number}.{name}": own for name, own in moments.items()}
+        tensors["curve"] = torch.tensor(self.curve, dtype=torch.float64).reshape(-1, 3)
+        tensors["least"] = torch.tensor([self._least], dtype=torch.float64)
+        return {name: own.clone() for name, own in tensors.items()}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Resume from what `state` returned."""
+        parts: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "best": {}}
+        moments: dict[int, dict[str, Tensor]] = {}
+        for name, own in tensors.items():
+            part, _, rest = name.partition(".")
+            if part == "optimizer":
+                number, _, moment = rest.partition(".")
+                moments.setdefault(int(number), {})[moment] = own
+            elif part in parts:
+                parts[part][rest] = own
+        self.network.load_state_dict(parts["network"])
+        self._average, self._best = parts["average"], parts["best"]
+        self._optimizer.load_state_dict({**self._optimizer.state_dict(), "state": moments})
+        self.curve = [(int(row[0]), row[1], row[2]) for row in tensors["curve"].tolist()]
+        self._least = tensors["least"].item()
+        self.step = self.curve[-1][0] if self.curve else 0
+
+    def _made(self, weights: dict[str, Tensor]) -> CloneNetwork:
+        network = CloneNetwork(self._config.width, self._config.layers)
+        network.load_state_dict(weights)
+        return network.eval()
+
+    def _drawn(self, data: Examples, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Draw a batch of rows, of which a share has goals in hindsight."""
+        asked, reached = np.flatnonzero(data.asked), np.flatnonzero(~data.asked)
+        batch = self._config.batch
+        other = round(self._config.hindsight_share * batch) if len(reached) else 0
+        return np.concatenate(
+            [
+                asked[rng.integers(len(asked), size=batch - other)],
+                reached[rng.integers(max(1, len(reached)), size=other)],
+            ]
+        )
+
+    def _loss(self, network: CloneNetwork, data: Examples) -> Tensor:
+        states = inputs(data.seen)
+        beads, targets, sides = torch.from_numpy(data.macros).T
+        if self._config.action == "macro":
+            losses = network.macro_loss(states, Macros(beads, targets, sides))
+        else:
+            losses = network.pull_loss(states, beads, torch.from_numpy(data.forces))
+        return losses.sum(1).mean()
+
+
+def train_clone(
+    datasets: Sequence[Any],
+    out: Path,
+    config: CloneConfig,
+    *,
+    existing: Existing = REFUSE_EXISTING,
+    quiet: bool = False,
+    progress: Progress | None = None,
+) -> ClonePolicy:
+    """Train a clone on datasets and write its checkpoint folder.
+
+    Args:
+        datasets: ids or folders of train-split episodes; for `action` "macro" of a policy that
+            chooses macro-actions.
+        out: folder to create.
+        config: settings.
+        existing: what to do with an earlier training in `out`.
+        quiet: show no progress; ignored if `progress` is given.
+        progress: where to show it.
+
+    Raises:
+        As `training.train`.
+    """
+    if progress is None:
+        with Progress(quiet) as progress:
+            return train_clone(datasets, out, config, existing=existing, progress=progress)
+    shown = progress
+
+    def read() -> tuple[Decisions, str]:
+        decisions = read_decisions(datasets, config.action, config.failed, config.hindsight)
+        return decisions, decisions.digest
+
+    def make(decisions: Decisions, request: dict[str, Any], folder: Path) -> None:
+        began = time.perf_counter()
+        tasks = tasks_of(datasets)
+        network, curve, facts = fit_clone(decisions, config, tasks, shown, folder, request)
+        remove(folder / "made")
+        made = {
+            "knotgym": knotgym.__version__,
+            **request,
+            "data": ["/".join(Path(str(one)).parts[-3:]) for one in datasets],
+            **facts,
+            "seconds": round(time.perf_counter() - began),
+        }
+        save_clone(folder / "made", network, made)
+        draw_curve(folder / "made", ("training", "held_out"), curve)
+
+    run_training(datasets, out, config, existing, progress, read, make)
+    return load_clone(out)
+
+
+def fit_clone(
+    decisions: Decisions,
+    config: CloneConfig,
+    tasks: Sequence[TaskConfig] = (),
+    progress: Progress | None = None,
+    folder: Path | None = None,
+    request: dict[str, Any] | None = None,
+) -> tuple[CloneNetwork, list[tuple[int, float, float]], dict[str, Any]]:
+    """Train a clone on decisions, then by play.
+
+    Args:
+        decisions: of demonstrators.
+        config: settings.
+        tasks: what to play in rounds of improvement.
+        progress: where to show progress.
+        folder: staging folder to resume from and to save to; None to keep nothing.
+        request: settings and digest that a resumed training must have.
+
+    Returns:
+        The network, the curve (see `CloneTraining`), and facts for its card.
+    """
+    progress = progress or Progress(quiet=True)
+    training = CloneTraining(config)
+    kept = begin_training(folder, request) if folder is not None and request is not None else {}
+    if kept:
+        training.restore(kept)
+
+    def train(data: Decisions, start: int, stop: int) -> None:
+        if training.step >= stop:
+            return
+        held = _held_out(data.episodes, config)
+        rows, judged = np.flatnonzero(~held), np.flatnonzero(held & data.asked)[:_JUDGED]
+        fitted, aside = examples(data.rows(rows)), examples(data.rows(judged))
+        while training.step < stop:
+            training.advance(fitted, aside, start, stop)
+            progress.show(status)
+            if folder is not None:
+                keep_training(folder, training.state())
+
+    def status() -> Status:
+        facts = {"held-out loss": f"{training.curve[-1][2]:.3f}"} if training.curve else {}
+        last = config.steps + config.improve * config.round_steps
+        return Status(training.step, last, "steps of the clone", facts, even=True)
+
+    progress.stage("training the clone")
+    train(decisions, 0, config.steps)
+    rounds, rates = list[Decisions](), list[dict[str, float]]()
+    for number in range(config.improve):
+        stop = config.steps + (number + 1) * config.round_steps
+        path = folder / f"round-{number}.safetensors" if folder is not None else None
+        if path is not None and path.exists():
+            own, rate = load_decisions(path)
+        else:
+            progress.stage(f"playing, round {number + 1} of {config.improve}")
+            own, rate = _play(training.averaged(), tasks, config, number, rounds)
+            if path is not None:
+                save_decisions(path, own, rate)
+        rounds.append(own)
+        rates.append(rate)
+        progress.say(f"round {number + 1}: " + ", ".join(f"{k} {v:.0%}" for k, v in rate.items()))
+        recent = rounds[-config.play.rounds_kept :]
+        train(join([decisions, *recent]), stop - config.round_steps, stop)
+    progress.show(status, last=True)
+    episodes = len(np.unique(decisions.episodes))
+    facts = {"episodes": episodes, "decisions": len(decisions.points), "play": rates}
+    return training.averaged() if config.improve else training.best(), training.curve, facts
+
+
+def tasks_of(datasets: Sequence[Any]) -> list[TaskConfig]:
+    """Return the tasks of datasets, one of each kind and nx, with the path of their states."""
+    tasks = dict[tuple[str, int], TaskConfig]()
+    for dataset in datasets:
+        reader = EpisodeReader(dataset)
+        states = reader.task.states if ships(reader.task.states) else str(reader.states_path())
+        tasks[reader.task.task, reader.task.nx] = replace(reader.task, states=states)
+        reader.close()
+    return list(tasks.values())
+
+
+def _play(
+    network: CloneNetwork,
+    tasks: Sequence[TaskConfig],
+    config: CloneConfig,
+    number: int,
+    rounds: Sequence[Decisions],
+) -> tuple[Decisions, dict[str, float]]:
+    """Play one round of all tasks; return the decisions and the success rates by task."""
+    found = sorted({text for one in rounds for text in one.goals.tolist()})
+    codes = [GaussCode.parse(text) for text in found]
+    parts, rates = list[Decisions](), dict[str, float]()
+    for place, task in enumerate(tasks):
+        known = [code for code in codes if code.nx == task.goal_nx]
+        order = number * len(tasks) + place
+        played = play(network, task, config.play, config.seed, order, known, config.hindsight)
+        own = played.decisions
+        # episodes of other tasks, rounds and datasets have other numbers
+        first = -1 - config.play.episodes * order
+        parts.append(own._replace(episodes=first - own.episodes))
+        rates[f"{task.task} {task.nx}"] = played.success_rate
+    return join(parts), rates
+
+
+def _held_out(episodes: NDArray[np.int64], config: CloneConfig) -> NDArray[np.bool_]:
+    """Draw which decisions are held out, by whole episodes of the datasets."""
+    numbers = np.unique(episodes[episodes >= 0])
+    rng = generator(Stream.LEARN_HELD_OUT, config.seed)
+    drawn = rng.permutation(numbers)[: round(config.held_out * len(numbers))]
+    return np.isin(episodes, drawn)

@@ -1,0 +1,39 @@
+"""The configuration of `knotgym train`, which can be read without torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import KnotgymError
+
+
+class InvalidTraining(KnotgymError, ValueError):
+    """A training that can't run: its settings, its datasets or what it resumes are invalid."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """Settings of a training.
+
+    Attributes:
+        steps: training steps of the reader, the perception model.
+        batch: pictures per step.
+        places: start positions of episodes that are kept, at most.
+        save_every: steps between checkpoints.
+        seed: random seed; the same seed and data give the same weights.
+    """
+
+    steps: int = 3000
+    batch: int = 48
+    places: int = 512
+    save_every: int = 200
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            counts=("steps", "batch", "places", "save_every"),
+            whole=("seed",),
+            error=InvalidTraining,
+        )

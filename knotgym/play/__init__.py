@@ -1,0 +1,1 @@
+"""The rope in a browser: pull it by hand, watch episodes, record them."""

@@ -1,0 +1,419 @@
+"""The page that `knotgym play` serves: each browser tab has a rope of its own.
+
+A tab's events (drags, buttons, keys) only leave a wish in its `Player`, and one thread per tab acts
+on the latest wish. So a tab that sends thousands of messages a second delays nobody else's rope,
+and nothing that a browser sends is used as a path, a name to import, or a size.
+"""
+
+from __future__ import annotations
+
+import hmac
+import logging
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from knotgym.common.errors import KnotgymError, one_line
+from knotgym.envs.tasks import TASKS, TaskConfig
+from knotgym.play.recorder import Recorder
+from knotgym.play.scene import SCALE, RopeScene
+from knotgym.play.session import Session
+from knotgym.rendering.diagram import draw_diagram
+from knotgym.rope.engines import CHAIN
+from knotgym.rope.model import Array
+
+FRAMES = 30  # shown per second
+_LIFT = 0.03  # metres above or below the rope's middle height at which a drag leads a bead
+_FARTHEST = 100.0  # scene units from the origin at which a drag is read
+_WALK = 25.0  # beads per second of the walker
+_MOST_TABS = 16  # ropes at a time
+_TRIES = 5  # wrong tokens before a tab is left alone
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_KEYS = """
+**Drag** a bead to pull it; **shift**: over, **alt**: under what lies in the way. Drag the
+background to turn, scroll to zoom.
+
+| key | | key | |
+| --- | --- | --- | --- |
+| `U` | undo | `H` | hint |
+| `R` | reset | `P` | one pull by the policy |
+| `N` | next start | `V` | view from above |
+| `J` `L` | select the bead before, after | `W` `A` `S` `D` | pull it up, left, down, right |
+| `E` `Q` | pull it over, under | `K` | walk the code |
+"""
+
+
+class PlayError(KnotgymError, RuntimeError):
+    """The page can't be served."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayConfig:
+    """What is played, and where the page is served.
+
+    Attributes:
+        task: the environment that a tab starts with; nx and task can be changed on the page.
+        seed: random seed; episode i is the one that `knotgym evaluate` plays with the same seed.
+        policy: policy that gives hints and can take over, as in evaluate.
+        compared: policy whose next pulls are shown beside its; empty for none.
+        host: host; any but the loopback asks for a token.
+        port: port of the page.
+    """
+
+    task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
+    seed: int = 0
+    policy: str = "expert"
+    compared: str = "scripted"
+    host: str = "127.0.0.1"
+    port: int = 8080
+
+
+class Player:
+    """One tab: its session, its scene and its panel."""
+
+    def __init__(self, client: Any, config: PlayConfig, recorder: Recorder | None) -> None:
+        self._client, self._config, self._recorder = client, config, recorder
+        self._wish: Callable[[], None] | None = None
+        self._drag: tuple[int, Array] | None = None  # bead, and where to, metres
+        self._closed = threading.Event()
+        self._selected, self._walk_from = 0, 0.0
+        self._forget: Callable[[], None] = lambda: None
+        self._kept: set[int] = set()  # episodes that are recorded
+        self.session = Session(config.task, config.seed, recorder.next_number() if recorder else 0)
+        rope = self.session.task.rope
+        self._lasts = rope.timestep * rope.frame_skip  # seconds of rope time of a pull
+        self.scene = RopeScene(client, self.session.points, self.session.task.rope)
+        self._panel()
+        self._show_start()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop the tab's thread; an episode with pulls is recorded as abandoned."""
+        self._closed.set()
+        self._thread.join(timeout=10)
+
+    # what the panel offers ---------------------------------------------------------------
+
+    def _panel(self) -> None:
+        gui, task = self._client.gui, self.session.task
+        self._status = gui.add_markdown("")
+        self._goal = gui.add_image(np.zeros((192, 192, 3), dtype=np.uint8), label="goal")
+        row = (
+            ("Undo", "U", lambda: self._after(self.session.undo)),
+            ("Reset", "R", lambda: self._after(self.session.reset)),
+            ("Next start", "N", self._next),
+            ("Hint", "H", lambda: self._foresee([self._config.policy])),
+            ("Let it pull once", "P", self._policy_pull),
+        )
+        for label, key, wish in row:
+            self._offer(label, key, wish)
+        self._auto = gui.add_checkbox(f"Let {self._config.policy} play", False)
+        if self._config.compared:
+            both = [self._config.policy, self._config.compared]
+            self._offer(f"Compare with {self._config.compared}", None, lambda: self._foresee(both))
+        self._lift = gui.add_slider("Height of drags", -1.0, 1.0, 0.1, 0.0)
+        with gui.add_folder("Another task", expand_by_default=False):
+            tasks = gui.add_dropdown("Task", tuple(TASKS), initial_value=task.task)
+            sizes = gui.add_dropdown("Crossings", ("1", "2", "3", "4"), initial_value=str(task.nx))
+        for handle in (tasks, sizes):
+            handle.on_update(lambda _: self._wants(lambda: self._change(tasks, sizes)))
+        with gui.add_folder("Keys", expand_by_default=False):
+            gui.add_markdown(_KEYS)
+        for key, label, wish in (
+            ("V", "View from above", lambda: self.scene.look_from_above(self.session.points)),
+            ("K", "Walk the code", self._start_walk),
+            ("J", "Select the bead before", lambda: self._select(-1)),
+            ("L", "Select the bead after", lambda: self._select(1)),
+            ("W", "Pull up", lambda: self._push(0, 1, 0)),
+            ("A", "Pull left", lambda: self._push(-1, 0, 0)),
+            ("S", "Pull down", lambda: self._push(0, -1, 0)),
+            ("D", "Pull right", lambda: self._push(1, 0, 0)),
+            ("E", "Pull over", lambda: self._push(0, 0, 1)),
+            ("Q", "Pull under", lambda: self._push(0, 0, -1)),
+        ):
+            self._hotkey(label, key, wish)
+        for modifier, lift in ((None, None), ("shift", 1.0), ("alt", -1.0)):
+            self.scene.beads.on_drag("left", modifier=modifier)(self._dragging(lift))
+
+    def _offer(self, label: str, key: str | None, wish: Callable[[], None]) -> None:
+        self._client.gui.add_button(label).on_click(lambda _: self._wants(wish))
+        if key:
+            self._hotkey(label, key, wish)
+
+    def _hotkey(self, label: str, key: str, wish: Callable[[], None]) -> None:
+        command = self._client.gui.add_command(label, hotkey=key)
+        command.on_trigger(lambda _: self._wants(wish))
+
+    def _dragging(self, lift: float | None) -> Callable[[Any], None]:
+        def drag(event: Any) -> None:
+            bead, place = event.instance_index, event.end_position
+            if event.phase == "end" or type(bead) is not int or len(place) != 3:
+                self._drag = None
+                return
+            target = np.array([number(one, _FARTHEST) for one in place]) / SCALE
+            points = self.session.points
+            height = number(self._lift.value, 1.0) if lift is None else lift
+            if height:
+                target[2] = points[:, 2].mean() + _LIFT * height
+            self._drag = bead % len(points), target
+
+        return drag
+
+    def _wants(self, wish: Callable[[], None]) -> None:
+        self._wish = wish  # the latest counts
+
+    # the tab's thread --------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            began = time.monotonic()
+            try:
+                self._act()
+            except KnotgymError as error:
+                self._client.add_notification("knotgym", one_line(error), auto_close_seconds=10)
+                self._auto.value = False
+            self._closed.wait(max(0.0, 1 / FRAMES - (time.monotonic() - began)))
+        if self._recorder is not None:
+            self._keep()
+
+    def _act(self) -> None:
+        wish, self._wish = self._wish, None
+        if wish is not None:
+            wish()
+        elif self._drag is not None:
+            bead, target = self._drag
+            self._pull(lambda: self.session.pull_towards(bead, target))
+        elif self._auto.value and not self.session.ended:
+            self._policy_pull()
+        if self._walk_from:
+            place = _WALK * (time.monotonic() - self._walk_from)
+            over = place >= len(self.session.points)
+            self.scene.walk(self.session.points, None if over else place)
+            self._walk_from = 0.0 if over else self._walk_from
+
+    def _pull(self, pull: Callable[[], object]) -> None:
+        """Pull, then show the way there for as long as the pull lasts in rope time."""
+        before, taken = self.session.points.copy(), len(self.session.actions)
+        began = time.monotonic()
+        pull()
+        if len(self.session.actions) == taken:
+            return
+        after, lasts = self.session.points.copy(), self._lasts
+        self._forget()
+        while (share := (time.monotonic() - began) / lasts) < 1 and not self._closed.is_set():
+            shown = time.monotonic()
+            self.scene.move((1 - share) * before + share * after)
+            self._closed.wait(max(0.0, 1 / FRAMES - (time.monotonic() - shown)))
+        self._show()
+        if self._recorder is not None and not self.session.helped:
+            if self.session.ended:
+                self._keep()
+            else:
+                self._recorder.journal(self.session.number, self.session.actions)
+
+    def _policy_pull(self) -> None:
+        self._pull(lambda: self.session.let_act(self._config.policy))
+
+    def _push(self, x: float, y: float, z: float) -> None:
+        self._pull(lambda: self.session.pull(self._selected, (x, y, z)))
+
+    def _after(self, change: Callable[[], None]) -> None:
+        change()
+        if self._recorder is not None and not self.session.ended:
+            self._recorder.journal(self.session.number, self.session.actions)
+        self._show()
+
+    def _next(self) -> None:
+        self._keep()
+        number = self._recorder.next_number() if self._recorder else self.session.number + 1
+        self.session.begin(number)
+        self._show_start()
+
+    def _keep(self) -> None:
+        """Record the episode, unless it was recorded already or a policy helped."""
+        session = self.session
+        if self._recorder is not None and session.number not in self._kept:
+            self._kept.add(session.number)
+            self._recorder.finish(session.number, [] if session.helped else session.actions)
+
+    def _change(self, tasks: Any, sizes: Any) -> None:
+        nx = int(number(sizes.value, 4.0))
+        task = replace(self.session.task, task=str(tasks.value), nx=nx)
+        if task == self.session.task:
+            return
+        if self._recorder is not None:
+            tasks.value, sizes.value = self.session.task.task, str(self.session.task.nx)
+            raise PlayError("this page records one task: start another knotgym play for another")
+        self.session = Session(task, self._config.seed)
+        self._show_start()
+
+    def _foresee(self, policies: list[str]) -> None:
+        self._say("thinking ...")
+        seen = [self.session.foresee(policy) for policy in policies]
+        self._forget()
+        self._forget = self.scene.draw_paths([one.path for one in seen])
+        lines = [
+            f"**{policy}** pulls bead {one.bead}, to `{one.code or 'the plain loop'}`"
+            + (" (the goal)" if one.success else "")
+            for policy, one in zip(policies, seen, strict=True)
+        ]
+        self._show(lines, keep=True)
+
+    def _select(self, step: int) -> None:
+        self._selected = (self._selected + step) % len(self.session.points)
+        self.scene.walk(self.session.points, float(self._selected))
+
+    def _start_walk(self) -> None:
+        self._walk_from = time.monotonic()
+
+    # what the tab shows ------------------------------------------------------------------
+
+    def _show_start(self) -> None:
+        self._goal.image = draw_diagram(self.session.episodes.goal_points(0), 192)
+        self.scene.look_from_above(self.session.points)
+        self._show()
+
+    def _show(self, lines: list[str] | None = None, keep: bool = False) -> None:
+        if not keep:
+            self._forget()
+            self._forget = lambda: None
+        points = self.session.points
+        self.scene.move(points)
+        self.scene.mark(points)
+        self._say(*(lines or []))
+
+    def _say(self, *lines: str) -> None:
+        session = self.session
+        info = session.episodes.info(0)
+        state = "**the goal is reached**" if session.success else f"{session.left} pulls left"
+        if session.ended and not session.success:
+            state = "**over**: no pulls left"
+        recorded = "" if self._recorder is None else f", recorded in `{self._recorder.folder.name}`"
+        if self._recorder is not None and session.helped:
+            recorded = ", not recorded, because a policy helped"
+        self._status.content = "\n\n".join(
+            (
+                f"**{session.task.task}**, {session.task.nx} crossings, {session.task.split}"
+                f" episode {session.number} ({session.task.engine}){recorded}",
+                f"now `{info['gauss_code'] or 'plain loop'}`",
+                f"goal `{info['goal_gauss_code'] or 'plain loop'}`",
+                f"{state}; reward {session.reward:g}",
+                *lines,
+            )
+        )
+
+
+class Page:
+    """A running server; a context manager.
+
+    Attributes:
+        address: what to open.
+        token: what a tab must give first; "" on the loopback.
+        players: the tabs that play, by viser's number of the client.
+    """
+
+    def __init__(self, config: PlayConfig, recorder: Recorder | None = None) -> None:
+        """Serve the page.
+
+        Raises:
+            PlayError: the port is taken, or viser isn't installed.
+        """
+        require_port(config.host, config.port)
+        import viser
+
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)  # garbage needs no traceback
+        self._config, self._recorder = config, recorder
+        self.token = "" if config.host in _LOOPBACK else secrets.token_urlsafe(12)
+        self.players: dict[int, Any] = {}
+        self._lock = threading.Lock()
+        self._server = viser.ViserServer(
+            host=config.host, port=config.port, label="knotgym play", verbose=False
+        )
+        self._server.gui.configure_theme(
+            dark_mode=True, show_logo=False, show_share_button=False, control_width="medium"
+        )
+        self.address = f"http://{config.host}:{self._server.get_port()}"
+        self._server.on_client_connect(self._connected)
+        self._server.on_client_disconnect(self._gone)
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number in list(self.players):
+            self._leave(number)
+        self._server.stop()
+
+    def _open(self, client: Any) -> Any:
+        return Player(client, self._config, self._recorder)
+
+    def _connected(self, client: Any) -> None:
+        if not self.token:
+            self._join(client)
+            return
+        left = [_TRIES]
+        asked = client.gui.add_text("Token", "")
+
+        def answer(_: Any) -> None:
+            if left[0] and hmac.compare_digest(
+                str(asked.value)[:100].encode(), self.token.encode()
+            ):
+                left[0] = 0
+                asked.remove()
+                self._join(client)
+            left[0] = max(0, left[0] - 1)
+
+        asked.on_update(answer)
+
+    def _join(self, client: Any) -> None:
+        with self._lock:
+            if len(self.players) >= _MOST_TABS:
+                client.add_notification("knotgym", f"{_MOST_TABS} ropes are being played already")
+                return
+            self.players[client.client_id] = self._open(client)
+
+    def _gone(self, client: Any) -> None:
+        self._leave(client.client_id)
+
+    def _leave(self, number: int) -> None:
+        with self._lock:
+            player = self.players.pop(number, None)
+        if player is not None:
+            player.close()
+
+
+def number(value: object, most: float) -> float:
+    """Read a number that a browser sent: 0 for anything else, clipped to [-most, most].
+
+    >>> number("0.5", 1.0), number(7, 1.0), number("x", 1.0), number(float("nan"), 1.0)
+    (0.5, 1.0, 0.0, 0.0)
+    """
+    try:
+        read = float(str(value)[:40])
+    except ValueError:
+        return 0.0
+    return min(max(read, -most), most) if read == read else 0.0
+
+
+def require_port(host: str, port: int) -> None:
+    """Require that a port is free.
+
+    Raises:
+        PlayError: it isn't, or the host isn't this machine's.
+    """
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.socket(family) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host, port))
+    except OSError as error:
+        raise PlayError(
+            f"can't serve on {host} port {port}: {one_line(error)}; choose another with --port"
+        ) from error

@@ -1,0 +1,170 @@
+"""Draw a rope, its crossings and arrows in a client's viser scene.
+
+viser 1.1 was chosen because it gives drags on single instances of a batched mesh, hot keys and
+images, needs no build step, and is what robotics users know; mjswan runs MuJoCo in the browser, so
+its rope would not be the one that is recorded. The scene is in decimetres: viser's nearest plane
+and its controls are made for objects of that size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.rendering.camera import bead_colours
+from knotgym.rope.model import Array, RopeConfig
+from knotgym.topology.crossings import find_crossings
+
+SCALE = 10.0  # scene units per metre
+_SIDES = 10  # of a bead's drawn capsule
+_HINT, _OTHER = (255, 214, 80), (120, 200, 255)  # RGB of foreseen paths
+
+
+class RopeScene:
+    """A rope in one client's scene.
+
+    Attributes:
+        beads: the handle of the batched mesh, on which drags arrive with the bead's index.
+    """
+
+    def __init__(self, client: Any, points: Array, rope: RopeConfig) -> None:
+        self._client = client
+        client.scene.set_up_direction("+y")
+        client.scene.add_light_ambient("/light", intensity=0.6)
+        vertices, faces = _capsule(rope.radius * SCALE, rope.bead_length * SCALE)
+        turns, middles = _poses(points)
+        self.beads = client.scene.add_batched_meshes_simple(
+            "/rope",
+            vertices,
+            faces,
+            turns,
+            middles,
+            batched_colors=bead_colours(len(points)),
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._marks: list[Any] = []
+        self._walker = client.scene.add_icosphere(
+            "/walker", radius=1.6 * rope.radius * SCALE, color=(255, 255, 255), visible=False
+        )
+
+    def look_from_above(self, points: Array) -> None:
+        """Move the camera above the rope, as the published pictures are taken."""
+        middle, camera = SCALE * points.mean(axis=0), self._client.camera
+        camera.up_direction = (0.0, 1.0, 0.0)
+        camera.position = middle + np.array([0.0, 0.0, 0.45 * SCALE])
+        camera.look_at = middle
+
+    def move(self, points: Array) -> None:
+        """Show the rope with other vertices, float64 (beads, 3), metres."""
+        turns, middles = _poses(points)
+        with self._client.atomic():
+            self.beads.batched_wxyzs = turns
+            self.beads.batched_positions = middles
+
+    def mark(self, points: Array) -> None:
+        """Write each crossing's number and sign beside it, in the order of a walk."""
+        found = find_crossings(points)
+        first = np.minimum(found.over_place, found.under_place)
+        with self._client.atomic():
+            for mark in self._marks:
+                mark.remove()
+            self._marks = []
+            for number, row in enumerate(np.argsort(first), start=1):
+                sign = "+" if found.over_place[row] < found.under_place[row] else "-"
+                place = SCALE * _at(points, float(found.over_place[row]))
+                self._marks.append(
+                    self._client.scene.add_label(
+                        f"/crossings/{number}", f"{number}{sign}", position=place + [0, 0, 0.15]
+                    )
+                )
+
+    def walk(self, points: Array, place: float | None) -> None:
+        """Put the walker at a place along the rope, in beads; None hides it."""
+        self._walker.visible = place is not None
+        if place is not None:
+            self._walker.position = SCALE * _at(points, place)
+
+    def draw_paths(self, paths: list[Array]) -> Callable[[], None]:
+        """Draw paths of beads, each float64 (n, 3), as arrows; return what removes them."""
+        drawn = []
+        for number, (path, colour) in enumerate(zip(paths, (_HINT, _OTHER), strict=False)):
+            if len(path) < 2:
+                continue
+            pairs = SCALE * np.stack([path[:-1], path[1:]], axis=1)
+            if len(pairs) > 1:
+                drawn.append(
+                    self._client.scene.add_line_segments(
+                        f"/paths/{number}/line", pairs, colour, thickness=0.05
+                    )
+                )
+            end = SCALE * np.stack([path[0], path[-1]])[None]
+            drawn.append(
+                self._client.scene.add_arrows(
+                    f"/paths/{number}/arrow",
+                    end,
+                    colour,
+                    shaft_radius=0.03,
+                    head_radius=0.08,
+                    head_length=0.18,
+                )
+            )
+
+        def remove() -> None:
+            for handle in drawn:
+                handle.remove()
+
+        return remove
+
+
+def _at(points: Array, place: float) -> Array:
+    """Return the point at a place along the rope, (3,): bead and fraction of its edge."""
+    bead = int(place) % len(points)
+    share = place - int(place)
+    found: Array = (1 - share) * points[bead] + share * points[(bead + 1) % len(points)]
+    return found
+
+
+def _poses(points: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the beads' quaternions (n, 4), w first, and middles (n, 3) in scene units.
+
+    A bead's mesh lies along x. The shortest rotation from x to a unit vector d has the quaternion
+    (1 + x.d, x cross d), normalized.
+    """
+    ends = np.roll(points, -1, axis=0)
+    along = (ends - points) / np.linalg.norm(ends - points, axis=1, keepdims=True)
+    turns = np.stack([1 + along[:, 0], np.zeros(len(points)), -along[:, 2], along[:, 1]], axis=1)
+    opposite = np.linalg.norm(turns, axis=1) < 1e-6  # d = -x: half a turn about z
+    turns[opposite] = 0.0, 0.0, 0.0, 1.0
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    middles = SCALE * (points + ends) / 2
+    return turns.astype(np.float32), middles.astype(np.float32)
+
+
+def _capsule(radius: float, length: float) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Return the vertices (n, 3) and faces (m, 3) of a capsule along x: rings joined by quads."""
+    bends = np.linspace(-np.pi / 2, np.pi / 2, 7)  # latitudes, from one tip to the other
+    x = np.sin(bends) * radius + np.where(bends < 0, -length / 2, length / 2)
+    turns = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
+    rings = np.stack(
+        [
+            np.repeat(x, _SIDES),
+            (radius * np.cos(bends)[:, None] * np.cos(turns)).ravel(),
+            (radius * np.cos(bends)[:, None] * np.sin(turns)).ravel(),
+        ],
+        axis=1,
+    )
+    ring, side = np.divmod(np.arange((len(bends) - 1) * _SIDES), _SIDES)
+    after = (side + 1) % _SIDES
+    near, far = ring * _SIDES, (ring + 1) * _SIDES
+    faces = np.concatenate(
+        [
+            np.stack([near + side, near + after, far + side], axis=1),
+            np.stack([near + after, far + after, far + side], axis=1),
+        ]
+    )
+    return rings.astype(np.float32), faces.astype(np.uint32)

@@ -1,0 +1,247 @@
+"""PD and DT codes: diagrams as SnapPy, spherogram, KnotTheory and KnotInfo write them.
+
+Walking from the base point, the visits are numbered 1 to 2 n. Edge k leads to visit k, so the base
+point lies on edge 1.
+
+A PD (planar diagram) code has X[a, b, c, d] for each crossing, here in order of labels: the lower
+strand comes in along edge a and leaves along c; b and d are the edges of the upper strand.
+
+           c                            c
+           |                            |
+    d ---- | ---> b              d <--- | ---- b        a, b, c, d are counterclockwise
+           |                            |
+           a   positive                 a   negative
+
+It has the same information as a Gauss code with chirality. The four kinks differ (X[1,1,2,2],
+X[1,2,2,1], X[2,1,1,2] and X[2,2,1,1]), so every code comes back as it was.
+
+A DT (Dowker-Thistlethwaite) code pairs the two visits of each crossing, of which one is odd and one
+even in every planar diagram. It lists the even partners of 1, 3, 5, ..., negative if the even visit
+is the upper one. It has the same information as a Gauss code without chirality, so handedness is
+lost, separately for each summand (`diagrams.parts`): the granny knot and the square knot share
+their DT codes.
+
+The plain loop is written [] in both, as by spherogram; KnotInfo leaves it blank, and KnotTheory's
+PD[Loop[1]] can be read too.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+
+from knotgym.topology.diagrams import is_planar
+from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, InvalidGaussCode
+
+MOST_CROSSINGS = 1000  # of a code that is read
+_MOST_CHARACTERS = 30 * MOST_CROSSINGS
+_LOOPS = ("[]", "PD[]", "PD[Loop[1]]", "DT[]", "DT:[]", "DTCode[]")
+_CROSSING = re.compile(r"[\[(](\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})[\])]")
+_PD = re.compile(rf"(?:PD)?[\[(](?:,?X?{_CROSSING.pattern})+,?[\])]|(?:,?X{_CROSSING.pattern})+")
+_DT = re.compile(r"(?:DT(?:Code)?:?)?[\[(]*-?\d{1,9}(?:,-?\d{1,9})*,?[\])]*")
+_LETTERS = re.compile(r"DT(?::|\[)([a-zA-Z]{4,})\]?")
+
+
+def pd_code(code: GaussCode) -> list[list[int]]:
+    """Return [a, b, c, d] for each crossing, in order of labels; see the module for the convention.
+
+    Raises:
+        InvalidGaussCode: the code has no chirality.
+
+    >>> pd_code(GaussCode.parse("1-c,2+c,3-c,1+c,2-c,3+c"))
+    [[1, 5, 2, 4], [5, 3, 6, 2], [3, 1, 4, 6]]
+    """
+    edges = len(code.visits)
+    lower, upper = [0] * code.nx, [0] * code.nx  # edge that leads to the visit; the next leads away
+    for edge, visit in enumerate(code.visits, 1):
+        (upper if visit > 0 else lower)[abs(visit) - 1] = edge
+    crossings = []
+    for below, above, sign in zip(lower, upper, code.signs, strict=True):
+        ends = [above % edges + 1, above]  # of the upper strand at b and d, if positive
+        b, d = ends if sign > 0 else ends[::-1]
+        crossings.append([below, b, below % edges + 1, d])
+    return crossings
+
+
+def dt_code(code: GaussCode) -> list[int]:
+    """Return the even partners of the visits 1, 3, 5, ..., negative where the even one is over.
+
+    Args:
+        code: a planar code; chirality is ignored.
+
+    >>> dt_code(GaussCode.parse("1+,2-,3+,1-,4+,3-,2+,4-"))  # the figure-eight knot
+    [4, 6, 8, 2]
+    """
+    partners = [0] * code.nx
+    numbers: list[list[int]] = [[] for _ in range(code.nx)]
+    for number, visit in enumerate(code.visits, 1):
+        numbers[abs(visit) - 1].append(number)
+    for one, other in numbers:
+        odd, even = (one, other) if one % 2 else (other, one)
+        partners[odd // 2] = even if code.visits[odd - 1] > 0 else -even
+    return partners
+
+
+def pd_text(code: GaussCode) -> str:
+    """Return the PD code as KnotInfo and JSON write it.
+
+    >>> pd_text(GaussCode.parse("1+c,1-c"))
+    '[[2,2,1,1]]'
+    """
+    return json.dumps(pd_code(code), separators=(",", ":"))
+
+
+def dt_text(code: GaussCode) -> str:
+    """Return the DT code as KnotInfo and JSON write it.
+
+    >>> dt_text(GaussCode.parse("1+,1-"))
+    '[2]'
+    """
+    return json.dumps(dt_code(code))
+
+
+def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
+    """Return the Gauss code, with chirality, of a PD code.
+
+    Args:
+        crossings: four edges each, in any order. Edges may have any numbers, such as spherogram's
+            from 0; the base point lies on the one with the lowest.
+
+    Raises:
+        InvalidGaussCode: it isn't the PD code of a planar diagram of one oriented knot.
+
+    >>> from_pd([[1, 1, 2, 2]]).chiral
+    '1-c,1+c'
+    """
+    _require_size(len(crossings))
+    ends: dict[int, list[tuple[int, int]]] = {}  # edge -> the crossings and corners that it joins
+    for crossing, corners in enumerate(crossings):
+        for corner, edge in enumerate(corners):
+            ends.setdefault(edge, []).append((crossing, corner))
+    for edge, joined in ends.items():
+        if len(joined) != 2:
+            raise _invalid(f"edge {edge} occurs {len(joined)} times", crossings, "PD", _TWICE)
+    walk: list[tuple[int, int]] = []  # edge that leads to the visit, signed crossing number
+    letters: dict[int, str] = {}
+    crossing, corner = 0, 0  # where the walk arrives: below, at a
+    while len(walk) < 2 * len(crossings) and (not walk or (crossing, corner) != (0, 0)):
+        if corner == 2:
+            raise _invalid(
+                f"the lower strand of crossing {crossing + 1} is walked backwards",
+                crossings,
+                "PD",
+                "the first edge of each crossing is the one by which the lower strand comes in",
+            )
+        walk.append((crossings[crossing][corner], (crossing + 1) * (1 if corner else -1)))
+        if corner:
+            letters[crossing + 1] = POSITIVE if corner == 3 else NEGATIVE
+        corner = (corner + 2) % 4
+        one, other = ends[crossings[crossing][corner]]
+        crossing, corner = other if one == (crossing, corner) else one
+    if len(walk) < 2 * len(crossings):
+        raise _invalid(
+            f"one walk passes {len(walk)} of {2 * len(crossings)} visits",
+            crossings,
+            "PD",
+            "expected a knot, not a link of several components",
+        )
+    start = walk.index(min(walk)) if walk else 0
+    code = GaussCode.relabelled([visit for _, visit in walk[start:] + walk[:start]], letters)
+    if not is_planar(code):
+        raise _invalid("no planar diagram has it", crossings, "PD", _PLANAR)
+    return code
+
+
+def from_dt(partners: Sequence[int]) -> GaussCode:
+    """Return the Gauss code of a DT code; its chirality is unknown, because DT doesn't have it.
+
+    Raises:
+        InvalidGaussCode: it isn't the DT code of a planar diagram of one knot.
+
+    >>> str(from_dt([4, 6, 2]))
+    '1+,2-,3+,1-,2+,3-'
+    """
+    _require_size(len(partners))
+    even = sorted(map(abs, partners))
+    if even != [*range(2, 2 * len(partners) + 1, 2)]:
+        raise _invalid(
+            f"it doesn't pair {len(partners)} odd visits with as many even ones",
+            partners,
+            "DT",
+            f"expected the even numbers from 2 to {2 * len(partners)}, once each with either sign",
+        )
+    visits = [0] * (2 * len(partners))
+    for label, partner in enumerate(partners, 1):
+        odd_over = partner > 0
+        visits[2 * label - 2] = label if odd_over else -label
+        visits[abs(partner) - 1] = -label if odd_over else label
+    code = GaussCode.relabelled(visits)
+    if not is_planar(code):
+        raise _invalid("no planar diagram has it", partners, "DT", _PLANAR)
+    return code
+
+
+def parse_code(text: str) -> GaussCode:
+    """Read a Gauss, PD or DT code, whichever the text is.
+
+    PD codes may be written as by KnotInfo, KnotTheory (PD[X[1,5,2,4],...]) or Python (tuples), DT
+    codes as by KnotInfo (bare numbers too), KnotTheory (DTCode[4,6,2]) or SnapPy (DT:[(4,6,2)]), or
+    with letters (DT[cacbca]).
+
+    Raises:
+        InvalidGaussCode: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
+
+    >>> {str(parse_code(text)) for text in ("1+,1-", "[2]", "PD[X[2,2,1,1]]")}
+    {'1+,1-'}
+    """
+    if len(text) > _MOST_CHARACTERS:
+        raise _invalid(f"{len(text)} characters are too long", text, "Gauss, PD or DT", _SIZE)
+    tight = re.sub(r"\s*([\[\](),:])\s*", r"\1", text.strip())
+    tight = re.sub(r"\s+", ",", tight)
+    if tight in _LOOPS:
+        return GaussCode()
+    if _PD.fullmatch(tight):
+        crossings = [[*map(int, corners)] for corners in _CROSSING.findall(tight)]
+        # four different numbers are a DT code as SnapPy writes it: [(4,6,8,2)]
+        if len(crossings) > 1 or len(set(crossings[0])) < 4:
+            return from_pd(crossings)
+    if _DT.fullmatch(tight):
+        return from_dt([int(number) for number in re.findall(r"-?\d+", tight)])
+    if lettered := _LETTERS.fullmatch(tight):
+        return from_dt(_from_letters(lettered[1]))
+    if tight[:1] in ("[", "(", "P", "D", "X"):
+        raise _invalid("it can't be read", text, "PD or DT", "expected [[1,5,2,4],...] or [4,6,2]")
+    code = GaussCode.parse(text)
+    _require_size(code.nx)
+    return code
+
+
+_TWICE = "every edge joins two corners, so it occurs twice"
+_PLANAR = "expected the code of a curve drawn in the plane"
+_SIZE = f"codes of up to {MOST_CROSSINGS} crossings can be read"
+
+
+def _from_letters(letters: str) -> list[int]:
+    """Decode the alphabetic form: crossings, 1 component, crossings; then b for 4, B for -4."""
+    count, components, same, *numbers = [ord(letter.lower()) - ord("a") + 1 for letter in letters]
+    if components != 1 or not count == same == len(numbers):
+        raise _invalid(
+            "its first letters don't announce one component and the letters that follow",
+            letters,
+            "DT",
+            "expected such as DT[cacbca], of up to 26 crossings",
+        )
+    signs = [-1 if letter.isupper() else 1 for letter in letters[3:]]
+    return [2 * sign * number for sign, number in zip(signs, numbers, strict=True)]
+
+
+def _require_size(crossings: int) -> None:
+    if crossings > MOST_CROSSINGS:
+        raise _invalid("it is too large", f"{crossings} crossings", "Gauss, PD or DT", _SIZE)
+
+
+def _invalid(problem: str, given: object, kind: str, expected: str) -> InvalidGaussCode:
+    shown = str(given)
+    shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
+    return InvalidGaussCode(problem, shown, expected, kind)

@@ -1,0 +1,185 @@
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from knotgym.control.demonstrator import Demonstrator
+from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
+from knotgym.control.pass_counts import (
+    PASSES,
+    DiagramValues,
+    InvalidPasses,
+    PassChoice,
+    PassCounts,
+    shipped_values,
+    template_images,
+    templates,
+)
+from knotgym.control.rollouts import rollout
+from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram
+from knotgym.control.transition_counts import ELEMENTS, ArcCoordinates
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.macro_actions import MacroActionConfig, Pass
+from knotgym.rope.model import Array
+from knotgym.topology.crossings import find_crossings
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import Symmetry
+
+FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
+LOOP, KINKED = SeenDiagram(FLAT, (0,)), SeenDiagram(KINK, (1, 2))
+TASK = TaskConfig(task="tie", nx=2, observation="state", engine="chain")
+ANGLES = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+# a curve of three crossings: two loops, one inside, and a strand over both
+CURVE = np.stack(
+    [
+        np.cos(ANGLES) + 0.9 * np.cos(2 * ANGLES + 0.3),
+        np.sin(ANGLES) - 0.8 * np.sin(2 * ANGLES),
+        0.1 * np.cos(3 * ANGLES + 0.5),
+    ],
+    axis=1,
+)
+
+
+def diagram_of(points: Array) -> SeenDiagram:
+    return seen_diagram(points, find_crossings(points))
+
+
+@given(st.booleans(), st.booleans(), st.booleans(), st.floats(0, 6.28))
+def test_a_symmetry_of_the_rope_is_the_same_symmetry_of_its_diagram(
+    reverse: bool, switch: bool, reflect: bool, turn: float
+) -> None:
+    moved = Symmetry(reflect=reflect, switch=switch, turn=turn, reverse=reverse)
+    image = diagram_of(moved.configuration(CURVE))
+    assert image == diagram_of(CURVE).transformed((reverse, switch, reflect))
+    assert image.nx >= 2
+
+
+def limacon(inward: bool) -> Array:
+    """A curve with one crossing: a kink inside the loop, or the two lobes of an eight."""
+    if inward:
+        radius = 1 + 1.8 * np.cos(ANGLES)
+        x, y = radius * np.cos(ANGLES), radius * np.sin(ANGLES)
+    else:
+        x, y = np.sin(2 * ANGLES + 0.1), np.sin(ANGLES + 0.05)
+    return np.stack([x, y, 0.1 * np.sin(ANGLES + 1)], axis=1)
+
+
+def test_a_kink_inside_the_loop_is_told_from_one_outside() -> None:
+    inward, eight = diagram_of(limacon(True)), diagram_of(limacon(False))
+    assert inward.nx == eight.nx == 1
+    assert len(inward.outer) == 1 and len(eight.outer) == 2
+
+
+def counts() -> PassCounts:
+    """Made-up counts: one pass kinks the loop in 6 of 10, another in 9; a third undoes a kink."""
+    made = PassCounts()
+    for template, kinks in ((4, 6), (7, 9)):
+        for k in range(10):
+            made.record(LOOP, PassChoice(template, 0), KINKED if k < kinks else None)
+    for _ in range(5):
+        made.record(KINKED, PassChoice(2, 0), LOOP)
+    return made
+
+
+def test_the_pass_that_succeeds_most_comes_first() -> None:
+    values = DiagramValues(counts())
+    order = values.order(KINK, LOOP)
+    moves = [(choice.template, choice.element) for choice in order]
+    best = [template_images(0, element)[template] for template, element in moves]
+    assert len(best) == 4 and 7 in best[:2] and 4 in best[2:]  # each with its mirror image
+    assert order[0].value == order[1].value > order[2].value > 0
+    assert values.reach(KINK, KINKED) == 1.0
+    assert values.order(KINK, SeenDiagram(FLAT, (1,)))  # the loop walked the other way
+    assert not values.order(GaussCode.parse("1+,1-,2+,2-"), LOOP)
+
+
+@pytest.mark.parametrize("element", range(len(ELEMENTS)))
+def test_images_of_a_state_and_goal_have_the_same_order(element: int) -> None:
+    values = shipped_values()
+    goal = GaussCode.parse("1+c,1-c,2+a,2-a")
+    reverse, switch, reflect = ELEMENTS[element]
+    there = goal.reversed() if reverse else goal
+    there = there.mirrored() if switch else there
+    there = there.reflected() if reflect else there
+    first, second = values.order(goal, LOOP), values.order(there, LOOP.image(element))
+    assert len(first) > 20
+    assert [one.template for one in first] == [one.template for one in second]
+    assert values.reach(goal, LOOP) == values.reach(there, LOOP.image(element))
+
+
+def test_a_template_on_an_image_is_the_image_of_the_pass() -> None:
+    crossings = find_crossings(CURVE)
+    arcs = ArcCoordinates(crossings, len(CURVE))
+    turned = Symmetry(switch=True, reverse=True)
+    image = turned.configuration(CURVE)
+    other = ArcCoordinates(find_crossings(image), len(image))
+    element = ELEMENTS.index((True, True, False))
+    for template in templates(crossings.nx)[::37]:
+        before = template.on(arcs, 0, crossings.nx, len(CURVE))
+        after = template.on(other, element, crossings.nx, len(CURVE))
+        wanted = turned.beads(np.array(before[:2]), len(CURVE))
+        # rounding to beads may differ by one
+        assert (np.abs((wanted - after[:2] + 2) % len(CURVE) - 2) <= 1).all()
+        assert after.side == -before.side
+
+
+def test_counts_survive_a_file_and_a_changed_one_is_refused(tmp_path: Path) -> None:
+    path, made = tmp_path / "passes.h5", counts()
+    made.save(path)
+    assert PassCounts.load(path).seen == made.seen
+    with h5py.File(path, "r+") as file:
+        file["seen"][0] = 77
+    with pytest.raises(InvalidPasses, match="SHA-256"):
+        PassCounts.load(path)
+
+
+def test_the_shipped_counts_are_small() -> None:
+    assert PASSES.stat().st_size < 300_000
+
+
+def test_searches_find_the_same_in_any_company() -> None:
+    lanes = MacroLanes(3, MacroActionConfig())
+    states, _ = lanes.at_rest(lanes.simulation.qpos([0, 1]))
+
+    def search(bead: int) -> Search[Landing]:
+        outcome = yield Trial(states[0], Pass(bead, bead + 14, 1), KINK)
+        outcome = yield Trial(outcome.state, Pass(70, 50, -1), KINK)
+        return outcome
+
+    together = dict(lanes.run(search(bead) for bead in (20, 30, 40, 50)))
+    for number, bead in enumerate((20, 30, 40, 50)):
+        ((_, alone),) = lanes.run([search(bead)])
+        assert np.array_equal(alone.points, together[number].points)
+
+
+def test_the_same_state_gets_the_same_action() -> None:
+    policy, episodes = Demonstrator(), EpisodeBatch(TASK, 2)
+    for index in range(2):
+        episodes.begin(index, np.random.default_rng(3))
+        policy.begin(episodes, index, np.random.default_rng(index))
+    first = policy.act(episodes, np.array([0, 1]))
+    assert first.macros is not None
+    assert np.array_equal(first.actions[0], first.actions[1]) and first.macros[0, 0] == 1
+    # a look in the middle of an episode is a look at its start
+    for _ in range(4):
+        episodes.step(policy.act(episodes, np.array([0, 1])).actions, np.array([0, 1]))
+    policy.replan(0)
+    policy.begin(episodes, 1, np.random.default_rng(9))
+    again = policy.act(episodes, np.array([0, 1]))
+    assert np.array_equal(again.actions[0], again.actions[1])
+
+
+def test_a_way_in_the_engine_of_the_episode_leads_to_the_goal() -> None:
+    played = rollout(TASK, Demonstrator(), [0, 1, 2, 3], 0)
+    assert all(one.success for one in played)
+    for one in played:
+        episode = one.episode
+        assert episode.macro_start is not None and episode.macro_bead is not None
+        begun = np.flatnonzero(episode.macro_start)
+        assert begun[0] == 1 and np.array_equal(episode.macro_bead[begun], episode.bead[begun])
+        assert episode.move is not None
+        assert all(str(why).startswith(("choice", "planner")) for why in episode.move[1:])

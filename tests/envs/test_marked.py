@@ -1,0 +1,135 @@
+"""Marked observations are the same for all images of a state; actions map back to the world."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.marked import TOKENS, Marked, join, mark, size, split
+from knotgym.rope.macro_actions import MacroActionConfig, pass_straight
+from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import Symmetry
+
+GOALS = [GaussCode.parse(text) for text in ("1+,2-,2+,1-", "1-,2+,1+,2-", "1+,1-,2-,2+", "")]
+SYMMETRIES = [
+    Symmetry(turn=1.0),
+    Symmetry(reflect=True, turn=2.0),
+    Symmetry(switch=True, turn=-0.5),
+    Symmetry(reverse=True, turn=3.0),
+    Symmetry(reflect=True, switch=True, turn=0.3, reverse=True),
+]
+
+
+def tangles(count: int) -> NDArray[np.float64]:
+    """Smooth random closed curves with some crossings, (count, 100, 3)."""
+    rng = np.random.default_rng(0)
+    turn = 2 * np.pi * np.arange(100) / 100
+    modes = rng.normal(size=(count, 6, 2, 3)) * (0.1, 0.1, 0.02)
+    waves = np.stack([[np.cos(k * turn), np.sin(k * turn)] for k in range(1, 7)])
+    scale = 1 / np.arange(1, 7) ** 1.2
+    curves: NDArray[np.float64] = np.einsum("nkcd,kct,k->ntd", modes, waves, scale)
+    return curves
+
+
+def image(symmetry: Symmetry, goal: GaussCode) -> GaussCode:
+    goal = goal.mirrored() if symmetry.switch else goal
+    return goal.reversed() if symmetry.reverse else goal
+
+
+def pairs(symmetry: Symmetry) -> tuple[Marked, Marked]:
+    """Observations of ropes, and of their images under a symmetry with the image of the goal."""
+    ropes = tangles(40)
+    goals = [GOALS[row % len(GOALS)] for row in range(len(ropes))]
+    moved = np.stack([symmetry.configuration(rope) for rope in ropes])
+    return mark(ropes, goals), mark(moved, [image(symmetry, goal) for goal in goals])
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
+def test_images_of_a_state_look_the_same(symmetry: Symmetry) -> None:
+    here, there = pairs(symmetry)
+    assert np.array_equal(here.goal, there.goal) and np.array_equal(here.code, there.code)
+    # a rope whose code and goal are their own images can be seen in two ways
+    same = np.abs(here.points - there.points).max(axis=(1, 2)) < 1e-9
+    assert same.mean() > 0.8
+    assert np.array_equal(here.marks[same], there.marks[same])
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES[:3])
+def test_turned_reflected_and_switched_ropes_always_look_the_same(symmetry: Symmetry) -> None:
+    here, there = pairs(symmetry)
+    goals = here.goal[:, 0, 0] != 0
+    assert np.abs(here.points - there.points)[goals].max() < 1e-9
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
+def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Symmetry) -> None:
+    here, there = pairs(symmetry)
+    rows = np.flatnonzero(np.abs(here.points - there.points).max(axis=(1, 2)) < 1e-9)
+    count, config = len(here.points), MacroActionConfig()
+    beads, targets, sides = np.full(count, 12), np.full(count, 70), np.ones(count, dtype=int)
+    force = np.tile((0.3, -0.7, 0.5), (count, 1))
+    ours, theirs = (
+        (
+            seen.frames.renumber(beads),
+            seen.frames.renumber(targets),
+            seen.frames.sides(sides),
+            seen.frames.world_vectors(force),
+        )
+        for seen in (here, there)
+    )
+    for row in rows:
+        assert symmetry.beads(ours[0][row], 100) == theirs[0][row]
+        assert symmetry.beads(ours[1][row], 100) == theirs[1][row]
+        assert ours[2][row] * (-1 if symmetry.switch else 1) == theirs[2][row]
+        assert np.allclose(symmetry.vectors(ours[3][row]), theirs[3][row])
+        if (
+            not symmetry.reverse
+        ):  # bead b begins at vertex b, which the reversed walk has at its end
+            rope = tangles(40)[row]
+            both = [
+                pass_straight(shown, int(bead[row]), int(target[row]), int(side[row]), config)
+                for shown, (bead, target, side, _) in (
+                    (rope, ours),
+                    (symmetry.configuration(rope), theirs),
+                )
+            ]
+            assert np.allclose(symmetry.vectors(both[0].waypoints), both[1].waypoints)
+
+
+def test_the_frame_maps_there_and_back() -> None:
+    ropes = tangles(20)
+    seen = mark(ropes, [GOALS[0]] * 20)
+    beads = seen.frames.renumber(np.arange(20))
+    assert np.array_equal(seen.frames.renumber(beads), np.arange(20))
+    world = seen.frames.world_vectors(seen.points) + seen.frames.centres[:, None]
+    world[seen.frames.reverse] = np.roll(world[seen.frames.reverse, ::-1], 1, axis=1)
+    assert np.allclose(world, ropes)
+
+
+def test_marks_and_tokens_tell_the_canonical_code() -> None:
+    seen = mark(tangles(40), [GOALS[row % 3] for row in range(40)])
+    for points, marks, code, goal in zip(*seen[:4], strict=True):
+        visits = label(points).visits
+        assert marks.sum() == len(visits) and (marks[:, 0].sum() == marks[:, 1].sum())
+        assert code[: len(visits), 0].tolist() == np.sign(visits)[:TOKENS].tolist()
+        for at, (sign, partner) in enumerate(code[code[:, 0] != 0].tolist()):
+            assert visits[int(partner)] == -visits[at] and sign == np.sign(visits[at])
+        assert goal[0, 0] == 1
+
+
+def test_parts_survive_the_vector() -> None:
+    seen = mark(tangles(5), GOALS[:1] * 5)
+    vector = join(seen)
+    assert vector.shape == (5, size(100)) and vector.dtype == np.float32
+    again = split(vector)
+    assert all(np.allclose(a, b, atol=1e-6) for a, b in zip(seen[:4], again[:4], strict=True))
+    assert np.array_equal(seen.frames.reverse, again.frames.reverse)
+
+
+def test_the_environment_shows_its_own_state(states_path: str) -> None:
+    env = KnotEnv("tie", nx=2, observation="marked", states=states_path)
+    observation, info = env.reset(seed=0)
+    episodes = env.episodes
+    ours = mark(episodes.simulation.points, [GaussCode.parse(info["goal_gauss_code"])])
+    assert np.array_equal(observation, join(ours)[0])

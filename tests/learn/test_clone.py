@@ -1,0 +1,182 @@
+"""The clone: what it learns, how it acts, and that a broken-off training ends the same."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from knotgym.common.errors import KnotgymError
+from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policy import InvalidPolicy
+from knotgym.control.rollouts import rollout
+from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.runs.run_options import Existing, RunOptions
+from knotgym.topology.gauss import GaussCode
+
+from ..small_job import knotgym
+
+pytestmark = pytest.mark.clients
+pytest.importorskip("torch")
+pytest.importorskip("safetensors")
+
+TINY = {
+    "failed": True,
+    "steps": 4,
+    "batch": 4,
+    "width": 16,
+    "layers": 1,
+    "judge_every": 2,
+    "held_out": 0.4,
+}
+
+
+@pytest.fixture(scope="session")
+def macros(tmp_path_factory: pytest.TempPathFactory, states_path: str) -> Path:
+    """Three episodes of random macro-actions, which say what was chosen."""
+    out = tmp_path_factory.mktemp("macros")
+    task = TaskConfig(
+        task="tie", nx=2, states=states_path, observation="state", action="macro", horizon=12
+    )
+    config = CollectConfig(
+        task=task,
+        policy=PolicyConfig(policy="random"),
+        episodes=3,
+        dataset_id="knotgym/tie-nx2/macros-v0",
+    )
+    collect(config, out, RunOptions(workers=1, quiet=True))
+    return out / config.dataset_id
+
+
+def train_tiny(data: Path, out: Path, *, resume: bool = False, **changes: Any) -> Any:
+    from knotgym.learn.clone_config import CloneConfig
+    from knotgym.learn.clone_training import train_clone
+
+    config = CloneConfig(**{**TINY, **changes})
+    return train_clone([data], out, config, existing=Existing(resume=resume), quiet=True)
+
+
+@pytest.fixture(scope="session")
+def clone(tmp_path_factory: pytest.TempPathFactory, macros: Path) -> Path:
+    out = tmp_path_factory.mktemp("clone") / "made"
+    train_tiny(macros, out)
+    return out
+
+
+def weights(folder: Path) -> bytes:
+    return (folder / "weights.safetensors").read_bytes()
+
+
+@pytest.fixture
+def task(states_path: str) -> TaskConfig:
+    return TaskConfig(task="tie", nx=2, states=states_path, observation="state", horizon=8)
+
+
+@pytest.mark.parametrize("view", ["macro", "pull"])
+def test_it_acts_in_its_own_view_and_in_pulls(clone: Path, task: TaskConfig, view: str) -> None:
+    policy = make_policy(PolicyConfig(policy=str(clone)))
+    task = replace(task, action=view, engine="chain")
+    first, second = rollout(policy.suited(task), policy, [0, 1], seed=0)
+    assert len(first.episode) > 0 and len(second.episode) > 0
+
+
+def test_both_views_give_the_same_episode(clone: Path, task: TaskConfig) -> None:
+    task = replace(task, engine="chain")
+    both = [
+        rollout(replace(task, action=view), make_policy(PolicyConfig(policy=str(clone))), [3], 0)
+        for view in ("macro", "pull")
+    ]
+    assert np.array_equal(both[0][0].episode.actions, both[1][0].episode.actions)
+
+
+def test_pictures_are_enough(clone: Path, task: TaskConfig) -> None:
+    policy = make_policy(PolicyConfig(policy=str(clone)))
+    task = policy.suited(replace(task, action="macro", observation="pixels", engine="chain"))
+    assert task.observation == "pixels"
+    assert len(rollout(task, policy, [0], seed=0)[0].episode) > 0
+
+
+def test_pictures_name_no_position(clone: Path, task: TaskConfig) -> None:
+    policy = make_policy(PolicyConfig(policy=str(clone)))
+    with pytest.raises(InvalidPolicy, match="action pull instead of macro"):
+        policy.suited(replace(task, observation="pixels"))
+
+
+def test_pulls_can_be_cloned(macros: Path, tmp_path: Path, task: TaskConfig) -> None:
+    policy = train_tiny(macros, tmp_path / "pulls", action="bead")
+    for view in ("bead", "pull"):
+        episode = rollout(replace(task, action=view), policy, [0], seed=0)[0].episode
+        assert len(episode) > 0
+    with pytest.raises(InvalidPolicy, match="'bead' or 'pull'"):
+        policy.suited(replace(task, action="macro"))
+
+
+def test_a_set_without_macro_actions_is_refused(episodes: Path, tmp_path: Path) -> None:
+    with pytest.raises(KnotgymError, match="doesn't say which macro-actions"):
+        train_tiny(episodes, tmp_path / "none")
+
+
+def test_episodes_that_missed_their_goal_are_not_imitated(macros: Path, tmp_path: Path) -> None:
+    with pytest.raises(KnotgymError, match="reached its goal"):
+        train_tiny(macros, tmp_path / "none", failed=False)
+
+
+def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
+    macros: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from knotgym.learn.clone_config import PlayConfig
+    from knotgym.learn.clone_training import CloneTraining
+
+    settings: dict[str, Any] = {"improve": 1, "round_steps": 4, "play": PlayConfig(episodes=2)}
+    train_tiny(macros, tmp_path / "whole", **settings)
+    advance = CloneTraining.advance
+
+    def break_off(training: CloneTraining, *arguments: Any) -> None:
+        if training.step == 6:  # in the round of improvement
+            raise KeyboardInterrupt
+        advance(training, *arguments)
+
+    monkeypatch.setattr(CloneTraining, "advance", break_off)
+    with pytest.raises(KeyboardInterrupt):
+        train_tiny(macros, tmp_path / "broken", **settings)
+    monkeypatch.undo()
+    train_tiny(macros, tmp_path / "broken", resume=True, **settings)
+    assert weights(tmp_path / "broken") == weights(tmp_path / "whole")
+
+
+def test_the_commands_train_and_evaluate_a_clone(
+    macros: Path, tmp_path: Path, clone: Path, states_path: str
+) -> None:
+    settings = tmp_path / "settings.json"
+    settings.write_text(json.dumps(TINY), encoding="utf-8")
+    arguments = ("--data", macros, "--learner", "clone", "--settings", settings, "--quiet")
+    assert knotgym("train", *arguments, "--out", tmp_path / "made") == 0
+    assert weights(tmp_path / "made") == weights(clone)
+    assert (tmp_path / "made" / "curve.png").is_file()
+    evaluated = ("--task", "tie", "--nx", 2, "--episodes", 1, "--states", states_path)
+    out = ("--engine", "chain", "--workers", 1, "--out", tmp_path / "scores")
+    assert knotgym("evaluate", "--policy", clone, *evaluated, *out, "--quiet") == 0
+
+
+def test_loops_are_left_out_and_codes_on_the_way_become_goals() -> None:
+    from knotgym.learn.clone_data import Step, gathered, without_loops
+
+    a, b, c = (GaussCode.parse(text) for text in ("", "1+c,1-c", "1+c,1-c,2+c,2-c"))
+    points = np.zeros((100, 3), dtype=np.float32)
+    way = without_loops(
+        [
+            Step(points, *codes, (bead, 50, 1))
+            for bead, codes in enumerate([(a, b), (b, a), (a, b), (b, b), (b, c)])
+        ]
+    )
+    assert [step.macro[0] for step in way] == [2, 4]
+    kept = gathered(way, way, c, 2, number=7)
+    told = zip(kept.macros[:, 0].tolist(), kept.goals.tolist(), kept.asked.tolist(), strict=True)
+    assert list(told) == [(2, str(c.plain), True), (4, str(c.plain), True), (2, "1+,1-", False)]
+    assert set(kept.episodes.tolist()) == {7}
+    assert len(gathered(way, [], c, 0, number=7).points) == 0

@@ -1,0 +1,233 @@
+"""The page in a real browser: pulled by mouse alone, attacked, and left."""
+
+import socket
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.envs.tasks import TaskConfig
+from knotgym.loaders import arrays
+from knotgym.play.page import Page, PlayConfig, Player, PlayError, require_port
+from knotgym.play.recorder import Recorder
+from knotgym.play.scene import SCALE
+from knotgym.play.session import Session
+from knotgym.play.watch import WatchPage
+
+from .. import chromium
+from ..chromium import Chromium
+
+pytestmark = pytest.mark.clients
+msgspec = pytest.importorskip("msgspec")
+pytest.importorskip("viser")
+TASK = TaskConfig(task="tie", nx=2, observation="state", engine="chain")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def until(condition: Any, seconds: float = 120) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "never true"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Chromium]:
+    if not chromium.FOUND:
+        pytest.skip("no chromium")
+    with Chromium(tmp_path / "profile", 1300, 900) as browser:
+        yield browser
+
+
+def pixel(player: Player, point: Any) -> tuple[float, float]:
+    """Where a point, metres, is seen by a camera that looks straight down."""
+    camera = player._client.camera
+    across = SCALE * np.asarray(point) - camera.position
+    scale = camera.image_height / 2 / np.tan(camera.fov / 2) / -across[2]
+    return (
+        float(camera.image_width / 2 + scale * across[0]),
+        float(camera.image_height / 2 - scale * across[1]),
+    )
+
+
+def drag_along(browser: Chromium, player: Player, bead: int, path: Any) -> None:
+    """Drag a bead along a path, with shift where it lies above the rope and alt below."""
+    session = player.session
+    code = str(session.episodes.codes[0])
+    browser.mouse("mousePressed", pixel(player, session.points[bead] + [0, 0, 0.005]), 0)
+    for point in path:
+        level = point[2] - session.points[:, 2].mean()
+        held = 8 if level > 0.01 else 1 if level < -0.01 else 0
+        for share in (0.5, 1.0):
+            there = (1 - share) * session.points[bead] + share * point
+            browser.mouse("mouseMoved", pixel(player, there), held)
+            time.sleep(0.1)
+        taken = len(session.actions)
+        time.sleep(0.25)
+        while len(session.actions) > taken and not session.ended:
+            taken = len(session.actions)
+            time.sleep(0.25)
+        if session.ended or str(session.episodes.codes[0]) != code:
+            break
+    browser.mouse("mouseReleased", pixel(player, session.points[bead]), 0)
+    time.sleep(0.3)
+
+
+def has_moved_on(player: Player, number: int) -> bool:
+    return player.session.number != number
+
+
+def test_goals_are_tied_with_the_mouse_and_recorded(browser: Chromium, tmp_path: Path) -> None:
+    port, identifier = free_port(), "knotgym/tie-nx2/human-v0"
+    with (
+        Recorder(TASK, 0, identifier, "a test", tmp_path) as recorder,
+        Page(PlayConfig(task=TASK, port=port), recorder) as page,
+    ):
+        browser.visit(page.address)
+        until(lambda: page.players)
+        player = page.players[0]
+        time.sleep(3)
+        tied = 0
+        for _ in range(4):
+            session: Session = player.session
+            while not session.ended:
+                seen = session.foresee("expert")
+                drag_along(browser, player, seen.bead, seen.path[1:])
+            tied += session.success
+            asked = player.session.number
+            browser.press("n")
+            until(partial(has_moved_on, player, asked))
+        assert tied >= 2
+        assert browser.faults == [one for one in browser.faults if "error" not in one.lower()]
+    assert verify_episodes(recorder.folder, act_out=True) == []
+    reader = EpisodeReader(recorder.folder)
+    assert sum(bool(episode.is_success[-1]) for episode in reader) == tied
+    assert len(arrays(recorder.folder, observation="state")["actions"]) == reader.lengths.sum()
+
+
+class Tab:
+    """A client without a browser, which may say anything."""
+
+    def __init__(self, port: int) -> None:
+        import viser
+        from websockets.sync.client import connect
+
+        self.socket = connect(
+            f"ws://127.0.0.1:{port}", subprotocols=[f"viser-v{viser.__version__}"], max_size=None
+        )
+        self.say(
+            "ViewerCameraMessage", wxyz=(1, 0, 0, 0), position=(0, 0, 4), fov=1.0, near=0.01,
+            far=9.0, image_height=90, image_width=90, look_at=(0, 0, 0), up_direction=(0, 1, 0),
+        )  # fmt: skip
+
+    def say(self, kind: str, **fields: Any) -> None:
+        self.socket.send(msgspec.msgpack.encode({"type": kind, **fields}))
+
+    def drag(self, bead: Any, place: Any, phase: str = "update") -> None:
+        self.say(
+            "SceneNodeDragMessage", phase=phase, name="/rope", instance_index=bead,
+            start_position=place, start_screen_pos=(0.5, 0.5), end_position=place,
+            end_screen_pos=(0.5, 0.5), button="left", modifier=None, owner="0",
+        )  # fmt: skip
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    task = TaskConfig(task="tie", nx=2, observation="state")
+    with Page(PlayConfig(task=task, port=free_port())) as page:
+        yield page
+
+
+def port_of(page: Page) -> int:
+    return int(page.address.rpartition(":")[2])
+
+
+def test_garbage_ends_the_tab_that_sent_it(page: Page) -> None:
+    good, bad = Tab(port_of(page)), Tab(port_of(page))
+    until(lambda: len(page.players) == 2)
+    bad.socket.send(bytes(range(256)))
+    until(lambda: len(page.players) == 1)
+    player = next(iter(page.players.values()))
+    good.socket.recv()
+    player._wants(lambda: player.session.pull(3, (1, 0, 0)))
+    until(lambda: len(player.session.actions) == 1)
+
+
+def test_a_flood_delays_nobody_else(page: Page) -> None:
+    quiet = Tab(port_of(page))
+    until(lambda: len(page.players) == 1)
+    player = next(iter(page.players.values()))
+    loud = Tab(port_of(page))
+    until(lambda: len(page.players) == 2)
+    for number in range(10_000):
+        loud.drag(number % 100, (0.1, 0.1, 0.0))
+    player._wants(lambda: player.session.pull(3, (1, 0, 0)))
+    until(lambda: len(player.session.actions) == 1)
+    other = page.players[max(page.players)]
+    assert len(other.session.actions) <= TASK.horizon
+    quiet.socket.close()
+    loud.socket.close()
+    until(lambda: not page.players)  # a closed tab frees its rope
+
+
+@pytest.mark.parametrize(
+    "bead, place",
+    [("/etc/passwd", (0, 0, 0)), (1e9, (0, 0, 0)), (5, ("x", "y", "z")), (-7, (1e308, 0, 0))],
+)
+def test_a_drag_of_nonsense_is_harmless(page: Page, bead: Any, place: Any) -> None:
+    tab = Tab(port_of(page))
+    until(lambda: page.players)
+    player = page.players[0]
+    tab.drag(bead, place, "start")
+    tab.drag(bead, place)
+    tab.drag(bead, place, "end")
+    player._wants(lambda: player.session.pull(3, (1, 0, 0)))
+    until(lambda: player.session.actions or not page.players)  # viser itself may end the tab
+    assert np.isfinite(player.session.points).all()
+
+
+def test_every_other_host_asks_for_a_token(page: Page) -> None:
+    config = PlayConfig(task=page._config.task, host="0.0.0.0", port=free_port())
+    with Page(config) as guarded:
+        assert len(guarded.token) >= 16
+        clients: list[Any] = []
+        guarded._server.on_client_connect(clients.append)
+        Tab(config.port)
+        until(lambda: clients)
+        (field,) = clients[0].gui._gui_input_handle_from_uuid.values()
+        for token in ("", "wrong", "x" * 10_000):
+            field.value = token
+        time.sleep(0.5)
+        assert not guarded.players
+        field.value = guarded.token
+        until(lambda: guarded.players)
+
+
+def test_a_taken_port_is_one_line(page: Page) -> None:
+    with pytest.raises(PlayError, match="choose another with --port"):
+        require_port("127.0.0.1", port_of(page))
+
+
+def test_a_dataset_is_watched(browser: Chromium, tmp_path: Path) -> None:
+    task = TaskConfig(task="tie", nx=1, observation="state", horizon=4)
+    with Recorder(task, 0, "knotgym/tie-nx1/human-v0", root=tmp_path) as recorder:
+        recorder.finish(0, [np.full(6, 0.5, dtype=np.float32)])
+    with WatchPage(PlayConfig(task=task, port=free_port()), recorder.folder) as page:
+        browser.visit(page.address)
+        until(lambda: page.players)
+        viewer = page.players[0]
+        until(lambda: viewer._time.value == 4.0)
+        assert "the end" in viewer._status.content
+        viewer._time.value = 1.0
+        until(lambda: "step 1 of 4" in viewer._status.content)

@@ -1,0 +1,230 @@
+"""PD and DT codes, against SnapPy, spherogram and KnotInfo's tables (run with -m clients)."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from knotgym.rope.mujoco_simulation import MujocoSimulation
+from knotgym.states.state_file import read_states, shipped
+from knotgym.topology.crossings import label_many
+from knotgym.topology.diagrams import parts, with_chirality
+from knotgym.topology.gauss import GaussCode, InvalidGaussCode
+from knotgym.topology.knot_table import diagram_of, prime_diagrams
+from knotgym.topology.knots import is_unknot, knot_type
+from knotgym.topology.notation import (
+    MOST_CROSSINGS,
+    dt_code,
+    dt_text,
+    from_dt,
+    from_pd,
+    parse_code,
+    pd_code,
+    pd_text,
+)
+from knotgym.topology.symmetry import diagram_form
+from knotgym.topology.uniform_codes import uniform_code
+
+CODES = Path(__file__).parents[1] / "codes"
+TREFOIL = GaussCode.parse("1-c,2+c,3-c,1+c,2-c,3+c")
+KINKS = ("1+a,1-a", "1+c,1-c", "1-a,1+a", "1-c,1+c")
+
+
+def listed_codes() -> dict[GaussCode, str]:
+    """Every code of 0 to 4 crossings, each with every chirality, and its knot."""
+    found = {}
+    for nx in range(5):
+        listed = json.loads((CODES / f"codes_n{nx}.json").read_text())["codes"]
+        for text, entry in listed.items():
+            for letters in entry["chirality"]:
+                found[GaussCode(GaussCode.parse(text).visits, letters)] = entry["knot"]
+    return found
+
+
+def test_every_code_of_up_to_four_crossings_comes_back() -> None:
+    codes = listed_codes()
+    assert len(codes) == 4533
+    for code in codes:
+        assert parse_code(pd_text(code)) == code
+        assert parse_code(dt_text(code)) == code.plain
+
+
+@given(st.integers(5, 40), st.integers(0, 2**32))
+def test_larger_codes_come_back(nx: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    code = with_chirality(uniform_code(min(nx, 9), rng))
+    assert from_pd(rng.permutation(pd_code(code)).tolist()) == code
+    assert from_dt(dt_code(code)) == code.plain
+
+
+def test_a_kink_is_told_from_its_mirror_images() -> None:
+    codes = [pd_text(GaussCode.parse(kink)) for kink in KINKS]
+    assert codes == ["[[2,1,1,2]]", "[[2,2,1,1]]", "[[1,2,2,1]]", "[[1,1,2,2]]"]
+
+
+def test_dt_loses_the_handedness_of_each_summand() -> None:
+    granny, square = (diagram_of(name) for name in ("3_1#3_1", "3_1#m3_1"))
+    switched = GaussCode(granny.visits, "ccc" + "aaa")
+    assert dt_code(switched) == dt_code(granny) and max(parts(granny)) == 1
+    assert knot_type(switched) == knot_type(square) and pd_code(switched) != pd_code(granny)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1-c,2+c,3-c,1+c,2-c,3+c",
+        "[[1,5,2,4],[3,1,4,6],[5,3,6,2]]",
+        "PD[X[1, 5, 2, 4], X[3, 1, 4, 6], X[5, 3, 6, 2]]",
+        " [(0, 4, 1, 3), (2, 0, 3, 5), (4, 2, 5, 1)] ",
+        "X[1,5,2,4] X[3,1,4,6] X[5,3,6,2]",
+    ],
+)
+def test_pd_codes_are_read_as_others_write_them(text: str) -> None:
+    assert parse_code(text) == TREFOIL
+
+
+@pytest.mark.parametrize(
+    "text", ["[4, 6, 2]", "4 6 2", "4,6,2", "DT: [(4,6,2)]", "DT[cacbca]", "DTCode[4, 6, 2]"]
+)
+def test_dt_codes_are_read_as_others_write_them(text: str) -> None:
+    assert parse_code(text) == TREFOIL.mirrored().plain
+
+
+def test_four_numbers_are_a_dt_code_unless_an_edge_repeats() -> None:
+    assert parse_code("[(4,6,8,2)]").nx == 4 and parse_code("[[1,1,2,2]]").nx == 1
+
+
+@pytest.mark.parametrize("text", ["", "[]", "PD[]", "PD[Loop[1]]", "DT: []"])
+def test_the_plain_loop_is_read(text: str) -> None:
+    assert parse_code(text) == GaussCode()
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("[[1,2,3,4],[1,2,3,5]]", "edge 4 occurs 1 times"),
+        ("[[1,3,2,4],[3,1,4,2]]", "not a link of several components"),
+        ("[[2,4,1,5],[3,1,4,6],[5,3,6,2]]", "walked backwards"),
+        ("[[1,4,2,5],[3,1,4,6],[5,3,6,2]]", "no planar diagram has it"),
+        ("[4, 6, 8, 10, 2]", "no planar diagram has it"),
+        ("[4, 6, 3]", "doesn't pair 3 odd visits"),
+        ("[4, 4, 2]", "doesn't pair 3 odd visits"),
+        ("DT:[(4,6),(2,8)]", "it can't be read"),
+        ("DT[cbcbca]", "don't announce one component"),
+        ("[[1,5,2,4],[3,1,4,6],[5,3,6,2]", "it can't be read"),
+        ("[" * 20_000, "it can't be read"),
+        ("9" * 40_000, "too long"),
+        (" ".join(str(2 * k) for k in range(1, MOST_CROSSINGS + 2)), "too large"),
+        ("1+,1", "cannot read the visit"),
+        ("__import__('os')", "cannot read the visit"),
+    ],
+)
+def test_a_bad_code_is_refused_in_one_short_line(text: str, problem: str) -> None:
+    with pytest.raises(InvalidGaussCode, match=problem) as caught:
+        parse_code(text)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
+
+
+@given(st.text("[](),+-acDTPX 0123456789", max_size=60))
+def test_any_text_is_a_code_or_refused(text: str) -> None:
+    try:
+        parse_code(text)
+    except InvalidGaussCode:
+        pass
+
+
+def test_states_that_ship_have_the_codes_of_their_gauss_code() -> None:
+    states = read_states(shipped("hard-unknots"), images=False)
+    for row, text in enumerate(states.gauss_code_chiral.tolist()):
+        code = GaussCode.parse(text)
+        assert (states.pd_code[row], states.dt_code[row]) == (pd_text(code), dt_text(code))
+
+
+def rope_codes(count: int) -> list[GaussCode]:
+    """Codes of ropes that random actions tangled."""
+    simulation, rng = MujocoSimulation(50, threads=0), np.random.default_rng(40)
+    found: list[GaussCode] = []
+    while len(found) < count:
+        simulation.act(rng.uniform(-1, 1, (50, 6)).astype(np.float32))
+        found += [code for code in label_many(simulation.points) if code.nx]
+    return found[:count]
+
+
+def require_same_abroad(code: GaussCode, knot: str) -> None:
+    """Check that spherogram reads both codes as this diagram and knot, and writes them back."""
+    import spherogram
+
+    link = spherogram.Link(pd_code(code))
+    written = from_pd(link.PD_code(min_strand_index=1)) if code.nx else GaussCode()
+    # spherogram picks the base point of a diagram of one crossing itself
+    assert written in ([code, code.rebased(1)] if code.nx == 1 else [code])
+    assert link.writhe() == code.writhe and len(link) == code.nx
+    if code.nx > 1:
+        assert from_dt([*link.DT_code()[0]]) == code.plain
+        # its own reader of DT codes fails at nugatory crossings, and may never return
+        if without_nugatory(code):
+            again = spherogram.Link(f"DT: [{tuple(dt_code(code))}]")
+            read = from_dt([*again.DT_code()[0]])  # at another base point, or switched
+            assert diagram_form(read) == diagram_form(code)
+    link.simplify("basic")
+    if link.crossings:
+        link.simplify("global")
+    if knot == "0_1":
+        assert not link.crossings
+    else:
+        own = spherogram.Link(pd_code(diagram_of(knot))).knot_floer_homology()["ranks"]
+        assert link.knot_floer_homology()["ranks"] in (own, mirrored(own))
+
+
+def without_nugatory(code: GaussCode) -> bool:
+    return 1 not in Counter(parts(code)).values()
+
+
+def mirrored(ranks: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
+    return {(-alexander, -maslov): rank for (alexander, maslov), rank in ranks.items()}
+
+
+@pytest.mark.clients
+def test_spherogram_reads_and_writes_every_code_of_up_to_four_crossings() -> None:
+    pytest.importorskip("spherogram")
+    for code, knot in listed_codes().items():
+        require_same_abroad(code, knot)
+
+
+@pytest.mark.clients
+def test_spherogram_reads_and_writes_the_codes_of_random_ropes() -> None:
+    pytest.importorskip("spherogram")
+    for code in rope_codes(1000):
+        assert is_unknot(code)
+        require_same_abroad(code, "0_1")
+
+
+@pytest.mark.clients
+def test_the_249_knots_are_those_of_knotinfo() -> None:
+    rows = pytest.importorskip("database_knotinfo").link_list()[2:]
+    info = {row["name"]: row for row in rows}
+    assert len(prime_diagrams()) == 249
+    for name, code in prime_diagrams().items():
+        pd = json.loads(info[name]["pd_notation"])
+        assert sorted(pd_code(code)) == sorted(pd) and from_pd(pd) == code
+        table_dt = parse_code(info[name]["dt_notation"])
+        assert dt_text(table_dt) == info[name]["dt_notation"]
+        assert knot_type(table_dt) in (name, "unknown")
+        require_same_abroad(code, name)
+
+
+@pytest.mark.clients
+def test_snappy_sees_one_manifold_in_our_codes_and_in_knotinfos_name() -> None:
+    snappy = pytest.importorskip("snappy")
+    for name in ("4_1", "5_2", "8_20", "9_49", "10_161", "10_165"):
+        code = diagram_of(name)
+        ours = snappy.Link(pd_code(code)).exterior()
+        dt = snappy.Manifold(f"DT:[{tuple(dt_code(code))}]")
+        assert ours.is_isometric_to(dt)
+        # Rolfsen lists one knot twice, as 10_161 and 10_162
+        rolfsen = name.replace("10_165", "10_166")
+        assert ours.is_isometric_to(snappy.Manifold(rolfsen))
