@@ -2,9 +2,10 @@
 
 import importlib.util
 import pickle
+import re
 import tempfile
 from collections import Counter
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -399,6 +400,16 @@ def test_windows_that_a_dataset_cannot_give_are_refused(folder: Path) -> None:
         Transitions(path).sample_goals([0], np.random.default_rng(0))
     with pytest.raises(InvalidWindow, match="kind 'transitions'"):
         torch_dataset(path, "episodes", window=Window(n_step=2))
+
+
+def test_the_example_of_the_page_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[2] / "docs/learning.md").read_text(encoding="utf-8")
+    section = page.split("### Windows and goals")[1].split("\n### ")[0]
+    (block,) = re.findall(r"```python\n(.*?)```", section, re.S)
+    exec(block.replace("knotgym/tie-nx3/expert-v0", str(folder / "state.h5")), {})
+    assert capsys.readouterr().out == block.rstrip().rpartition("# ")[2] + "\n"
+    settings = set(re.findall(r"^\| `(\w+)` \|", section, re.M))
+    assert settings == {field.name for field in fields(Window)} - {"discount"}
 
 
 # Other libraries
