@@ -12,7 +12,7 @@ dataset's could be at best. The memory map is a plain NumPy one of the same pict
 picture, next picture and goal are gathered as three arrays, as from the cache with goals apart;
 without, the cache puts goals beside both pictures, as the environment shows them, and writes four.
 Rows after a `+` give what a `Window` adds, beside the same batches without one; vertices are read
-from the dataset.
+from the dataset. The column of pictures counts three a transition.
 """
 
 import argparse

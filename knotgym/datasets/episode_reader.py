@@ -275,11 +275,13 @@ class EpisodeReader:
             kept = goal_step is None or wanted != "marked"
             if (self.stored == wanted or part_of_both) and picture is None and kept:
                 return self._stored(index, steps, goal_step, goal_episode, wanted)
-            seen = _at(self._stored_points(index), steps)
+            points = self._stored_points(index)
+            seen = _at(points, steps)
             if goal_step is None:
                 goal = self._array(index, "goal_points")
             else:
-                goal = self._stored_points(goal_episode)[goal_step]
+                points = points if goal_episode == index else self._stored_points(goal_episode)
+                goal = points[goal_step]
         # imported here, so that loading states doesn't need OpenCV
         from knotgym.envs.observations import observe, picture_config
 
