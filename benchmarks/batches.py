@@ -22,6 +22,7 @@ import platform
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -96,9 +97,7 @@ def windowed(
     rates = {}
     for name, window in {"": None, **WINDOWS}.items():
         read, rng = Transitions(path, observation, window=window, **how), np.random.default_rng(0)
-        rates[f" + {name}" if name else ""] = rate(
-            lambda rows, read=read, rng=rng: read.batch(rows, rng=rng), len(read), seconds
-        )
+        rates[f" + {name}" if name else ""] = rate(partial(read.batch, rng=rng), len(read), seconds)
     return rates
 
 
