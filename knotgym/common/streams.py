@@ -73,6 +73,7 @@ class Stream(IntEnum):
     DEMONSTRATION_STARTS = 59  # task: the starts of demonstrations
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play
+    SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

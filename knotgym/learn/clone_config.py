@@ -49,7 +49,7 @@ class DemonstrationsConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlayConfig:
+class ImproveConfig:
     """How the clone plays to improve.
 
     Attributes:
@@ -116,7 +116,7 @@ class CloneConfig:
     width: int = 96
     layers: int = 2
     seed: int = 0
-    play: PlayConfig = PlayConfig()
+    play: ImproveConfig = ImproveConfig()
 
     def __post_init__(self) -> None:
         check_numbers(

@@ -64,7 +64,7 @@ class Decisions(NamedTuple):
         return whole.hexdigest()
 
 
-class Step(NamedTuple):
+class DecidedStep(NamedTuple):
     """One decision.
 
     Attributes:
@@ -80,14 +80,14 @@ class Step(NamedTuple):
     after: GaussCode
     macro: tuple[int, int, int]
 
-    def numbered_from(self, base: int) -> Step:
+    def numbered_from(self, base: int) -> DecidedStep:
         """Return the same decision on a rope whose beads are numbered from bead `base`."""
         count, (bead, target, side) = len(self.points), self.macro
         before, after = (
             shifted_base(find_crossings(points.astype(np.float64)), base)
             for points in (self.points, self.landed)
         )
-        return Step(
+        return DecidedStep(
             np.roll(self.points, -base, axis=0),
             np.roll(self.landed, -base, axis=0),
             before,
@@ -180,9 +180,9 @@ def join(parts: Sequence[Decisions]) -> Decisions:
     return Decisions(*(np.concatenate(own) for own in zip(*parts, strict=True)))
 
 
-def without_loops(steps: Sequence[Step]) -> list[Step]:
+def without_loops(steps: Sequence[DecidedStep]) -> list[DecidedStep]:
     """Leave out what happened between two visits to the same code, and steps that changed none."""
-    way = list[Step]()
+    way = list[DecidedStep]()
     for step in steps:
         codes = [one.before for one in way]
         if step.before in codes:
@@ -192,8 +192,8 @@ def without_loops(steps: Sequence[Step]) -> list[Step]:
 
 
 def gathered(
-    way: Sequence[Step],
-    asked: Sequence[Step],
+    way: Sequence[DecidedStep],
+    asked: Sequence[DecidedStep],
     goal: GaussCode,
     number: int,
     config: CloneConfig,
@@ -285,10 +285,10 @@ def _macros(episode: Episode, number: int, config: CloneConfig) -> Decisions:
     table = np.stack(macro, axis=1)
     codes = [GaussCode.parse(text) for text in episode.gauss_code_chiral.tolist()]
     goal = GaussCode.parse(episode.goal_gauss_code)
-    asked, way, decisions = list[Step](), list[Step](), list[Decisions]()
+    asked, way, decisions = list[DecidedStep](), list[DecidedStep](), list[Decisions]()
     for at, end in zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True):
         points, (bead, target, side) = episode.points.astype(np.float32), table[at].tolist()
-        step = Step(points[at], points[end], codes[at], codes[end], (bead, target, side))
+        step = DecidedStep(points[at], points[end], codes[at], codes[end], (bead, target, side))
         # a pass that nobody chose isn't imitated, but led somewhere all the same
         if reasons[at] != RANDOM and (config.failed or episode.terminations[-1]):
             asked.append(step)

@@ -19,7 +19,7 @@ from knotgym.control.pass_counts import DiagramValues, shipped_values
 from knotgym.control.pass_play import Starts, draw_starts
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig
-from knotgym.learn.clone_data import Decisions, Step, gathered, join, none
+from knotgym.learn.clone_data import DecidedStep, Decisions, gathered, join, none
 from knotgym.rope.model import Array
 from knotgym.runs.progress import Progress, Status
 from knotgym.topology.crossings import label
@@ -119,6 +119,6 @@ def _way(
     return goal, way
 
 
-def _step(decision: Decision) -> Step:
+def _step(decision: Decision) -> DecidedStep:
     points, landed = (one.astype(np.float32) for one in (decision.points, decision.landing.points))
-    return Step(points, landed, decision.code, decision.landing.code, tuple(decision.move))
+    return DecidedStep(points, landed, decision.code, decision.landing.code, tuple(decision.move))

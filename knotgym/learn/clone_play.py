@@ -18,7 +18,7 @@ from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_config import CloneConfig
-from knotgym.learn.clone_data import Decisions, Step, gathered, join, without_loops
+from knotgym.learn.clone_data import DecidedStep, Decisions, gathered, join, without_loops
 from knotgym.learn.clone_network import CloneNetwork
 from knotgym.learn.clone_policy import ClonePolicy
 from knotgym.topology.gauss import GaussCode
@@ -26,7 +26,7 @@ from knotgym.topology.gauss import GaussCode
 _LANES = 256  # episodes side by side
 
 
-class Played(NamedTuple):
+class PlayedMacros(NamedTuple):
     """What a round of play gave.
 
     Attributes:
@@ -45,7 +45,7 @@ def play(
     clone: CloneConfig,
     number: int,
     known: Sequence[GaussCode] = (),
-) -> Played:
+) -> PlayedMacros:
     """Play episodes and return the decisions worth learning.
 
     Args:
@@ -59,7 +59,7 @@ def play(
     task = replace(task, engine="chain", action="macro", observation="state")
     episodes = EpisodeBatch(task, min(_LANES, config.episodes))
     policy = ClonePolicy(network, "macro", config.temperature)
-    steps: dict[int, list[Step]] = {}
+    steps: dict[int, list[DecidedStep]] = {}
     opened: dict[int, tuple[NDArray[np.float32], GaussCode, tuple[int, int, int]]] = {}
     numbers: dict[int, int] = {}
     waiting = iter(range(config.episodes))
@@ -83,7 +83,7 @@ def play(
         if index in opened:
             points, before, macro = opened.pop(index)
             landed = episodes.simulation.points[index].astype(np.float32)
-            steps[index].append(Step(points, landed, before, episodes.codes[index], macro))
+            steps[index].append(DecidedStep(points, landed, before, episodes.codes[index], macro))
 
     under_way = np.array([index for index in range(episodes.count) if begin(index)])
     while len(under_way):
@@ -109,4 +109,4 @@ def play(
             kept.append(gathered(way, asked, episodes.goals[index], key, clone))
             left[row] = begin(index)
         under_way = under_way[left]
-    return Played(join(kept), reached / config.episodes)
+    return PlayedMacros(join(kept), reached / config.episodes)

@@ -16,7 +16,7 @@ from knotgym.control.policy import InvalidPolicy
 from knotgym.control.rollouts import rollout
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
-from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig, PlayConfig
+from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig, ImproveConfig
 from knotgym.runs.run_options import Existing, RunOptions
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import label
@@ -143,7 +143,7 @@ def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
 ) -> None:
     from knotgym.learn.clone_training import CloneTraining
 
-    settings: dict[str, Any] = {"improve": 1, "round_steps": 4, "play": PlayConfig(episodes=2)}
+    settings: dict[str, Any] = {"improve": 1, "round_steps": 4, "play": ImproveConfig(episodes=2)}
     train_tiny(macros, tmp_path / "whole", **settings)
     advance = CloneTraining.advance
 
@@ -175,13 +175,13 @@ def test_the_commands_train_and_evaluate_a_clone(
 
 
 def test_loops_are_left_out_and_codes_on_the_way_become_goals() -> None:
-    from knotgym.learn.clone_data import Step, gathered, without_loops
+    from knotgym.learn.clone_data import DecidedStep, gathered, without_loops
 
     a, b, c = (GaussCode.parse(text) for text in ("", "1+c,1-c", "1+c,1-c,2+c,2-c"))
     points = np.zeros((100, 3), dtype=np.float32)
     way = without_loops(
         [
-            Step(points, points, *codes, (bead, 50, 1))
+            DecidedStep(points, points, *codes, (bead, 50, 1))
             for bead, codes in enumerate([(a, b), (b, a), (a, b), (b, b), (b, c)])
         ]
     )
@@ -194,11 +194,11 @@ def test_loops_are_left_out_and_codes_on_the_way_become_goals() -> None:
 
 
 def test_copies_lead_to_the_goal_as_their_own_first_bead_reads_it(states: States) -> None:
-    from knotgym.learn.clone_data import Step, gathered
+    from knotgym.learn.clone_data import DecidedStep, gathered
 
     before, landed = (states.points[states.nx == nx][0].astype(np.float32) for nx in (1, 3))
     codes = [label(one.astype(float)) for one in (before, landed)]
-    step = Step(before, landed, codes[0], codes[1], (10, 60, 1))
+    step = DecidedStep(before, landed, codes[0], codes[1], (10, 60, 1))
     kept = gathered([], [step], codes[1], 3, CloneConfig(copies=3))
     assert kept.asked.tolist() == [True, False, False, False]
     for points, goal, macro in zip(kept.points[1:], kept.goals[1:], kept.macros[1:], strict=True):
