@@ -289,7 +289,7 @@ def fit_clone(
             if path is not None:
                 save_decisions(path, own, rate)
         rounds.append(own)
-        rates.append(rate)
+        rates.append(dict(sorted(rate.items())))
         progress.say(f"round {number + 1}: " + ", ".join(f"{k} {v:.0%}" for k, v in rate.items()))
         recent = rounds[-config.play.rounds_kept :]
         train(join([decisions, *recent]), stop - config.round_steps, stop)
