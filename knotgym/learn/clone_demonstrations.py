@@ -120,5 +120,9 @@ def _way(
 
 
 def _step(decision: Decision) -> DecidedStep:
-    points, landed = (one.astype(np.float32) for one in (decision.points, decision.landing.points))
-    return DecidedStep(points, landed, decision.code, decision.landing.code, tuple(decision.move))
+    points, landed = (
+        one.astype(np.float32) for one in (decision.points, decision.landing.points)
+    )
+    bead, target, side = decision.move
+    macro = bead, target, side
+    return DecidedStep(points, landed, decision.code, decision.landing.code, macro)
