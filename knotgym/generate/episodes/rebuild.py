@@ -1,0 +1,63 @@
+"""Rebuild a recorded dataset by stepping alone: no demonstrator looks, no planner searches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from knotgym.common.configuration import as_json, differences
+from knotgym.control.rollouts import rollout
+from knotgym.generate.episodes.collect import (
+    CollectConfig,
+    EpisodeFile,
+    EpisodeRecipe,
+    sources_of,
+    write_episodes,
+)
+from knotgym.generate.episodes.recordings import InvalidRecording, PulledPolicy, Recording
+from knotgym.generate.episodes.tally import Tally
+from knotgym.runs.run_options import RunOptions
+
+
+class RebuildRecipe(EpisodeRecipe):
+    """Recipe for a recorded dataset, or its first episodes; see `runs.engine.Recipe`.
+
+    Its request, and so its output, is that of the collection.
+    """
+
+    def __init__(self, config: CollectConfig, options: RunOptions, recording: Recording) -> None:
+        """Take the dataset to make and its recording.
+
+        Raises:
+            InvalidRecording: it has other settings, other states or fewer episodes.
+        """
+        recording.require_of(as_json(config))
+        states = sources_of(config)["states"]
+        if found := [*differences(recording.source["states"], states)]:
+            raise InvalidRecording(
+                f"{recording.name} was recorded with other states: {'; '.join(found)}"
+            )
+        self._recording = recording
+        super().__init__(config, options)
+
+    def sources(self) -> dict[str, Any]:
+        return self._recording.source
+
+    def work(self) -> Callable[[EpisodeFile], Tally]:
+        return partial(_step, self._recording)
+
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        if self.config.episodes == len(self._recording):  # of a part, the effort isn't known
+            self.tally = replace(self.tally, planned_actions=self._recording.planned_actions)
+        return super().finish(folder, request)
+
+
+def _step(recording: Recording, file: EpisodeFile) -> Tally:
+    """Make a file's episodes from their recordings."""
+    config = file.config
+    recorded = [recording.episode(number) for number in file.numbers]
+    policy = PulledPolicy(config.policy.policy, recorded)
+    return write_episodes(file, rollout(config.seen_task, policy, file.numbers, config.seed))
