@@ -87,7 +87,8 @@ def test_a_machine_that_gets_another_episode_is_told_its_number(
     pulls[changed.lengths[0], 1] ^= 64  # the first pull of episode 1
     path = tmp_path / "changed.h5"
     write_recordings(path, [replace(changed, pulls=pulls)])
-    monkeypatch.setitem(make_suite.__kwdefaults__, "recordings", path)
+    defaults = {"scores": (), "recordings": path, "progress": None}
+    monkeypatch.setattr(make_suite, "__kwdefaults__", defaults)
     words = ("--task", "unknot", "--nx", 2, "--policies", "noisy", "--episodes", EPISODES)
     out = tmp_path / "out"
     assert knotgym("suite", "--recorded", *words, "--workers", 1, "--quiet", "--out", out) == 1

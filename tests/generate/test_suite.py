@@ -130,9 +130,7 @@ def test_a_finished_suite_is_left_alone_and_shows_evaluations_that_came_since(
     assert knotgym(*CHEAP, "--resume", "--scores", scores, "--quiet", "--out", unbroken) == 0
     assert {path: path.stat().st_mtime_ns for path in before} == before
     page = (unbroken / "knotgym" / "README.md").read_text()
-    assert (
-        "**0.0** (0 to 79, of 1) |" in page and "DreamerV3, published" in page
-    )
+    assert "**0.0** (0 to 79, of 1) |" in page and "DreamerV3, published" in page
     scores.unlink()
     part = SuiteConfig(
         tasks=("unknot",),
