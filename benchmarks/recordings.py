@@ -26,7 +26,7 @@ from knotgym.generate.episodes.recordings import (
 )
 from knotgym.generate.episodes.suite import SuiteConfig
 
-POLICIES = ("noisy", "expert")
+POLICIES = ("noisy", "expert", "play")
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ from typer.testing import CliRunner
 
 import knotgym
 from knotgym.cli.main import app
-from knotgym.control import transition_counts
+from knotgym.control import pass_counts, transition_counts
 from knotgym.control.learned_policies import load_model
 from knotgym.datasets import episode_reader, image_table
 from knotgym.datasets.cards.state_card import overlap_rows
@@ -418,6 +418,14 @@ def test_the_recordings_are_as_their_page_says() -> None:
         assert kinds == {name: kind_of(data.dtype) for name, data in group.items()}
 
 
+def test_counts_of_passes_are_as_their_page_says() -> None:
+    said = tables(DOCS / "formats/search.md")["Datasets of passes"]
+    with h5py.File(pass_counts.PASSES["train"]) as file:
+        assert {code_words(row[0])[0]: row[1] for row in said} == {
+            name: kind_of(data.dtype) for name, data in file.items()
+        }
+
+
 def test_formats_and_versions_are_those_of_the_overview() -> None:
     said = {
         code_words(row[2])[0]: int(re.findall(r"\d+", row[2])[0])
@@ -425,7 +433,10 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
     }
     assert said == {
         module.FORMAT: module.FORMAT_VERSION
-        for module in (states, episode_reader, image_table, recordings, archive, transition_counts)
+        for module in (
+            *(states, episode_reader, image_table, recordings),
+            *(archive, transition_counts, pass_counts),
+        )
     } | {"knotgym-walks": 1, "knotgym-policy": 1}
 
 

@@ -61,7 +61,7 @@ def _options() -> list[Option]:
 def suite(given: Given) -> None:
     """Make the fixed benchmark of offline datasets, or a part of it.
 
-    It has episodes of three policies for each of nine setups, on two sets of states and two splits,
+    It has episodes of four policies for each of nine setups, on two sets of states and two splits,
     and one card for all. The expected time is printed first. With --recorded, datasets are rebuilt
     from the pulls that are included, which takes minutes; if this machine gets other episodes, the
     exit status is 1. With --resume, finished datasets are kept and the others are made.

@@ -209,8 +209,8 @@ class Demonstrator(Policy):
         simulation, controller = episodes.simulation, self._controller
         controller.advance(simulation.points)
         looking = [index for index in ids.tolist() if self._is_over(episodes, index)]
-        if looking:
-            self._look(episodes, np.array(looking))
+        for first in range(0, len(looking), _LANES):
+            self._look(episodes, np.array(looking[first : first + _LANES]))
         forces = controller.forces(simulation.points)[ids] * simulation.max_force
         actions = simulation.actions(controller.beads[ids], forces, ids)
         moves, macros = [], np.tile(NO_MACRO, (len(ids), 1))
@@ -239,6 +239,23 @@ class Demonstrator(Policy):
         """Act out a pass of somebody else's choice before the first look."""
         self._start(episodes, index, move, RANDOM)
 
+    def simplest(self, episodes: EpisodeBatch, index: int, passes: list[Pass]) -> Pass:
+        """Return the first of the passes that leave an episode's rope with the fewest crossings."""
+        assert self._lanes is not None  # a look came before
+        goal = self.goal(episodes, index)
+        (state,), _ = self._lanes.at_rest(episodes.simulation.qpos([index]))
+        left = dict(self._lanes.run(_crossings_left(state, move, goal) for move in passes))
+        return passes[min(left, key=lambda number: (left[number], number))]
+
+    def goal(self, episodes: EpisodeBatch, index: int) -> GaussCode:
+        """Return the goal code that an episode is led to."""
+        return episodes.goals[index]
+
+    def give_up(self, episodes: EpisodeBatch, index: int) -> None:
+        """Go on after a look that found no way."""
+        self._progress[index].taken_over = True
+        self._controller.release(index)
+
     def name(self, index: int) -> str:
         return "expert"
 
@@ -250,7 +267,7 @@ class Demonstrator(Policy):
         progress = self._progress[index]
         if progress.taken_over:
             return False
-        if episodes.codes[index].matches(episodes.goals[index]):
+        if episodes.codes[index].matches(self.goal(episodes, index)):
             progress.move = None
             return False
         over = progress.pulls >= LONGEST or bool(self._controller.idle[index])
@@ -262,12 +279,12 @@ class Demonstrator(Policy):
         if self._lanes is None:
             rope = episodes.simulation.rope
             self._lanes = MacroLanes(_LANES, self.config.macro_actions, rope)
-        values = self._values or shipped_values()
+        values = self._values or shipped_values(episodes.config.split)
         states, points = self._lanes.at_rest(episodes.simulation.qpos(ids))
         searches = [
             find_way(
                 values,
-                episodes.goals[index],
+                self.goal(episodes, index),
                 self.config,
                 states[row],
                 points[row],
@@ -284,14 +301,18 @@ class Demonstrator(Policy):
             if way:
                 self._start(episodes, index, way[0].move, f"choice {way[0].rank}")
             else:
-                progress.taken_over = True
-                self._controller.release(index)
+                self.give_up(episodes, index)
 
     def _start(self, episodes: EpisodeBatch, index: int, move: Pass, why: str) -> None:
         progress, points = self._progress[index], episodes.simulation.points[index]
         progress.move, progress.pulls, progress.why = move, 0, why
         macro_action = pass_straight(points, *move, self.config.macro_actions)
         self._controller.begin(index, macro_action, points)
+
+
+def _crossings_left(state: Array, move: Pass, goal: GaussCode) -> Search[int]:
+    outcome = yield Trial(state, move, goal)
+    return outcome.code.nx
 
 
 def random_pass(beads: int, rng: np.random.Generator) -> Pass:

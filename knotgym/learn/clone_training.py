@@ -288,9 +288,7 @@ def fit_clone(
     return training.averaged() if config.improve else training.best(), training.curve, facts
 
 
-def predictability(
-    datasets: Sequence[Any], config: CloneConfig | None = None
-) -> tuple[float, int]:
+def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -> tuple[float, int]:
     """Train a clone on a demonstrator's datasets and judge it on held-out episodes.
 
     Returns:

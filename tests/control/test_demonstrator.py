@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -18,13 +19,15 @@ from knotgym.control.pass_counts import (
     template_images,
     templates,
 )
+from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram
 from knotgym.control.transition_counts import ELEMENTS, ArcCoordinates
+from knotgym.datasets.episode_verification import episode_faults
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_actions import MacroActionConfig, Pass
-from knotgym.rope.model import Array
+from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
@@ -138,7 +141,7 @@ def test_counts_survive_a_file_and_a_changed_one_is_refused(tmp_path: Path) -> N
 
 
 def test_the_shipped_counts_are_small() -> None:
-    assert PASSES.stat().st_size < 300_000
+    assert PASSES["train"].stat().st_size < 300_000
 
 
 def test_searches_find_the_same_in_any_company() -> None:
@@ -183,3 +186,25 @@ def test_a_way_in_the_engine_of_the_episode_leads_to_the_goal() -> None:
         assert begun[0] == 1 and np.array_equal(episode.macro_bead[begun], episode.bead[begun])
         assert episode.move is not None
         assert all(str(why).startswith(("choice", "planner")) for why in episode.move[1:])
+
+
+def test_play_goes_on_to_another_goal_and_its_record_verifies() -> None:
+    task = replace(TASK, endless=True, horizon=70)
+    (played,) = rollout(task, make_policy(PolicyConfig(policy="play")), [0], 0)
+    episode = played.episode
+    assert len(episode) == 70 and not episode.terminations.any() and episode.truncations[-1]
+    assert episode.move is not None
+    sought = [str(move).partition(" to ")[2] for move in episode.move[1:]]
+    changes = [step for step in range(1, 70) if sought[step] != sought[step - 1]]
+    assert len(changes) >= 3 and "" in sought  # the plain loop, too
+    # a goal is left when it is shown
+    reached = [episode.gauss_code[step] == sought[step - 1] for step in changes]
+    assert sum(reached) >= len(changes) - 1
+    assert played.success and (episode.rewards == 5.0 * episode.is_success[1:]).all()
+    assert episode_faults(episode, task, Rope(task.rope)) == []
+    assert episode_faults(episode, replace(task, endless=False), Rope(task.rope))
+
+
+def test_play_in_a_task_that_ends_at_the_goal_is_refused() -> None:
+    with pytest.raises(InvalidPolicy, match="must be endless; give --endless"):
+        rollout(TASK, make_policy(PolicyConfig(policy="play")), [0], 0)

@@ -147,7 +147,7 @@ def distinct_id(config: CollectConfig) -> str:
     marked = ("task", "nx", "split", "states", "engine", "observation")
     plain = TaskConfig(**{name: getattr(task, name) for name in marked})
     rules = list(differences(as_json(plain), as_json(task)))
-    if config.labels or policy.policy in ("noisy", "mixed", "expert"):
+    if config.labels or policy.policy in ("noisy", "mixed", "expert", "play"):
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
     digest = f"rules{hashlib.sha256('; '.join(rules).encode()).hexdigest()[:8]}" if rules else ""
@@ -404,7 +404,7 @@ def _finished(path: Path) -> Tally | None:
 def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     """Return Minari's metadata; reference scores are those of random and expert policies."""
     task, policy = config.task, config.policy
-    measured = task.engine == MUJOCO and task.rope == RopeConfig()
+    measured = task.engine == MUJOCO and task.rope == RopeConfig() and not task.endless
     scores = reference_scores().get(f"{task.task}-nx{task.nx}", {}) if measured else {}
     is_noisy = policy.policy in ("noisy", "mixed")
     noise = f", each pull a random one with probability {policy.noise}" * is_noisy

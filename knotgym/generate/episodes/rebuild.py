@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.configuration import as_json, differences
+from knotgym.common.configuration import as_json, differences, from_json
 from knotgym.control.rollouts import rollout
 from knotgym.generate.episodes.collect import (
     CollectConfig,
@@ -20,6 +20,12 @@ from knotgym.generate.episodes.collect import (
 from knotgym.generate.episodes.recordings import InvalidRecording, PulledPolicy, Recording
 from knotgym.generate.episodes.tally import Tally
 from knotgym.runs.run_options import RunOptions
+
+
+_FREE = (
+    *("episodes", "episodes_per_file", "dataset_id", "seen", "author", "author_email"),
+    "code_permalink",
+)
 
 
 class RebuildRecipe(EpisodeRecipe):
@@ -34,7 +40,7 @@ class RebuildRecipe(EpisodeRecipe):
         Raises:
             InvalidRecording: it has other settings, other states or fewer episodes.
         """
-        recording.require_of(as_json(config))
+        _require_recorded(config, recording)
         states = sources_of(config)["states"]
         if found := [*differences(recording.source["states"], states)]:
             raise InvalidRecording(
@@ -53,6 +59,24 @@ class RebuildRecipe(EpisodeRecipe):
         if self.config.episodes == len(self._recording):  # of a part, the effort isn't known
             self.tally = replace(self.tally, planned_actions=self._recording.planned_actions)
         return super().finish(folder, request)
+
+
+def _require_recorded(config: CollectConfig, recording: Recording) -> None:
+    """Require that a dataset has the settings of a recording, apart from its size, observation and
+    names, and not more episodes.
+    """
+    recorded = from_json(CollectConfig, recording.config)  # fills in settings that came later
+    free: dict[str, Any] = {name: getattr(recorded, name) for name in _FREE}
+    task = replace(config.task, observation=recorded.task.observation)
+    asked = replace(config, task=task, **free)
+    if found := [*differences(as_json(recorded), as_json(asked))]:
+        raise InvalidRecording(
+            f"the recording of {recording.name} has other settings: {'; '.join(found[:3])}"
+        )
+    if config.episodes > len(recording):
+        raise InvalidRecording(
+            f"{recording.name} is recorded with {len(recording)} episodes, got {config.episodes}"
+        )
 
 
 def _step(recording: Recording, file: EpisodeFile) -> Tally:

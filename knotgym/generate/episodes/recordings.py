@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, new_hdf5
-from knotgym.common.configuration import differences, read_json
+from knotgym.common.configuration import read_json
 from knotgym.common.errors import KnotgymError, one_line
 from knotgym.common.hdf5_files import (
     Column,
@@ -58,11 +58,6 @@ _ATTRIBUTES = (
     Column("config", "text", ()),
     Column("source", "text", ()),
     Column("planned_actions", "int64", (), least=0),
-)
-# settings that a dataset may have changed without changing its episodes
-_FREE = (
-    *("episodes", "episodes_per_file", "dataset_id", "seen", "author", "author_email"),
-    "code_permalink",
 )
 
 
@@ -129,18 +124,6 @@ class Recording:
         moves = [self.reasons[row] for row in self.reason[steps].tolist()]
         return RecordedEpisode(self.pulls[steps], moves, self.macros[steps].astype(np.int64))
 
-    def require_of(self, config: Mapping[str, Any]) -> None:
-        """Raise InvalidRecording unless a `CollectConfig`, as JSON, has these episodes."""
-        ours, other = _essential(self.config), _essential(config)
-        if found := [*differences(ours, other)]:
-            raise InvalidRecording(
-                f"the recording of {self.name} has other settings: {'; '.join(found[:3])}"
-            )
-        if config["episodes"] > len(self):
-            raise InvalidRecording(
-                f"{self.name} is recorded with {len(self)} episodes, got {config['episodes']}"
-            )
-
     def first_difference(self, dataset: Path) -> int | None:
         """Return the first episode of a dataset that isn't as recorded; None if all are."""
         reader = EpisodeReader(dataset)
@@ -149,11 +132,6 @@ class Recording:
             if index >= len(self) or digest[: 2 * DIGEST_BYTES] != bytes(self.digests[index]).hex():
                 return index
         return None
-
-
-def _essential(config: Mapping[str, Any]) -> dict[str, Any]:
-    task = {name: value for name, value in config["task"].items() if name != "observation"}
-    return {**{name: value for name, value in config.items() if name not in _FREE}, "task": task}
 
 
 class PulledPolicy(UnplannedPolicy):

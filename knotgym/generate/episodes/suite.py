@@ -66,7 +66,7 @@ class SuiteConfig:
     Attributes:
         tasks: tasks, comma-separated: unknot, tie, convert.
         nx: numbers of crossings, from 2 to 4: 3 or 2,3.
-        policies: policies, comma-separated: random, noisy, expert.
+        policies: policies, comma-separated: random, noisy, expert, play.
         splits: splits, comma-separated: train, whose states are held out from test, and train-code,
             which shares no code with test-code.
         states: sets of states, comma-separated: readable, random-walk.
@@ -127,6 +127,7 @@ class SuiteConfig:
                 engine=self.engine,
                 observation=self.observation,
                 **SUITE["settings"].get(task, {}),
+                **SUITE["settings"].get(name, {}),
             )
             size = SUITE["episodes"][name][SUITE["nx"].index(nx)]
             yield CollectConfig(
@@ -327,7 +328,7 @@ def suite_card(report: Mapping[str, Any]) -> str:
         play.append(
             (
                 code_span(name),
-                _percent(one["succeeded"] / max(one["episodes"], 1)),
+                "" if one["endless"] else _percent(one["succeeded"] / max(one["episodes"], 1)),
                 _percent(one["first_choices"]),
                 _percent(one["planner"]),
                 f"{_percent(guessed['bead_top1'])} of {guessed['decisions']}" if guessed else "",

@@ -9,6 +9,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import InvalidConfig, from_json, read_json
 from knotgym.common.errors import one_line
@@ -22,7 +24,7 @@ from knotgym.generate.episodes.recordings import RECORDINGS, read_recording, rec
 from knotgym.states.state_file import ships
 from knotgym.topology.gauss import GaussCode
 
-_FIRST_CHOICE = "choice 1"  # reason for the first pass of the demonstrator's order
+_CHOICE = "choice"  # first word of the reason for a pass of the demonstrator's; its rank follows
 _STATES = "readable"  # name of the states that need none
 
 
@@ -44,8 +46,8 @@ def describe_set(made: Path, recordings: Path = RECORDINGS) -> dict[str, Any]:
         files = {name: made / "data" / name for name in ("main_data.hdf5", "metadata.json")}
         task = from_json(TaskConfig, config["task"])
         told = {
-            **{name: config["task"][name] for name in ("task", "nx", "split")},
-            **{name: config["task"][name] for name in ("tow_limit", "engine", "observation")},
+            **{name: config["task"][name] for name in ("task", "nx", "split", "tow_limit")},
+            **{name: config["task"][name] for name in ("endless", "engine", "observation")},
             "states": config["task"]["states"] or _STATES,
             "policy": config["policy"]["policy"],
             "seed": config["seed"],
@@ -76,12 +78,15 @@ def _choices(made: Path) -> dict[str, float | None]:
         return {"first_choices": None, "planner": None}
     ranks, planned = list[str](), 0
     for index in range(len(reader)):
-        moves = reader.column(index, "move")
-        starts = moves[reader.column(index, "macro_start")]
-        ranks += [why for why in starts.tolist() if why.startswith("choice ")]
-        planned += any(why.startswith(PLANNER) for why in moves.tolist())
-    first = sum(why == _FIRST_CHOICE for why in ranks) / max(1, len(ranks))
-    return {"first_choices": first, "planner": planned / len(reader)}
+        moves = reader.column(index, "move").tolist()
+        starts = np.flatnonzero(reader.column(index, "macro_start")).tolist()
+        words = [moves[step].split() for step in starts]
+        ranks += [rank for first, rank, *_ in words if first == _CHOICE]
+        planned += any(why.startswith(PLANNER) for why in moves)
+    return {
+        "first_choices": ranks.count("1") / max(1, len(ranks)),
+        "planner": planned / len(reader),
+    }
 
 
 @lru_cache
