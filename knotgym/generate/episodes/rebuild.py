@@ -21,7 +21,6 @@ from knotgym.generate.episodes.recordings import InvalidRecording, PulledPolicy,
 from knotgym.generate.episodes.tally import Tally
 from knotgym.runs.run_options import RunOptions
 
-
 _FREE = (
     *("episodes", "episodes_per_file", "dataset_id", "seen", "author", "author_email"),
     "code_permalink",

@@ -81,7 +81,7 @@ def _choices(made: Path) -> dict[str, float | None]:
         moves = reader.column(index, "move").tolist()
         starts = np.flatnonzero(reader.column(index, "macro_start")).tolist()
         words = [moves[step].split() for step in starts]
-        ranks += [rank for first, rank, *_ in words if first == _CHOICE]
+        ranks += [why[1] for why in words if why[:1] == [_CHOICE]]
         planned += any(why.startswith(PLANNER) for why in moves)
     return {
         "first_choices": ranks.count("1") / max(1, len(ranks)),
