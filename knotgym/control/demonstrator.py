@@ -42,6 +42,8 @@ from knotgym.topology.gauss import GaussCode
 PLANNER = "planner"  # first word of the reason for an action of the planner's
 RANDOM = "random pass"  # reason for a pass that nobody chose
 _LANES = 64  # ropes of the chain engine in which looks are simulated
+_BOUNDED = 4  # times as many candidates where the rope's centre must stay in a region
+_TOWING = 0.9  # share of the limit on towing that looks go to: engines differ a little
 _CLOSE = 8  # fewest beads along the rope between the two of a random pass
 
 
@@ -50,7 +52,7 @@ class DemonstratorConfig:
     """Settings of the demonstrator.
 
     Attributes:
-        candidates: passes tried at a state, at most.
+        candidates: passes tried at a state, at most; four times as many where towing is limited.
         budget: actions simulated for a look, at most.
         steps: actions of a way, at most.
         last_resort: actions that the planner may simulate for an episode without a way.
@@ -109,12 +111,15 @@ class _Look:
         diagram = seen_diagram(points, crossings)
         here = self.values.reach(self.goal, diagram)
         arcs = ArcCoordinates(crossings, len(points))
+        # many passes tow the rope, and the order doesn't know which
+        candidates = self.config.candidates * (1 if self.bound is None else _BOUNDED)
         for rank, move in enumerate(self._passes(diagram, arcs, len(points)), 1):
-            if rank > self.config.candidates or self.spent >= self.config.budget:
+            if rank > candidates or self.spent >= self.config.budget:
                 return None
-            outcome: Landing = yield Trial(state, move, self.goal, min(LONGEST, steps))
+            pulls = min(LONGEST, steps)
+            outcome: Landing = yield Trial(state, move, self.goal, pulls, self.bound)
             self.spent += outcome.pulls
-            if self.bound is not None and self.bound.exceeded(outcome.points[None])[0]:
+            if outcome.towed:
                 continue
             decision = Decision(points, diagram.code, move, rank, outcome.pulls)
             if outcome.code.matches(self.goal):
@@ -273,6 +278,10 @@ class Demonstrator(Policy):
         over = progress.pulls >= LONGEST or bool(self._controller.idle[index])
         return progress.move is None or over
 
+    def _bound(self, episodes: EpisodeBatch, index: int) -> TowBound | None:
+        bound = episodes.tow_bound(index)
+        return bound and replace(bound, limit=_TOWING * bound.limit)
+
     def _look(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> None:
         """Find the next pass of some episodes, side by side."""
         began = time.perf_counter()
@@ -288,7 +297,7 @@ class Demonstrator(Policy):
                 self.config,
                 states[row],
                 points[row],
-                episodes.tow_bound(index),
+                self._bound(episodes, index),
             )
             for row, index in enumerate(ids.tolist())
         ]

@@ -13,6 +13,7 @@ import typer
 
 from knotgym.cli import main as cli
 from knotgym.cli.options import field_help, options_of
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.generate.episodes.collect import CollectConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig
 from knotgym.prompting.prompted_episodes import PromptConfig
@@ -111,7 +112,7 @@ def test_every_option_says_what_it_does_and_has_the_default_of_its_field() -> No
         defaults = {one.name: one.default for one in app.commands[name].params}
         assert defaults["episodes"] == config.episodes
         assert defaults["task__reset_noise"] == config.task.reset_noise
-        assert defaults["policy__planner__budget"] == 20000
+        assert defaults["policy__planner__budget"] == PlannerConfig().budget
 
 
 def test_a_field_that_several_names_describe_has_their_help() -> None:

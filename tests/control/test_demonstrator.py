@@ -28,6 +28,7 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_actions import MacroActionConfig, Pass
 from knotgym.rope.model import Array, Rope
+from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
@@ -157,6 +158,20 @@ def test_searches_find_the_same_in_any_company() -> None:
     for number, bead in enumerate((20, 30, 40, 50)):
         ((_, alone),) = lanes.run([search(bead)])
         assert np.array_equal(alone.points, together[number].points)
+
+
+def test_a_pass_that_tows_the_rope_too_far_ends_there() -> None:
+    lanes = MacroLanes(1, MacroActionConfig())
+    (state,), points = lanes.at_rest(lanes.simulation.qpos([0]))
+
+    def search(limit: float) -> Search[Landing]:
+        bound = TowBound.of_episode(points, limit)
+        return (yield Trial(state, Pass(20, 70, 1), KINK, bound=bound))
+
+    ((_, whole),) = lanes.run([search(1.0)])
+    ((_, short),) = lanes.run([search(0.01)])
+    assert not whole.towed and whole.pulls > 1
+    assert short.towed and 0 < short.pulls < whole.pulls
 
 
 def test_the_same_state_gets_the_same_action() -> None:
