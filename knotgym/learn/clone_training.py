@@ -46,7 +46,7 @@ from knotgym.topology.gauss import GaussCode
 
 _WARM_UP = 50  # steps over which the learning rate rises
 _LEAST_RATE = 0.02  # of the peak, at the last step
-_JUDGING_STEPS = 1500  # of the clone that tells how predictable a demonstrator is
+_JUDGING_STEPS = 500  # of the clone that tells how predictable a demonstrator is
 _JUDGED = 2048  # held-out decisions on which weights are judged, at most
 
 
