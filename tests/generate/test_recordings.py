@@ -12,6 +12,7 @@ import pytest
 
 from knotgym.common.atomic_files import sha256
 from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.generate.episodes.collect import collect
 from knotgym.generate.episodes.recordings import (
     RECORDINGS,
     InvalidRecording,
@@ -172,3 +173,11 @@ def test_the_recordings_that_ship_are_those_of_the_suite() -> None:
 def test_a_set_that_ships_is_rebuilt_on_this_machine(tmp_path: Path) -> None:
     words = ("--task", "tie", "--nx", 2, "--policies", "expert", "--episodes", 2)
     assert knotgym("suite", "--recorded", *words, "--workers", 1, "--quiet", "--out", tmp_path) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", recorded_ids())
+def test_policies_still_do_what_is_recorded_of_them(name: str, tmp_path: Path) -> None:
+    config = next(one for one in SuiteConfig().sets() if one.dataset_id == name)
+    made = collect(replace(config, episodes=2), tmp_path, ONCE)
+    assert read_recording(name).first_difference(made) is None, "record the suite again"
