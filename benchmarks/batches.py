@@ -11,6 +11,8 @@ two pictures of each transition from files that hold nothing else, with another 
 dataset's could be at best. The memory map is a plain NumPy one of the same pictures, from which
 picture, next picture and goal are gathered as three arrays, as from the cache with goals apart;
 without, the cache puts goals beside both pictures, as the environment shows them, and writes four.
+Rows after a `+` give what a `Window` adds, beside the same batches without one; vertices are read
+from the dataset. The column of pictures counts three a transition.
 """
 
 import argparse
@@ -20,6 +22,7 @@ import platform
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +36,18 @@ from rich.table import Table
 import knotgym
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.envs.tasks import TaskConfig
-from knotgym.loaders import Transitions
+from knotgym.loaders import GoalSampling, Transitions, Window
 
 BATCH = 256
 FILTERS = {"gzip 1": {"compression": "gzip", "compression_opts": 1, "shuffle": True}}
 FILTERS |= {"lzf": {"compression": "lzf"}, "none": {}}
+WINDOWS = {
+    "5 steps": Window(n_step=5),
+    "chunks of 8, history of 4": Window(chunk=8, history=4),
+    "goals": Window(goals=GoalSampling()),
+    "goals, 5 steps, chunks of 5": Window(n_step=5, chunk=5, goals=GoalSampling()),
+    "stacks of 3": Window(stack=3),
+}
 _IN_FILE = 2000  # pictures of a file of the rows HDF5
 
 
@@ -78,6 +88,17 @@ def gathered(read: Transitions) -> Callable[[NDArray[np.int64]], Any]:
     frames = np.arange(len(read)) + 2 * segments  # an episode of T actions has T + 2 frames
     goals = kept.offsets[segments + 1] - 1
     return lambda rows: (mapped[frames[rows]], mapped[frames[rows] + 1], mapped[goals[rows]])
+
+
+def windowed(
+    path: Path, observation: str, seconds: float, **how: Any
+) -> dict[str, dict[str, float]]:
+    """The rates of batches without a window and with each of WINDOWS, by name."""
+    rates = {}
+    for name, window in {"": None, **WINDOWS}.items():
+        read, rng = Transitions(path, observation, window=window, **how), np.random.default_rng(0)
+        rates[f" + {name}" if name else ""] = rate(partial(read.batch, rng=rng), len(read), seconds)
+    return rates
 
 
 def made(cache: Path, path: Path) -> dict[str, float]:
@@ -134,6 +155,12 @@ def main() -> None:
                 lambda rows: cached.batch(rows, apart=True), len(cached), arguments.seconds
             )
             results["cache"] = rate(cached.batch, len(cached), arguments.seconds)
+        for name, found in windowed(
+            room / "pixels.h5", "pixels", arguments.seconds, cache=room / "cache"
+        ).items():
+            results[f"cache{name}"] = found
+        for name, found in windowed(room / "none.h5", "state", arguments.seconds).items():
+            results[f"vertices{name}"] = found
     about = {
         "knotgym": knotgym.__version__,
         "python": platform.python_version(),

@@ -11,10 +11,6 @@ import argparse
 import socket
 import time
 
-import msgspec
-import viser
-from websockets.sync.client import connect
-
 from knotgym.envs.tasks import TaskConfig
 from knotgym.play.page import Page, PlayConfig
 from knotgym.rope.engines import ENGINES
@@ -24,6 +20,10 @@ _LONG = 1000  # bytes
 
 def frames(engine: str, seconds: float) -> float:
     """Frames per second of rope under uninterrupted pulls."""
+    import msgspec
+    import viser
+    from websockets.sync.client import connect
+
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])

@@ -10,7 +10,6 @@ import typer
 from knotgym.cli.dataset_commands import PathOrId
 from knotgym.cli.options import OverwriteOption, QuietOption
 from knotgym.runs.progress import Progress
-from knotgym.states.schema import STATE_SPLITS
 
 OutOption = Annotated[
     Path | None,
@@ -151,13 +150,14 @@ def import_curves(
     A curve is cut into beads, scaled to the rope's length, relaxed where needed, and judged by the
     limits of generated states. It keeps its Gauss code as seen from +z; its knot is certified.
     """
-    if split not in STATE_SPLITS:
-        raise typer.BadParameter(f"--split takes {' or '.join(STATE_SPLITS)}, got {split!r}")
     with Progress(quiet, lines=False) as progress:
         from knotgym.common.atomic_files import atomic_write, require_output
         from knotgym.generate.states.imported_curves import import_curves as lay
+        from knotgym.states.schema import STATE_SPLITS
         from knotgym.states.state_file import write_states
 
+        if split not in STATE_SPLITS:
+            raise typer.BadParameter(f"--split takes {' or '.join(STATE_SPLITS)}, got {split!r}")
         progress.stage("laying curves")
         require_output(out, folder=False, overwrite=overwrite)
         states = lay(curves, split=split, seed=seed)

@@ -70,6 +70,7 @@ class Stream(IntEnum):
     LEARN_PLAY_START = 56  # the same: the seed of that episode's start and goal
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play
+    SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

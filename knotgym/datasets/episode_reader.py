@@ -242,6 +242,7 @@ class EpisodeReader:
         steps: slice | NDArray[np.int64] = slice(None),
         *,
         goal_step: int | None = None,
+        goal_episode: int | None = None,
         observation: str = "",
         picture: Any = None,
     ) -> Any:
@@ -251,6 +252,7 @@ class EpisodeReader:
             index: position of the episode in this reader.
             steps: which of its T + 1 states; an array must be increasing.
             goal_step: state of the episode to show as the goal instead of its own.
+            goal_episode: position of the episode that `goal_step` is a state of; None for `index`.
             observation: one of OBSERVATIONS; "" for the task's.
             picture: a `knotgym.rendering.picture.PictureConfig` to render with, instead of using
                 the stored pictures.
@@ -265,15 +267,21 @@ class EpisodeReader:
             raise InvalidEpisodeFile(
                 f"observation must be one of {', '.join(OBSERVATIONS)}, got {wanted!r}"
             )
+        if goal_episode is None:
+            goal_episode = index
         part_of_both = self.stored == "both" and wanted in ("pixels", "state")
         with self._naming(index):
             # the frame of a marked observation depends on the goal
             kept = goal_step is None or wanted != "marked"
             if (self.stored == wanted or part_of_both) and picture is None and kept:
-                return self._stored(index, steps, goal_step, wanted)
+                return self._stored(index, steps, goal_step, goal_episode, wanted)
             points = self._stored_points(index)
-            seen = points[steps]
-            goal = self._array(index, "goal_points") if goal_step is None else points[goal_step]
+            seen = _at(points, steps)
+            if goal_step is None:
+                goal = self._array(index, "goal_points")
+            else:
+                points = points if goal_episode == index else self._stored_points(goal_episode)
+                goal = points[goal_step]
         # imported here, so that loading states doesn't need OpenCV
         from knotgym.envs.observations import observe, picture_config
 
@@ -302,12 +310,14 @@ class EpisodeReader:
         index: int,
         steps: slice | NDArray[np.int64],
         goal_step: int | None,
+        goal_episode: int,
         wanted: str,
     ) -> Any:
         data = self.stored_observations(index)
         names = ("pixels", "state") if wanted == "both" else (wanted,)
-        seen = {name: data[name][steps] for name in names}
+        seen = {name: _at(data[name], steps) for name in names}
         if goal_step is not None:
+            data = data if goal_episode == index else self.stored_observations(goal_episode)
             for name, array in seen.items():
                 # the goal's half of a view on the array becomes the rope's half at goal_step
                 axis = goal_axis(self.task.layout) if name == "pixels" else 1
@@ -399,6 +409,14 @@ def _group(file: h5py.File, row: int) -> h5py.Group:
     if not isinstance(found, h5py.Group):
         raise UnexpectedContent(f"episode_{row} should be a group")
     return found
+
+
+def _at(data: h5py.Dataset, steps: slice | NDArray[np.int64]) -> NDArray[Any]:
+    """Read some states; HDF5 reads a range many times faster than a list."""
+    if isinstance(steps, slice):
+        return data[steps]
+    runs = np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1)
+    return np.concatenate([data[run[0] : run[-1] + 1] for run in runs])
 
 
 def _attribute_kind(name: str) -> str:

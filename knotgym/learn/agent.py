@@ -69,8 +69,8 @@ class AgentConfig:
         planner: of the imagined actions.
     """
 
-    budget: int = 3000
-    episode_budget: int = 24000
+    budget: int = 1500
+    episode_budget: int = 12000
     least_budget: int = 500
     max_plans: int = 6
     patience: int = 2

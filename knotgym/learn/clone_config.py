@@ -11,7 +11,7 @@ HEADS = ("macro", "bead")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlayConfig:
+class ImproveConfig:
     """How the clone plays to improve.
 
     Attributes:
@@ -73,7 +73,7 @@ class CloneConfig:
     width: int = 96
     layers: int = 2
     seed: int = 0
-    play: PlayConfig = PlayConfig()
+    play: ImproveConfig = ImproveConfig()
 
     def __post_init__(self) -> None:
         check_numbers(

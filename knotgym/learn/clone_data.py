@@ -59,7 +59,7 @@ class Decisions(NamedTuple):
         return whole.hexdigest()
 
 
-class Step(NamedTuple):
+class DecidedStep(NamedTuple):
     """One decision: the rope before it, the codes before and after it, and the macro-action."""
 
     points: NDArray[np.float32]
@@ -153,9 +153,9 @@ def join(parts: Sequence[Decisions]) -> Decisions:
     return Decisions(*(np.concatenate(own) for own in zip(*parts, strict=True)))
 
 
-def without_loops(steps: Sequence[Step]) -> list[Step]:
+def without_loops(steps: Sequence[DecidedStep]) -> list[DecidedStep]:
     """Leave out what happened between two visits to the same code, and steps that changed none."""
-    way = list[Step]()
+    way = list[DecidedStep]()
     for step in steps:
         codes = [one.before for one in way]
         if step.before in codes:
@@ -165,7 +165,11 @@ def without_loops(steps: Sequence[Step]) -> list[Step]:
 
 
 def gathered(
-    way: Sequence[Step], asked: Sequence[Step], goal: GaussCode, window: int, number: int
+    way: Sequence[DecidedStep],
+    asked: Sequence[DecidedStep],
+    goal: GaussCode,
+    window: int,
+    number: int,
 ) -> Decisions:
     """Return the decisions of an episode that are worth learning.
 
@@ -247,11 +251,11 @@ def _macros(episode: Episode, number: int, failed: bool, window: int) -> Decisio
     table = np.stack(macro, axis=1)
     codes = [GaussCode.parse(text) for text in episode.gauss_code_chiral.tolist()]
     goal = GaussCode.parse(episode.goal_gauss_code)
-    asked, way, decisions = list[Step](), list[Step](), list[Decisions]()
+    asked, way, decisions = list[DecidedStep](), list[DecidedStep](), list[Decisions]()
     ends = [*starts[1:].tolist(), count][: len(starts)]  # none if nothing was chosen
     for at, end in zip(starts.tolist(), ends, strict=True):
         points, (bead, target, side) = episode.points[at].astype(np.float32), table[at].tolist()
-        step = Step(points, codes[at], codes[end], (bead, target, side))
+        step = DecidedStep(points, codes[at], codes[end], (bead, target, side))
         # a pass that nobody chose isn't imitated, but led somewhere all the same
         if reasons[at] != RANDOM and (failed or episode.terminations[-1]):
             asked.append(step)

@@ -59,7 +59,7 @@ def inputs(seen: Marked) -> Inputs:
     return Inputs(beads, arcs, codes.float())
 
 
-class Seen(NamedTuple):
+class MarkedInputs(NamedTuple):
     """What the body makes of n states.
 
     Attributes:
@@ -120,7 +120,7 @@ class CloneNetwork(nn.Module):
         )
         nn.init.zeros_(self.apart.weight)
 
-    def forward(self, states: Inputs) -> Seen:
+    def forward(self, states: Inputs) -> MarkedInputs:
         """Look at states."""
         count = len(states.beads)
         own = torch.cat([states.beads, self.arc(states.arcs)], dim=2)
@@ -129,9 +129,9 @@ class CloneNetwork(nn.Module):
         tokens = self.norm(self.body(torch.cat([whole, patches], dim=1)))
         beads = self.outward(tokens[:, 1:]).reshape(count, BEADS, -1) + self.local(own)
         beads = functional.gelu(beads)
-        return Seen(beads, tokens[:, 0], self.bead(beads)[..., 0])
+        return MarkedInputs(beads, tokens[:, 0], self.bead(beads)[..., 0])
 
-    def targets(self, seen: Seen, beads: Tensor) -> Tensor:
+    def targets(self, seen: MarkedInputs, beads: Tensor) -> Tensor:
         """Return logits (n, BEADS) of the strand to pass, given the bead to lead."""
         rows = torch.arange(len(beads))
         query = self.query(torch.cat([seen.beads[rows, beads], seen.whole], dim=1))
@@ -139,13 +139,13 @@ class CloneNetwork(nn.Module):
         apart = (torch.arange(BEADS) - beads[:, None]) % BEADS
         return logits + self.apart(apart)[..., 0]
 
-    def sides(self, seen: Seen, beads: Tensor, targets: Tensor) -> Tensor:
+    def sides(self, seen: MarkedInputs, beads: Tensor, targets: Tensor) -> Tensor:
         """Return logits (n, 2) of passing under and over, given the bead and the strand."""
         rows = torch.arange(len(beads))
         one, two = seen.beads[rows, beads], seen.beads[rows, targets]
         return self.side(torch.cat([one, two, one * two, seen.whole], dim=1))
 
-    def forces(self, seen: Seen, beads: Tensor) -> Tensor:
+    def forces(self, seen: MarkedInputs, beads: Tensor) -> Tensor:
         """Return logits (n, 3, FORCE_CHOICES) of the force, given the bead to pull."""
         one = seen.beads[torch.arange(len(beads)), beads]
         return self.force(torch.cat([one, seen.whole], dim=1)).reshape(-1, 3, FORCE_CHOICES)
@@ -182,7 +182,7 @@ class CloneNetwork(nn.Module):
         seen = self(states)
         first, beads = functional.log_softmax(seen.logits, 1).topk(_NEIGHBOURS, dim=1)
         # the likeliest triple that begins with one of the likeliest beads
-        many = Seen(*(column.repeat_interleave(_NEIGHBOURS, 0) for column in seen))
+        many = MarkedInputs(*(column.repeat_interleave(_NEIGHBOURS, 0) for column in seen))
         second, targets = functional.log_softmax(self.targets(many, beads.flatten()), 1).max(1)
         third, sides = functional.log_softmax(self.sides(many, beads.flatten(), targets), 1).max(1)
         best = (first + (second + third).reshape(first.shape)).argmax(1)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.learn.clone_config import PlayConfig
-from knotgym.learn.clone_data import Decisions, Step, gathered, join, without_loops
+from knotgym.learn.clone_config import ImproveConfig
+from knotgym.learn.clone_data import DecidedStep, Decisions, gathered, join, without_loops
 from knotgym.learn.clone_network import CloneNetwork
 from knotgym.learn.clone_policy import ClonePolicy
 from knotgym.topology.gauss import GaussCode
@@ -26,7 +26,7 @@ from knotgym.topology.gauss import GaussCode
 _LANES = 256  # episodes side by side
 
 
-class Played(NamedTuple):
+class PlayedMacros(NamedTuple):
     """What a round of play gave.
 
     Attributes:
@@ -41,12 +41,12 @@ class Played(NamedTuple):
 def play(
     network: CloneNetwork,
     task: TaskConfig,
-    config: PlayConfig,
+    config: ImproveConfig,
     seed: int,
     number: int,
     known: Sequence[GaussCode] = (),
     hindsight: int = 2,
-) -> Played:
+) -> PlayedMacros:
     """Play episodes of the train split and return the decisions worth learning.
 
     Args:
@@ -61,7 +61,7 @@ def play(
     task = replace(task, engine="chain", action="macro", observation="state", split="train")
     episodes = EpisodeBatch(task, min(_LANES, config.episodes))
     policy = ClonePolicy(network, "macro", config.temperature)
-    steps: dict[int, list[Step]] = {}
+    steps: dict[int, list[DecidedStep]] = {}
     opened: dict[int, tuple[NDArray[np.float32], GaussCode, tuple[int, int, int]]] = {}
     numbers: dict[int, int] = {}
     waiting = iter(range(config.episodes))
@@ -84,7 +84,7 @@ def play(
     def close(index: int) -> None:
         if index in opened:
             points, before, macro = opened.pop(index)
-            steps[index].append(Step(points, before, episodes.codes[index], macro))
+            steps[index].append(DecidedStep(points, before, episodes.codes[index], macro))
 
     under_way = np.array([index for index in range(episodes.count) if begin(index)])
     while len(under_way):
@@ -109,4 +109,4 @@ def play(
             kept.append(gathered(way, asked, episodes.goals[index], hindsight, numbers[index]))
             left[row] = begin(index)
         under_way = under_way[left]
-    return Played(join(kept), reached / config.episodes)
+    return PlayedMacros(join(kept), reached / config.episodes)

@@ -18,6 +18,8 @@ train split). The other arguments are
     cache           a folder, or a `FrameCache` with a size limit, for uncompressed pictures. They
                     are written on first use and make random batches fast. The pictures are the
                     same, byte for byte
+    window          a `Window`: n-step returns, chunks of actions, stacks of observations, a history
+                    of actions, and goals sampled as in OGBench (`GoalSampling`)
 
 Torch, d3rlpy and TensorDict are imported only by the loaders that need them, and the names below
 only when first used.
@@ -36,7 +38,9 @@ if TYPE_CHECKING:
     from knotgym.loaders.frame_cache import FrameCache, NoCache
     from knotgym.loaders.perception import images
     from knotgym.loaders.rows import arrays
-    from knotgym.loaders.transitions import NoLabels, NoMacroActions, Transitions
+    from knotgym.loaders.segments import NoLabels, NoMacroActions
+    from knotgym.loaders.transitions import Transitions
+    from knotgym.loaders.windows import GoalSampling, InvalidWindow, Window
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
@@ -44,11 +48,14 @@ else:
 
 __all__ = [
     "FrameCache",
+    "GoalSampling",
+    "InvalidWindow",
     "MissingExtra",
     "NoCache",
     "NoLabels",
     "NoMacroActions",
     "Transitions",
+    "Window",
     "arrays",
     "images",
     "to_d3rlpy",

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import KnotgymError, MissingExtra, install_command
-from knotgym.loaders.rows import rows
+from knotgym.loaders.rows import drawn_goals, rows
 from knotgym.loaders.transitions import Transitions
+from knotgym.loaders.windows import InvalidWindow, Window
 
 # d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0 (which knotgym supports), and an extra would pin
 # it for everyone who installs all extras
@@ -40,16 +41,19 @@ def torch_dataset(
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
+    window: Window | None = None,
 ) -> Any:
     """Make a `torch.utils.data.Dataset` that reads each item from the file on demand.
 
     Any number of DataLoader workers can share it.
 
     Args:
-        dataset, observation, picture, action, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, action, relabel, labels, cache, window: see
+            `knotgym.loaders`.
         kind: what an item is:
-            "transitions": observation, action, reward, next_observation, terminal, timeout; a list
-                of indices, as from a BatchSampler, gives a batch;
+            "transitions": observation, action, reward, next_observation, terminal, timeout, and
+                what a window adds: discount, pulls, and the others named as in `arrays`; a list of
+                indices, as from a BatchSampler, gives a batch;
             "episodes": observations (T + 1, ...), actions, rewards, terminals, timeouts (T, ...);
                 T differs between episodes;
             "frames": observation, gauss_code, crossings, episode, step of one state; the last state
@@ -63,13 +67,18 @@ def torch_dataset(
     Raises:
         MissingExtra: torch isn't installed.
         UnknownKind: kind is none of these.
+        InvalidWindow: a window with another kind than "transitions".
     """
     import_client("torch")
     from knotgym.loaders.pytorch import KINDS
 
     if kind not in KINDS:
         raise UnknownKind(kind, KINDS)
-    return KINDS[kind](Transitions(dataset, observation, picture, action, relabel, labels, cache))
+    if window is not None and kind != "transitions":
+        raise InvalidWindow(f"a window needs kind 'transitions', got {kind!r}")
+    return KINDS[kind](
+        Transitions(dataset, observation, picture, action, relabel, labels, cache, window)
+    )
 
 
 def to_d3rlpy(
@@ -80,46 +89,95 @@ def to_d3rlpy(
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
+    window: Window | None = None,
 ) -> Any:
     """Make a `d3rlpy.dataset.ReplayBuffer` of all transitions.
 
     Actions are pulls: d3rlpy has no actions of several whole numbers. Pictures are channels first;
     "both" is a tuple of pixels and state.
 
+    Stacks follow each other along the first axis of an observation, chunks make one long action,
+    and a history is one more array of a tuple; masks are left out, and what they mask is zeros.
+    With a window, `sample_transition` gives windows, and `sample_trajectory` shouldn't be used with
+    sampled goals.
+
     d3rlpy keeps T observations for T actions and drops the last transition of an episode that
     didn't terminate, which here is the one with the reward for failing. To keep that transition,
     such an episode gets its last state as one more step, with zero action and reward.
 
     Args:
-        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, relabel, labels, cache, window: see `knotgym.loaders`.
 
     Raises:
         MissingExtra: d3rlpy isn't installed.
+        InvalidWindow: the window has negatives.
     """
     d3rlpy = import_client("d3rlpy")
-    transitions = Transitions(dataset, observation, picture, "pull", relabel, labels, cache)
+    if window is not None and window.goals is not None and window.goals.negatives:
+        raise InvalidWindow("d3rlpy's transitions have no place for negatives: leave them out")
+    transitions = Transitions(dataset, observation, picture, "pull", relabel, labels, cache, window)
+    picker = None if window is None else _WindowPicker(d3rlpy, transitions, window)
     episodes = []
     for segment in range(transitions.segments):
         part = slice(*transitions.starts[segment : segment + 2])
-        actions = transitions.actions[part]
+        actions = transitions.actions[part] if picker is None else picker.actions[part]
         rewards = transitions.rewards[part, None].astype(np.float32)
         terminated = bool(transitions.terminals[part][-1])
         if not terminated:
             actions = np.concatenate([actions, np.zeros_like(actions[:1])])
             rewards = np.concatenate([rewards, np.zeros_like(rewards[:1])])
-        seen = transitions.observations(segment, 0, len(actions))
-        observations: Any = (
-            tuple(_channels_first(array) for array in seen.values())
-            if isinstance(seen, dict)
-            else _channels_first(seen)
-        )
-        episodes.append(d3rlpy.dataset.Episode(observations, actions, rewards, terminated))
+        if picker is None:
+            seen = _parts(transitions.observations(segment, 0, len(actions)))
+        else:
+            last = slice(part.stop - 1, part.stop if len(actions) > part.stop - part.start else 0)
+            pairs = zip(picker.before, picker.after, strict=True)
+            seen = [np.concatenate([one[part], other[last]]) for one, other in pairs]
+        episodes.append(d3rlpy.dataset.Episode(_joined(seen), actions, rewards, terminated))
+        vars(episodes[-1])["first_row"] = part.start
     return d3rlpy.dataset.ReplayBuffer(
         d3rlpy.dataset.InfiniteBuffer(),
+        transition_picker=picker,
         episodes=episodes,
         action_space=d3rlpy.ActionSpace.CONTINUOUS,
-        action_size=6,
+        action_size=6 * ((window and window.chunk) or 1),
     )
+
+
+class _WindowPicker:
+    """Pick windows as d3rlpy's transitions; `first_row` of an episode is its first."""
+
+    def __init__(self, d3rlpy: Any, transitions: Transitions, window: Window) -> None:
+        self._transition, self._transitions = d3rlpy.dataset.Transition, transitions
+        self._goals, self._columns = drawn_goals(transitions), rows(transitions)
+        columns, stacked = self._columns, window.stack is not None
+        self.before, self.after = (
+            _parts(
+                columns.pop(f"{side}observations"),
+                stacked=stacked,
+                history=columns.pop(f"{side}history", None),
+            )
+            for side in ("", "next_")
+        )
+        self.actions = columns["actions"].reshape(len(transitions), -1)
+
+    def __call__(self, episode: Any, index: int) -> Any:
+        row, columns, actions = episode.first_row + index, self._columns, self.actions
+        end = episode.first_row + episode.transition_count
+        steps = int(columns["pulls"][row])  # every transition is one pull
+        rows = np.array([row])
+        goals = None if self._goals is None else self._goals[rows]
+        rewards, terminals, _, _, _ = self._transitions.outcomes(rows, end - row, goals)
+        left = int(terminals[0].argmax()) + 1 if terminals.any() else end - row
+        return self._transition(
+            observation=_joined([array[row] for array in self.before]),
+            action=actions[row],
+            reward=columns["rewards"][rows].astype(np.float32),
+            next_observation=_joined([array[row] for array in self.after]),
+            next_action=actions[row + steps] if row + steps < end else np.zeros_like(actions[row]),
+            terminal=float(columns["terminals"][row]),
+            interval=steps,
+            rewards_to_go=rewards[0, :left, None].astype(np.float32),
+        )
 
 
 def to_tensordict(
@@ -131,26 +189,40 @@ def to_tensordict(
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
+    window: Window | None = None,
 ) -> Any:
     """Make a `tensordict.TensorDict` of all N transitions, to `extend` a TorchRL buffer with.
 
     Args:
-        dataset, observation, picture, action, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, action, relabel, labels, cache, window: see
+            `knotgym.loaders`.
 
     Returns:
         Batch size [N]. Keys: observation (for "both", pixels and state); action; done, terminated
         and truncated bool (N, 1), all False; episode int64 (N,), the index of the segment, which is
         the `traj_key` for a SliceSampler. Keys under next: observation, reward float32 (N, 1),
-        done, terminated, truncated.
+        done, terminated, truncated. A window adds steps_to_next_obs int64 (N, 1), the pulls between
+        the observations, by which TorchRL's value estimators discount; discount float32 (N, 1)
+        under next; and action_mask, history, history_mask and negatives as in `arrays`, the
+        histories of the next observations under next.
 
     Raises:
         MissingExtra: tensordict or torch isn't installed.
     """
     tensordict = import_client("tensordict")
-    transitions = Transitions(dataset, observation, picture, action, relabel, labels, cache)
+    transitions = Transitions(dataset, observation, picture, action, relabel, labels, cache, window)
     columns = rows(transitions)
     terminated, truncated = columns["terminals"][:, None], columns["timeouts"][:, None]
     running = np.zeros_like(terminated)
+    added, after = {}, {}
+    if window is not None:
+        added["steps_to_next_obs"] = columns["pulls"][:, None]
+        after["discount"] = columns["discounts"][:, None].astype(np.float32)
+        for name in ("action_mask", "history", "history_mask", "negatives"):
+            if name in columns:
+                added[name] = columns[name]
+            if f"next_{name}" in columns:
+                after[name] = columns[f"next_{name}"]
 
     def seen(observations: Any) -> dict[str, NDArray[Any]]:
         return observations if isinstance(observations, dict) else {"observation": observations}
@@ -160,10 +232,12 @@ def to_tensordict(
             **seen(columns["observations"]),
             "action": columns["actions"],
             "episode": np.repeat(np.arange(transitions.segments), np.diff(transitions.starts)),
+            **added,
             "done": running,
             "terminated": running.copy(),
             "truncated": running.copy(),
             "next": {
+                **after,
                 **seen(columns["next_observations"]),
                 "reward": columns["rewards"][:, None].astype(np.float32),
                 "done": terminated | truncated,
@@ -175,10 +249,22 @@ def to_tensordict(
     )
 
 
-def _channels_first(observations: NDArray[Any]) -> NDArray[Any]:
-    if observations.ndim != 4:
-        return observations
-    return np.ascontiguousarray(np.moveaxis(observations, -1, 1))
+def _parts(
+    observations: Any, *, stacked: bool = False, history: NDArray[Any] | None = None
+) -> list[NDArray[Any]]:
+    """Return n observations as d3rlpy takes them: pictures channels first, no axis of stacks."""
+    parts = list(observations.values()) if isinstance(observations, dict) else [observations]
+    for index, array in enumerate(parts):
+        if array.dtype == np.uint8:
+            array = np.moveaxis(array, -1, -3)
+        if stacked:
+            array = array.reshape(len(array), -1, *array.shape[3:])
+        parts[index] = np.ascontiguousarray(array)
+    return parts if history is None else [*parts, history.reshape(len(history), -1)]
+
+
+def _joined(parts: list[NDArray[Any]]) -> Any:
+    return parts[0] if len(parts) == 1 else tuple(parts)
 
 
 def import_client(module: str) -> Any:

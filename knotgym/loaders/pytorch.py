@@ -7,14 +7,24 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from knotgym.common.streams import Stream, generator
 from knotgym.loaders.transitions import Transitions
+
+_ONE = {
+    name: name.removesuffix("s")
+    for name in (
+        *("observations", "actions", "rewards", "next_observations", "terminals", "timeouts"),
+        "discounts",
+    )
+}
 
 
 class TransitionDataset(Dataset[dict[str, Any]]):
     """Transitions. An index gives one, a list of indices gives a batch.
 
     `DataLoader(data, sampler=BatchSampler(RandomSampler(data), 256, False), batch_size=None)` reads
-    whole batches at once.
+    whole batches at once. Goals of a window are sampled whenever an item is read, from the random
+    numbers of torch: `torch.manual_seed`, or the DataLoader's `generator`, makes them reproducible.
     """
 
     def __init__(self, transitions: Transitions) -> None:
@@ -26,32 +36,17 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int | Sequence[int]) -> dict[str, Any]:
         if not isinstance(index, (int, np.integer)):
             return self._batch(index)
-        row = _checked(int(index), len(self))
-        segment, step = self.transitions.place(row)
-        seen = self.transitions.observations(segment, step, step + 2)
-        own = self.transitions.columns(segment)
-        return {
-            "observation": _tensor(_at(seen, 0)),
-            "action": torch.from_numpy(own.actions[step].copy()),
-            "reward": torch.tensor(own.rewards[step], dtype=torch.float32),
-            "next_observation": _tensor(_at(seen, 1)),
-            "terminal": torch.tensor(bool(own.terminals[step])),
-            "timeout": torch.tensor(bool(own.timeouts[step])),
-        }
+        row = self._batch([_checked(int(index), len(self))])
+        return {name: _at(column, 0) for name, column in row.items()}
 
     def _batch(self, index: Sequence[int]) -> dict[str, Any]:
-        several = self.transitions.batch(index)
-        seen = {
-            name.removesuffix("s"): _tensor(several[name])
-            for name in ("observations", "next_observations")
-        }
-        return {
-            **seen,
-            "action": torch.from_numpy(several["actions"]),
-            "reward": torch.from_numpy(several["rewards"].astype(np.float32)),
-            "terminal": torch.from_numpy(several["terminals"]),
-            "timeout": torch.from_numpy(several["timeouts"]),
-        }
+        window, rng = self.transitions.window, None
+        if window is not None and window.goals is not None:
+            # torch seeds every worker, from the DataLoader's own generator
+            drawn = int(torch.randint(2**62, ()))
+            rng = generator(Stream.SAMPLED_GOALS, window.goals.seed, drawn)
+        several = self.transitions.batch(index, rng=rng)
+        return {_ONE.get(name, name): _tensor(column) for name, column in several.items()}
 
 
 class EpisodeDataset(Dataset[dict[str, Any]]):
@@ -115,4 +110,5 @@ def _at(seen: Any, row: int) -> Any:
 def _tensor(seen: Any) -> Any:
     if isinstance(seen, dict):
         return {name: _tensor(array) for name, array in seen.items()}
-    return torch.from_numpy(np.ascontiguousarray(seen))
+    held = np.ascontiguousarray(seen)
+    return torch.from_numpy(held.astype(np.float32) if held.dtype == np.float64 else held)

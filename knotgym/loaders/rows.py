@@ -3,8 +3,11 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from knotgym.common.streams import Stream, generator
 from knotgym.loaders.transitions import Transitions
+from knotgym.loaders.windows import Window
 
 
 def arrays(
@@ -16,43 +19,51 @@ def arrays(
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
+    window: Window | None = None,
 ) -> dict[str, Any]:
     """Load all N transitions of a dataset, in the order of its episodes.
 
     Args:
-        dataset, observation, picture, action, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, action, relabel, labels, cache, window: see
+            `knotgym.loaders`.
 
     Returns:
         observations, next_observations: uint8 (N, views * size, 2 size, 3 or 4), float32
             (N, 6 beads), dicts of both, or int16 (N, 2, symbols). Each picture is held twice,
-            which takes 200 kB per transition at size 128 with one view and no depth.
-        actions: float32 (N, 6); int64 (N, 4) in the view "bead" and (N, 3) in "macro".
+            which takes 200 kB per transition at size 128 with one view and no depth. With
+            `stack`, an axis of that length follows N.
+        actions: float32 (N, 6); int64 (N, 4) in the view "bead" and (N, 3) in "macro". With
+            `chunk`, an axis of that length follows N, and action_mask, bool (N, chunk), says which
+            actions the episode has; the others are zeros.
         rewards: float64 (N,).
-        pulls: int64 (N,), in the view "macro" only: pulls of each macro-action, to discount by.
+        pulls: int64 (N,), in the view "macro" and with a window only: pulls from one observation to
+            the next, to discount by.
         terminals, timeouts: bool (N,); exactly one of them is true in the last row of an episode.
+        discounts: float64 (N,), with a window only: what to multiply the value of the next
+            observation with.
+        history, next_history: actions (N, history, 6), with `history` only: those that led to the
+            observation and to the next one, the latest last. history_mask and next_history_mask,
+            bool (N, history), say which actions the episode has; the others are zeros.
+        negatives: (N, negatives, ...), with `negatives` only: the halves of observations that show
+            a goal.
     """
-    return rows(Transitions(dataset, observation, picture, action, relabel, labels, cache))
+    return rows(Transitions(dataset, observation, picture, action, relabel, labels, cache, window))
 
 
 def rows(transitions: Transitions) -> dict[str, Any]:
     """Load opened transitions; return what `arrays` does."""
-    before: dict[str, Any] = {}
-    after: dict[str, Any] = {}
-    plain = False
-    for segment in range(transitions.segments):
-        seen = transitions.observations(segment)
-        plain = not isinstance(seen, dict)
-        for name, array in {"": seen}.items() if plain else seen.items():
-            shape = (len(transitions), *array.shape[1:])
-            part = slice(*transitions.starts[segment : segment + 2])
-            before.setdefault(name, np.empty(shape, array.dtype))[part] = array[:-1]
-            after.setdefault(name, np.empty(shape, array.dtype))[part] = array[1:]
-    return {
-        "observations": before[""] if plain else before,
-        "actions": transitions.actions,
-        "rewards": transitions.rewards,
-        "next_observations": after[""] if plain else after,
-        "terminals": transitions.terminals,
-        "timeouts": transitions.timeouts,
-        **({"pulls": transitions.pulls} if transitions.action == "macro" else {}),
-    }
+    loaded = transitions.gather(np.arange(len(transitions)), rng=_generator(transitions))
+    if transitions.action == "macro":
+        loaded.setdefault("pulls", transitions.pulls)
+    return loaded
+
+
+def drawn_goals(transitions: Transitions) -> NDArray[np.int64] | None:
+    """Return the states that `rows` draws as goals, int64 (N,); None if it draws none."""
+    rng = _generator(transitions)
+    return None if rng is None else transitions.sample_goals(np.arange(len(transitions)), rng)
+
+
+def _generator(transitions: Transitions) -> np.random.Generator | None:
+    goals = transitions.window.goals if transitions.window else None
+    return None if goals is None else generator(Stream.SAMPLED_GOALS, goals.seed)

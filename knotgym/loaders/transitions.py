@@ -1,306 +1,46 @@
-"""A dataset as one indexed sequence of transitions, in consecutive segments.
+"""Transitions of a dataset in batches, through windows of several steps and with sampled goals."""
 
-A segment is a whole episode or, with hindsight relabelling, the start of an episode up to a code
-that it reached. Actions, rewards and ends are cached when first read; observations are read or
-rendered on demand.
-"""
-
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import KnotgymError
-from knotgym.datasets.episode_reader import EpisodeReader, goal_axis
-from knotgym.datasets.trajectory import MACRO_INFOS, codes_in_bounds, goal_steps
-from knotgym.envs.reward import success_at_last
-from knotgym.envs.tasks import ACTIONS, InvalidSetting
-from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache
-from knotgym.rope.actions import CHOICES, decode_actions, force_choices
-
-_CACHED_SEGMENTS = 256  # segments whose codes stay in memory
+from knotgym.datasets.episode_reader import goal_axis
+from knotgym.envs.tasks import InvalidSetting
+from knotgym.loaders.frame_cache import CachedFrames
+from knotgym.loaders.segments import Segments
+from knotgym.loaders.windows import InvalidWindow, Window, other_codes, returns
 
 
-class NoLabels(KnotgymError, ValueError):
-    """The dataset has no expert actions, or they can't be used with hindsight."""
+class Transitions(Segments):
+    """The transitions of `Segments`, in batches."""
 
-
-class NoMacroActions(KnotgymError, ValueError):
-    """The dataset doesn't record macro-actions."""
-
-
-class Columns(NamedTuple):
-    """The T transitions of a segment without observations: actions (T, ...), the others (T,)."""
-
-    actions: NDArray[Any]
-    rewards: NDArray[np.float64]
-    terminals: NDArray[np.bool_]
-    timeouts: NDArray[np.bool_]
-
-
-class Transitions:
-    """N transitions in S segments. Can be pickled, and read from any process.
-
-    Data are read when needed, so opening is fast; only relabel reads all codes, and the view
-    "macro" where macro-actions start.
-
-    In the view "macro" a transition is a macro-action. It leads from the state in which the
-    macro-action began to that in which the next one began, or to the segment's last; its reward is
-    the sum over the pulls between, of which only the last can have one. States before the first
-    macro-action are left out, and so are segments without any.
-
-    Attributes:
-        episode: int64 (S,), index of the segment's episode in the dataset.
-        goal_step: int64 (S,), which state of the episode is the goal; -1 for the episode's own
-            goal.
-        starts: int64 (S + 1,), the first transition of each segment, then N.
-        action: view of the actions, see `knotgym.rope.action_views`.
-        actions: float32 (N, 6); in other views int64 (N, 4) or (N, 3).
-        pulls: int64 (N,), pulls of each transition: 1 unless the view is "macro".
-        rewards: float64 (N,).
-        terminals, timeouts: bool (N,).
-    """
-
-    def __init__(
+    def batch(
         self,
-        dataset: Any,
-        observation: str | None = None,
-        picture: Any = None,
-        action: str | None = None,
-        relabel: str | None = None,
-        labels: bool = False,
-        cache: Any = None,
-    ) -> None:
-        """Open a dataset.
-
-        Args:
-            dataset: id or folder of a Minari dataset, `minari.MinariDataset`, or an episode file,
-                compact or not.
-            observation: "pixels", "state", "both" or "symbolic"; None for the environment's.
-            picture: a `knotgym.rendering.picture.PictureConfig` to render with; None for the
-                environment's pictures.
-            action: "pull", "bead" or "macro"; None for the environment's.
-            relabel: None for episodes as they are. "last": the goal becomes the last new code that
-                an episode reached, and the episode ends there. "all": one such segment for every
-                code that it reached. An episode that never leaves its first code gives none.
-            labels: use the actions that an expert would have taken (`collect --labels expert`)
-                instead of those taken; they don't lead to the next observation.
-            cache: a folder, or a `FrameCache`, for uncompressed pictures; see `knotgym.loaders`.
-
-        Raises:
-            NoCache: the observations have no pictures, or the cache has no room for them.
-            NoLabels: labels are requested together with relabel or the view "macro", or the
-                dataset has none.
-            NoMacroActions: the view is "macro", and an episode doesn't record them.
-            InvalidSetting: there is no such view.
-        """
-        self._reader = EpisodeReader(dataset)
-        self._labels = labels
-        self.action = self._reader.task.action if action is None else action
-        if self.action not in ACTIONS:
-            raise InvalidSetting(f"no action {action!r}; there is {', '.join(ACTIONS)}")
-        if self.action == "macro" and labels:
-            raise NoLabels("the expert's actions are pulls: use labels without action 'macro'")
-        if self.action == "macro" and not self._reader.has("macro_start"):
-            raise NoMacroActions(
-                f"{self._reader.path} doesn't record macro-actions: use action 'pull' or 'bead', or"
-                " collect it with a policy that acts in macro-actions"
-            )
-        if labels and relabel is not None:
-            raise NoLabels(
-                "the expert's actions lead to the episode's own goal: use labels without relabel"
-            )
-        if labels and not self._reader.has("expert_action"):
-            raise NoLabels(
-                f"{self._reader.path} has no expert actions: collect it with --labels expert"
-            )
-        self._seen: dict[str, Any] = {"observation": observation or "", "picture": picture}
-        self._relabelled = relabel is not None
-        self._frames = None if cache is None else self._cached(cache)
-        self._read: dict[int, Columns] = {}
-        self._codes: dict[int, list[str]] = {}
-        if relabel is None:
-            parts = [(index, -1) for index in range(len(self._reader))]
-            lengths = self._reader.lengths.tolist()
-        else:
-            hold = self._reader.task.hold
-            shown = [self._codes_in_bounds(index) for index in range(len(self._reader))]
-            parts = [
-                (k, goal)
-                for k, codes in enumerate(shown)
-                for goal in goal_steps(codes, relabel, hold)
-            ]
-            lengths = [goal for _, goal in parts]
-        # the states before and after each segment's transitions
-        ends = [self._ends(k, length) for (k, _), length in zip(parts, lengths, strict=True)]
-        kept = [row for row, own in enumerate(ends) if len(own) > 1]
-        self._states_of = [ends[row] for row in kept]
-        parts = [parts[row] for row in kept]
-        self.episode, self.goal_step = np.array(parts, dtype=np.int64).reshape(-1, 2).T
-        self.starts: NDArray[np.int64] = np.cumsum([0, *(len(own) - 1 for own in self._states_of)])
-
-    @property
-    def _shown(self) -> str:
-        """The observation that is returned."""
-        return str(self._seen["observation"] or self._reader.task.observation)
-
-    @cached_property
-    def actions(self) -> NDArray[Any]:
-        """float32 (N, 6); in other views int64 (N, 4) or (N, 3)."""
-        if self.action == "pull":
-            return self._all(0, np.empty((0, 6), np.float32))
-        return self._all(0, np.empty((0, len(CHOICES[self.action])), np.int64))
-
-    @cached_property
-    def rewards(self) -> NDArray[np.float64]:
-        """float64 (N,)."""
-        return self._all(1, np.empty(0))
-
-    @cached_property
-    def terminals(self) -> NDArray[np.bool_]:
-        """bool (N,), true where an episode terminated."""
-        return self._all(2, np.empty(0, bool))
-
-    @cached_property
-    def timeouts(self) -> NDArray[np.bool_]:
-        """bool (N,), true where an episode was truncated."""
-        return self._all(3, np.empty(0, bool))
-
-    @cached_property
-    def pulls(self) -> NDArray[np.int64]:
-        """int64 (N,), pulls of each transition."""
-        return np.concatenate([np.empty(0, np.int64), *map(np.diff, self._states_of)])
-
-    def _ends(self, index: int, length: int) -> NDArray[np.int64]:
-        """Return the states of an episode's first `length` pulls that transitions lead between."""
-        if self.action != "macro":
-            return np.arange(length + 1)
-        # the step that led to state i starts in state i - 1
-        begun = np.flatnonzero(self._reader.column(index, "macro_start")[1 : length + 1])
-        return np.append(begun, length)
-
-    def _cached(self, cache: Any) -> CachedFrames:
-        if self._shown not in ("pixels", "both"):
-            raise NoCache(
-                f"a cache keeps pictures, and observation {self._shown!r} has none:"
-                ' leave out cache, or use observation="pixels"'
-            )
-        if not isinstance(cache, FrameCache):
-            cache = FrameCache(cache)
-        return CachedFrames(self._reader, self._seen["picture"], cache)
-
-    def columns(self, segment: int) -> Columns:
-        """Read a segment without its observations; the result is kept in memory."""
-        if segment not in self._read:
-            index, ends = int(self.episode[segment]), self._states_of[segment]
-            outcome: list[NDArray[Any]]
-            if self._relabelled:
-                outcome = list(success_at_last(int(ends[-1]), self._reader.task.success_reward))
-            else:
-                outcome = [
-                    self._reader.column(index, name)
-                    for name in ("rewards", "terminations", "truncations")
-                ]
-            # over each transition rewards are summed; an episode ends in its last pull only
-            rewards, *ended = outcome
-            self._read[segment] = Columns(
-                self._actions(index, ends),
-                np.add.reduceat(rewards, ends[:-1]),
-                *(flags[ends[1:] - 1] for flags in ended),
-            )
-        return self._read[segment]
-
-    def _actions(self, index: int, ends: NDArray[np.int64]) -> NDArray[Any]:
-        """Return the actions that lead from each of the states `ends` of an episode to the next."""
-        reader, length = self._reader, int(ends[-1])
-        if self.action == "macro":
-            led = (reader.column(index, name)[ends[:-1] + 1] for name in MACRO_INFOS[1:])
-            bead, target, side = led
-            return np.stack([bead, target, (side + 1) // 2], axis=1)
-        pulls = reader.column(index, "expert_action" if self._labels else "actions")[:length]
-        if self.action == "pull":
-            return pulls
-        if self._labels:
-            points = reader.column(index, "points")[:length]
-            beads = decode_actions(pulls, points, reader.task.rope)[0]
-        else:
-            beads = reader.column(index, "bead")[1 : length + 1]
-        return np.column_stack([beads, force_choices(pulls[:, 3:])])
-
-    def _codes_in_bounds(self, index: int) -> NDArray[np.str_]:
-        """Return an episode's codes up to the first state that is towed too far to be a goal."""
-        codes, tow_limit = self._reader.column(index, "gauss_code"), self._reader.task.tow_limit
-        if tow_limit is None:
-            return codes
-        return codes_in_bounds(codes, self._reader.column(index, "points"), tow_limit)
-
-    def _all(self, column: int, empty: NDArray[Any]) -> NDArray[Any]:
-        return np.concatenate(
-            [empty, *(self.columns(segment)[column] for segment in range(self.segments))]
-        )
-
-    def __len__(self) -> int:
-        """N, the transitions."""
-        return int(self.starts[-1])
-
-    @property
-    def segments(self) -> int:
-        """S, the segments."""
-        return len(self.episode)
-
-    def place(self, transition: int) -> tuple[int, int]:
-        """Return the segment that holds a transition, and its step there."""
-        segment = int(np.searchsorted(self.starts, transition, side="right")) - 1
-        return segment, int(transition - self.starts[segment])
-
-    def frame_place(self, frame: int) -> tuple[int, int]:
-        """Return the segment and step of one of the N + S states of all segments."""
-        starts = self.starts + np.arange(self.segments + 1)
-        segment = int(np.searchsorted(starts, frame, side="right")) - 1
-        return segment, int(frame - starts[segment])
-
-    def observations(self, segment: int, start: int = 0, stop: int | None = None) -> Any:
-        """Return the observations of the states [start, stop) of a segment with T transitions.
-
-        There are T + 1; see `Transitions` for those of the view "macro".
-
-        Returns:
-            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
-            (n, 2, symbols).
-        """
-        goal = int(self.goal_step[segment])
-        states = self._states_of[segment][start:stop]
-        # HDF5 reads a range many times faster than a list
-        steps = states if self.action == "macro" else slice(states[0], states[-1] + 1)
-        episode, goal_step = int(self.episode[segment]), None if goal < 0 else goal
-        if self._frames is None:
-            return self._reader.observations(episode, steps, goal_step=goal_step, **self._seen)
-        ropes = self._frames.offsets[episode] + states
-        goals = self._frames.goal(self.episode[[segment]], self.goal_step[[segment]])
-        pictures = self._frames.pictures(ropes, np.broadcast_to(goals, ropes.shape))
-        if self._shown == "pixels":
-            return pictures
-        state = self._reader.observations(episode, steps, goal_step=goal_step, observation="state")
-        return {"pixels": pictures, "state": state}
-
-    def batch(self, rows: ArrayLike, *, apart: bool = False) -> dict[str, Any]:
+        rows: ArrayLike,
+        *,
+        apart: bool = False,
+        rng: np.random.Generator | None = None,
+    ) -> dict[str, Any]:
         """Return n transitions, such as a random batch. A `cache` of pictures makes this fast.
 
         Args:
             rows: int (n,), indices of transitions.
             apart: return rope and goal in separate arrays, the goal once for both states, which
                 copies half as much.
+            rng: generator of the goals, if the window samples them.
 
         Returns:
             As `arrays`, n rows: observations, actions, rewards, next_observations, terminals,
-            timeouts. With `apart` the observations are of the rope only, uint8 (n, views * size,
-            size, 3 or 4), float32 (n, 3 beads), a dict of both, or int16 (n, 1, symbols), and
-            `goals` has the same shape.
+            timeouts, and what the window adds. With `apart` the observations are of the rope only,
+            uint8 (n, views * size, size, 3 or 4), float32 (n, 3 beads), a dict of both, or int16
+            (n, 1, symbols), and `goals` has the same shape.
 
         Raises:
             IndexError: rows is empty or not one-dimensional, or an index is out of range.
-            InvalidSetting: `apart` is asked of marked observations.
+            InvalidWindow: goals are sampled, and there is no generator; or no other goal exists.
+            InvalidSetting: halves of marked observations are needed, for `apart` or negatives.
         """
         wanted = np.asarray(rows, dtype=np.int64)
         if wanted.ndim != 1 or not len(wanted):
@@ -309,59 +49,210 @@ class Transitions:
             raise IndexError(
                 f"indices {wanted.min()} to {wanted.max()} are outside a dataset of {len(self)}"
             )
-        if apart and self._shown == "marked":
+        return self.gather(wanted % len(self), apart=apart, rng=rng)
+
+    def sample_goals(self, rows: ArrayLike, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Draw the goals of transitions, as `batch` does first with the same generator.
+
+        Returns:
+            int64 (n,), indices of the N + S states of all segments, see `frame_place`.
+
+        Raises:
+            InvalidWindow: the window samples no goals.
+        """
+        if self.window is None or self.window.goals is None:
+            raise InvalidWindow("there are no goals to sample: open with window=Window(goals=...)")
+        wanted = np.asarray(rows, dtype=np.int64)
+        segments = self._segments(wanted)
+        last = self.starts[segments + 1] + segments
+        return self.window.goals.draw(
+            wanted + segments, last, len(self._step_of), self.window.discount, rng
+        )
+
+    def outcomes(
+        self, rows: NDArray[np.int64], n_step: int, goals: NDArray[np.int64] | None = None
+    ) -> tuple[NDArray[Any], ...]:
+        """Return what happened in n_step transitions from each of n on.
+
+        Args:
+            rows: (n,), the first transitions.
+            n_step: how many from each.
+            goals: (n,), states that are their goals; None for those of the segments.
+
+        Returns:
+            rewards, terminals, timeouts, pulls, and whether the transition belongs to the segment,
+            (n, n_step) each.
+        """
+        end = self.starts[self._segments(rows) + 1][:, None]
+        following = rows[:, None] + np.arange(n_step)
+        inside = following < end
+        at = np.minimum(following, end - 1)
+        if goals is None:
+            ends = self.terminals[at], self.timeouts[at]
+            return self.rewards[at], *ends, self.pulls[at], inside
+        assert self.window is not None and self.window.goals is not None
+        codes, held = self._codes_held
+        after = at + self._segments(rows)[:, None] + 1
+        wanted = codes[goals][:, None]
+        success = (codes[after] == wanted) & (wanted >= 0) & (held[after] >= self._reader.task.hold)
+        rewards = success - float(self.window.goals.gc_negative)
+        return rewards, success, (at == end - 1) & ~success, self.pulls[at], inside
+
+    def _segments(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.searchsorted(self.starts, rows, side="right") - 1
+
+    def gather(
+        self,
+        rows: NDArray[np.int64],
+        *,
+        apart: bool = False,
+        rng: np.random.Generator | None = None,
+    ) -> dict[str, Any]:
+        """Return what `batch` does, for any number of rows in [0, N), which aren't checked."""
+        window = self.window or Window()
+        halved = apart or (window.goals is not None and window.goals.negatives)
+        if halved and self._shown == "marked":
             raise InvalidSetting(
                 "a marked observation has no halves: its frame depends on rope and goal; choose"
-                " observation 'pixels', 'state', 'both' or 'symbolic', or leave out apart"
+                " observation 'pixels', 'state', 'both' or 'symbolic', or leave out apart and"
+                " negatives"
             )
-        wanted = wanted % len(self)
-        seen = self._observed(wanted, apart)
-        return {
+        segments, goals = self._segments(rows), None
+        if window.goals is not None:
+            if rng is None:
+                raise InvalidWindow("goals are drawn: hand a generator in, batch(rows, rng=...)")
+            goals = self.sample_goals(rows, rng)
+        found = returns(window.discount, *self.outcomes(rows, window.n_step, goals))
+        states = rows + segments
+        seen = self._observed(
+            [self._stack(states, segments), self._stack(states + found.steps, segments)],
+            goals,
+            apart,
+        )
+        batch = {
             "observations": seen[0],
-            "actions": self.actions[wanted],
-            "rewards": self.rewards[wanted],
+            "actions": self.actions[rows],
+            "rewards": found.rewards,
             "next_observations": seen[1],
-            "terminals": self.terminals[wanted],
-            "timeouts": self.timeouts[wanted],
+            "terminals": found.terminals,
+            "timeouts": found.timeouts,
             **({"goals": seen[2]} if apart else {}),
         }
+        if self.window is None:
+            return batch
+        batch |= {"discounts": found.discounts, "pulls": found.pulls}
+        if window.chunk is not None:
+            following = rows[:, None] + np.arange(window.chunk)
+            kept = following < self.starts[segments + 1][:, None]
+            batch["actions"], batch["action_mask"] = _masked(self.actions, following, kept), kept
+        if window.history is not None:
+            for name, ends in (("", rows), ("next_", rows + found.steps)):
+                past = ends[:, None] + np.arange(-window.history, 0)
+                kept = past >= self.starts[segments][:, None]
+                batch[f"{name}history"] = _masked(self._taken, past, kept)
+                batch[f"{name}history_mask"] = kept
+        if goals is not None and window.goals is not None and window.goals.negatives:
+            codes = self._codes_held[0]
+            assert rng is not None
+            others = other_codes(codes, codes[goals], window.goals.negatives, rng)
+            (flat, _) = self._observed([others.ravel()], None, apart=True)
+            batch["negatives"] = _each(flat, lambda one: one.reshape(*others.shape, *one.shape[1:]))
+        return batch
 
-    def _observed(self, wanted: NDArray[np.int64], apart: bool) -> tuple[Any, ...]:
-        """Return the observations before and after transitions; if apart, their goals too."""
-        segments = np.searchsorted(self.starts, wanted, side="right") - 1
-        steps = wanted - self.starts[segments]
+    def _stack(self, states: NDArray[np.int64], segments: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the states that are shown at each of n states: (n,), or (n, stack)."""
+        if self.window is None or self.window.stack is None:
+            return states
+        first = self.starts[segments] + segments
+        return np.maximum(states[:, None] + np.arange(1 - self.window.stack, 1), first[:, None])
+
+    def _observed(
+        self, shown: list[NDArray[np.int64]], goals: NDArray[np.int64] | None, apart: bool
+    ) -> list[Any]:
+        """Return the observations of n transitions.
+
+        Args:
+            shown: states, (n,) or (n, k) each; those of a row belong to one segment.
+            goals: (n,), states; None for the goals of the segments.
+            apart: return ropes only, and the goals (n,) after them.
+        """
+        first = shown[0] if shown[0].ndim == 1 else shown[0][:, 0]
+        segments = self._segment_of[first]
+        if goals is None:
+            goal = self.episode[segments], self.goal_step[segments]
+        else:
+            goal = self.episode[self._segment_of[goals]], self._step_of[goals]
         if self._frames is not None and self._shown == "pixels":
-            episodes = self.episode[segments]
-            places = zip(segments.tolist(), steps.tolist(), strict=True)
-            ends = np.array([self._states_of[k][step : step + 2] for k, step in places])
-            before, after = (self._frames.offsets[episodes] + one for one in ends.T)
-            goals = self._frames.goal(episodes, self.goal_step[segments])
+            return self._cached_pictures(self._frames, shown, self._frames.goal(*goal), apart)
+        filled: dict[str, list[NDArray[Any]]] = {}
+        # rows with the same segment and goal are read at once, each state once
+        alike = segments if goals is None else segments * len(self._step_of) + goals
+        order = np.argsort(alike, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(alike[order])) + 1):
+            if not len(rows):  # of an empty dataset
+                break
+            segment = int(segments[rows[0]])
+            own = goal[0][rows[0]], goal[1][rows[0]]
+            parts = [one[rows] for one in shown]
+            states, where = np.unique(
+                np.concatenate([one.ravel() for one in parts]), return_inverse=True
+            )
+            places = np.split(where, np.cumsum([one.size for one in parts])[:-1])
+            target = None if own[1] < 0 else (int(own[0]), int(own[1]))
+            seen = self._read_states(segment, self._step_of[states], target)
+            for name, array in {"": seen}.items() if not isinstance(seen, dict) else seen.items():
+                halves = self._halves(name, array) if apart else [array]
+                if name not in filled:
+                    filled[name] = [
+                        np.empty((*one.shape, *halves[0].shape[1:]), halves[0].dtype)
+                        for one in (*shown, *([segments] if apart else []))
+                    ]
+                for out, part, place in zip(filled[name], parts, places, strict=False):
+                    out[rows] = halves[0][place].reshape(*part.shape, *halves[0].shape[1:])
+                if apart:
+                    filled[name][-1][rows] = halves[1][0]
+        if [*filled] in ([], [""]):
+            return filled.get("", [{}, {}, {}])
+        return [dict(zip(filled, each, strict=True)) for each in zip(*filled.values(), strict=True)]
+
+    def _cached_pictures(
+        self,
+        frames: CachedFrames,
+        shown: list[NDArray[np.int64]],
+        goals: NDArray[np.int64],
+        apart: bool,
+    ) -> list[NDArray[np.uint8]]:
+        """Gather what `_observed` returns from the frames of states and goals."""
+        offsets = frames.offsets[self.episode]
+        ropes = [offsets[self._segment_of[one]] + self._step_of[one] for one in shown]
+        seen = []
+        for one in (*ropes, goals) if apart else ropes:
+            # along one axis, which NumPy copies many times faster than along two
+            flat = one.ravel()
             if apart:
-                return tuple(self._frames.frames[rows] for rows in (before, after, goals))
-            return tuple(self._frames.pictures(rows, goals) for rows in (before, after))
-        pairs = [
-            self.observations(segment, step, step + 2)
-            for segment, step in zip(segments.tolist(), steps.tolist(), strict=True)
-        ]
-        if self._shown != "both":
-            return self._states(self._shown, pairs, apart)
-        each = [self._states(kind, [pair[kind] for pair in pairs], apart) for kind in pairs[0]]
-        return tuple(dict(zip(pairs[0], kinds, strict=True)) for kinds in zip(*each, strict=True))
+                pictures = frames.frames[flat]
+            else:
+                pictures = frames.pictures(flat, np.repeat(goals, flat.size // len(goals)))
+            seen.append(pictures.reshape(*one.shape, *pictures.shape[1:]))
+        return seen
 
-    def _states(self, kind: str, pairs: list[NDArray[Any]], apart: bool) -> tuple[Any, ...]:
-        """Stack n pairs of observations into (n, ...) before and after; if apart, goals too."""
-        both = np.stack(pairs)
-        if not apart:
-            return both[:, 0], both[:, 1]
-        axis = goal_axis(self._reader.task.layout) if kind == "pixels" else 1
-        rope, goal = np.split(both, 2, axis=axis + 1)  # axis 1 of both: before and after
-        return rope[:, 0], rope[:, 1], goal[:, 0]
+    def _halves(self, name: str, seen: NDArray[Any]) -> list[NDArray[Any]]:
+        """Split observations into rope and goal."""
+        pixels = (name or self._shown) == "pixels"
+        return np.split(seen, 2, axis=goal_axis(self._reader.task.layout) if pixels else 1)
 
-    def codes(self, segment: int) -> list[str]:
-        """Return the Gauss codes of a segment's states; recent segments are cached."""
-        if segment not in self._codes:
-            if len(self._codes) == _CACHED_SEGMENTS:
-                del self._codes[next(iter(self._codes))]
-            codes = self._reader.column(int(self.episode[segment]), "gauss_code")
-            self._codes[segment] = codes[self._states_of[segment]].tolist()
-        return self._codes[segment]
+
+def _masked(
+    actions: NDArray[Any], rows: NDArray[np.int64], kept: NDArray[np.bool_]
+) -> NDArray[Any]:
+    """Gather actions; those not kept are zeros."""
+    found = actions[np.where(kept, rows, 0)]
+    found[~kept] = 0
+    return found
+
+
+def _each(seen: Any, change: Callable[[NDArray[Any]], Any]) -> Any:
+    """Apply a function to an observation's array, or to each of its arrays."""
+    if isinstance(seen, dict):
+        return {name: change(array) for name, array in seen.items()}
+    return change(seen)

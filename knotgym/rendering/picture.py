@@ -136,7 +136,7 @@ def _draw_all(
     )
     # whole rows: NumPy assigns three channels at a time forty times more slowly
     row = np.tile(np.array((*config.background, 0)[: config.channels], dtype=np.uint8), size)
-    out.reshape(*out.shape[:2], -1)[:] = row
+    out.reshape(*out.shape[:2], row.size)[:] = row
     middle = 0.0 if config.camera == "orthographic" else -config.camera_height
     for number, view in enumerate(config.views):
         placed = _on_canvas(seen_from(view, points), config)

@@ -220,7 +220,7 @@ def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:
     assert (
         text.startswith("---\nlicense: cc-by-4.0\n") and "# Rope states with 0, 1 crossings" in text
     )
-    assert "| 1 | 4 | 2 of 2 |" in text and "with seed 0" in text
+    assert "| 1 | 4 | 2 of 2 |" in text and "with engine mujoco and seed 0" in text
     assert not re.search(r"^\|.*(\{|\d\.\d{5})", text, re.M)  # nothing dumped into a cell
     for part in (
         "![every state with its code](gallery.png)",
@@ -533,8 +533,8 @@ def mistaken(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        ("--nx -1", "--nx takes numbers of crossings such as 3, 2,3 or 0-4, got '-1'"),
-        ("--nx=-1", "--nx takes numbers of crossings such as 3, 2,3 or 0-4, got '-1'"),
+        ("--nx -1", "--nx takes whole numbers such as 3, 2,3 or 0-4, got '-1'"),
+        ("--nx=-1", "--nx takes whole numbers such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx 12", "from 0 to 11, got 12"),
         (
             "--nx 7",

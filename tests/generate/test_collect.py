@@ -83,9 +83,9 @@ def test_labels_are_an_expert_s_and_change_nothing_that_is_played(
     reader = EpisodeReader(made_labelled)
     told = np.concatenate([reader.column(row, "expert_action")[:-1] for row in range(2)])
     assert np.array_equal(Transitions(made_labelled, labels=True).actions, told)
-    for dataset, options in ((made_plain, {}), (made_labelled, {"relabel": "all"})):
+    for dataset, relabel in ((made_plain, None), (made_labelled, "all")):
         with pytest.raises(NoLabels):
-            Transitions(dataset, labels=True, **options)
+            Transitions(dataset, labels=True, relabel=relabel)
 
 
 @pytest.mark.slow  # its plans are acted out in tests/control/test_expert.py

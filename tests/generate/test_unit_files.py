@@ -8,9 +8,9 @@ import pytest
 
 from knotgym.generate.images import unit_files
 from knotgym.generate.images.unit_files import SpoiltUnit, UnitFile, load_frames, walked
-from knotgym.generate.images.walks import Frames
+from knotgym.generate.images.walks import WalkFrames
 
-FRAMES = Frames(
+FRAMES = WalkFrames(
     points=np.zeros((2, 3, 3)),
     walk=np.arange(2),
     steps=np.arange(2),

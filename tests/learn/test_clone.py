@@ -129,10 +129,10 @@ def test_episodes_that_missed_their_goal_are_not_imitated(macros: Path, tmp_path
 def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
     macros: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from knotgym.learn.clone_config import PlayConfig
+    from knotgym.learn.clone_config import ImproveConfig
     from knotgym.learn.clone_training import CloneTraining
 
-    settings: dict[str, Any] = {"improve": 1, "round_steps": 4, "play": PlayConfig(episodes=2)}
+    settings: dict[str, Any] = {"improve": 1, "round_steps": 4, "play": ImproveConfig(episodes=2)}
     train_tiny(macros, tmp_path / "whole", **settings)
     advance = CloneTraining.advance
 
@@ -164,13 +164,13 @@ def test_the_commands_train_and_evaluate_a_clone(
 
 
 def test_loops_are_left_out_and_codes_on_the_way_become_goals() -> None:
-    from knotgym.learn.clone_data import Step, gathered, without_loops
+    from knotgym.learn.clone_data import DecidedStep, gathered, without_loops
 
     a, b, c = (GaussCode.parse(text) for text in ("", "1+c,1-c", "1+c,1-c,2+c,2-c"))
     points = np.zeros((100, 3), dtype=np.float32)
     way = without_loops(
         [
-            Step(points, *codes, (bead, 50, 1))
+            DecidedStep(points, *codes, (bead, 50, 1))
             for bead, codes in enumerate([(a, b), (b, a), (a, b), (b, b), (b, c)])
         ]
     )

@@ -1,7 +1,7 @@
 """The recipe of labelled pictures: from states to a folder of Parquet files.
 
 Walks start from states of an archive or a state file and yield frames (`walks`), in waves until
-every quota is full. Frames are chosen one by one (`selection`), and chosen configurations are
+every quota is full. WalkFrames are chosen one by one (`selection`), and chosen configurations are
 measured and drawn, one file of the table at a time (`datasets.image_rows`). Walks and table files
 depend only on the configuration, the states and their numbers, and are separate files in the
 staging folder, so a resumed run continues from the existing files.
@@ -29,7 +29,7 @@ from knotgym.generate.images.images_config import (
 from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Chooser, ChosenFrame
 from knotgym.generate.images.unit_files import UnitFile, load_frames, walked
-from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk
+from knotgym.generate.images.walks import WALKS, Unit, Walk, WalkFrames
 from knotgym.runs.engine import Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
@@ -103,7 +103,7 @@ class ImageRecipe(Recipe):
             config.selection,
             config.walk.limits,
         )
-        self.walked: list[Frames] = []
+        self.walked: list[WalkFrames] = []
         # by quota: walks made, and frames chosen from them
         self.made, self.gave = Counter[Quota](), Counter[Quota]()
         self.frames = 0
@@ -207,7 +207,7 @@ class ImageRecipe(Recipe):
                 unit = Unit(some, states, config.seed, *length, most, config.engine, config.walk)
                 yield UnitFile(folder / f"{next(done):06d}.npz", unit)
 
-    def _consider(self, frames: Frames, quota_of: dict[int, Quota]) -> None:
+    def _consider(self, frames: WalkFrames, quota_of: dict[int, Quota]) -> None:
         """Offer the frames of a unit to the chooser, one by one."""
         self.walked.append(frames)
         columns = frames.points, frames.walk.tolist(), frames.ease.tolist()

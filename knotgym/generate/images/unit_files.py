@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import require_regular
-from knotgym.generate.images.walks import Frames, Unit, make_walks
+from knotgym.generate.images.walks import Unit, WalkFrames, make_walks
 from knotgym.generate.packed_records import FOREIGN, read_records, write_records
 
 
@@ -29,13 +29,13 @@ def walked(work: UnitFile) -> Path:
     return work.path
 
 
-def load_frames(path: Path) -> Frames:
+def load_frames(path: Path) -> WalkFrames:
     """Read a file of `walked`; raise SpoiltUnit if it is truncated, corrupted or of another
     kind.
     """
     require_regular(path, "walks", SpoiltUnit)
     try:
-        (frames,) = read_records(path, "frames", Frames)
+        (frames,) = read_records(path, "frames", WalkFrames)
     except FOREIGN as error:
         raise SpoiltUnit(f"{path} holds no walks of a run: {error}") from error
     return frames

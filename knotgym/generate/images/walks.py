@@ -1,7 +1,7 @@
 """Walks: move seed states through configurations with many codes in the simulator.
 
 Most walks move single beads aside, which usually keeps the code; the others use macro-actions that
-pass strands over each other, as in play. Frames are kept, unrelaxed and with several degrees of
+pass strands over each other, as in play. WalkFrames are kept, unrelaxed and with several degrees of
 relaxation, if their Gauss code is unambiguous and visible in the picture.
 """
 
@@ -86,7 +86,7 @@ class Unit:
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class WalkFrames:
     """The m kept frames of a unit of w walks, by walk, and how to reproduce them."""
 
     points: Array  # float64 (m, beads, 3), metres
@@ -112,7 +112,7 @@ class _Met(NamedTuple):
     points: Array
 
 
-def make_walks(unit: Unit) -> Frames:
+def make_walks(unit: Unit) -> WalkFrames:
     """Make the walks of a unit; each depends on its number, its seed state and the seed alone."""
     count, config = len(unit.walks), unit.config
     simulation, ids = simulation_of(WALKS, RopeConfig(), unit.engine), np.arange(count)
@@ -152,7 +152,7 @@ def make_walks(unit: Unit) -> Frames:
                 else:
                     met.append(_Met(row, step + 1, rounds, legible, shown))
     met.sort(key=lambda frame: (frame.row, frame.steps, frame.rounds))
-    return Frames(
+    return WalkFrames(
         points=np.array([frame.points for frame in met]).reshape(-1, *simulation.points.shape[1:]),
         walk=np.array([unit.walks[frame.row].number for frame in met], dtype=np.int64),
         steps=np.array([frame.steps for frame in met], dtype=np.int64),

@@ -1,0 +1,210 @@
+"""Windows over transitions: n steps, chunks of actions, stacks, histories, and sampled goals.
+
+    states   s0  s1  s2  s3      transition t leads from s[t] to s[t + 1]
+    actions    a0  a1  a2
+
+    n_step=2  at t=0    rewards r0 + discount r1, next observation s2, its bootstrap discount ** 2
+    chunk=2   at t=2    actions a2 0, of which the mask keeps the first
+    stack=2   at t=0    observations s0 s0: the first one is repeated, as in Gymnasium's
+                        FrameStackObservation and in OGBench
+    history=2 at t=1    the actions before s1: 0 a0, of which the mask keeps the second
+
+No window leaves its segment. The names and meanings of goal sampling are those of HIQL and OGBench.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.errors import KnotgymError
+
+Integers = NDArray[np.int64]
+
+
+class InvalidWindow(KnotgymError, ValueError):
+    """A setting of a window is out of range, or the dataset or loader can't provide it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GoalSampling:
+    """How the goal of each transition is drawn among the states of the dataset.
+
+    A transition succeeds if the state after it shows the Gauss code of the goal, for as many
+    consecutive steps as the task's `hold`. States that are towed beyond the task's bound, or in
+    which the simulation blew up, never succeed.
+
+    Attributes:
+        p_currgoal: probability of the state before the transition.
+        p_trajgoal: probability of a later state of its episode.
+        p_randomgoal: probability of any state of the dataset.
+        geom_sample: True to draw the later state a geometric number of transitions ahead, with
+            the discount of the `Window`, at most the last state; False to draw it uniformly.
+        gc_negative: True for reward 0 on success and -1 otherwise; False for 1 and 0.
+        negatives: goals per transition that show other codes than its own goal, drawn uniformly,
+            for contrastive learners.
+        seed: of the goals of loaders that draw them once (arrays, TensorDict, d3rlpy).
+    """
+
+    p_currgoal: float = 0.2
+    p_trajgoal: float = 0.5
+    p_randomgoal: float = 0.3
+    geom_sample: bool = True
+    gc_negative: bool = True
+    negatives: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        chances = self.p_currgoal, self.p_trajgoal, self.p_randomgoal
+        if min(chances) < 0 or not np.isclose(sum(chances), 1):
+            raise InvalidWindow(
+                "p_currgoal, p_trajgoal and p_randomgoal must be probabilities that sum to 1, got"
+                f" {chances}"
+            )
+        if self.negatives < 0:
+            raise InvalidWindow(f"negatives must be at least 0, got {self.negatives}")
+
+    def draw(
+        self,
+        states: Integers,
+        last: Integers,
+        count: int,
+        discount: float,
+        rng: np.random.Generator,
+    ) -> Integers:
+        """Draw the goals of n transitions.
+
+        Args:
+            states: (n,), the states before them.
+            last: (n,), the last state of each one's segment.
+            count: number of states to draw random goals from.
+            discount: of the geometric distribution.
+            rng: generator of the draws.
+
+        Returns:
+            (n,), indices of states.
+        """
+        if self.geom_sample:
+            ahead = rng.geometric(1 - discount, len(states))
+        else:
+            ahead = rng.integers(1, last - states + 1)
+        later = np.minimum(states + ahead, last)
+        anywhere = rng.integers(count, size=len(states))
+        chance = rng.random(len(states))
+        own = np.where(chance < 1 - self.p_randomgoal, later, anywhere)
+        return np.where(chance < self.p_currgoal, states, own)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """What a loader gives with each transition.
+
+    Attributes:
+        n_step: transitions from the observation to the next one; fewer where the episode ends.
+        discount: discount per pull of rewards and of the bootstrap.
+        chunk: actions from the observation on; None for one, without an axis of its own.
+        stack: observations up to the present one; None for one, without an axis of its own.
+        history: actions before the observation; None for none.
+        goals: how goals are drawn; None for each episode's own goal.
+    """
+
+    n_step: int = 1
+    discount: float = 0.99
+    chunk: int | None = None
+    stack: int | None = None
+    history: int | None = None
+    goals: GoalSampling | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("n_step", "chunk", "stack", "history"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InvalidWindow(f"{name} must be at least 1, got {value}")
+        if not 0 < self.discount <= 1:
+            raise InvalidWindow(f"discount must be in (0, 1], got {self.discount}")
+        if self.goals is not None and self.goals.geom_sample and self.discount == 1:
+            raise InvalidWindow(
+                "goals can't be drawn geometrically with discount 1: use a smaller discount, or"
+                " geom_sample=False"
+            )
+
+
+class Returns(NamedTuple):
+    """The outcome of n windows of several steps, (n,) each.
+
+    Attributes:
+        steps: transitions to the next observation, int64.
+        pulls: pulls to the next observation, int64; more than steps in macro-actions.
+        rewards: discounted sum, float64.
+        discounts: factor of the bootstrap at the next observation, float64: 0 after a termination.
+        terminals: whether a transition of the window terminated.
+        timeouts: whether the window ended where the episode was truncated.
+    """
+
+    steps: Integers
+    pulls: Integers
+    rewards: NDArray[np.float64]
+    discounts: NDArray[np.float64]
+    terminals: NDArray[np.bool_]
+    timeouts: NDArray[np.bool_]
+
+
+def returns(
+    discount: float,
+    rewards: NDArray[np.float64],
+    terminals: NDArray[np.bool_],
+    timeouts: NDArray[np.bool_],
+    pulls: Integers,
+    inside: NDArray[np.bool_],
+) -> Returns:
+    """Sum n windows of m transitions up to the first that ends an episode.
+
+    Args:
+        discount: per pull.
+        rewards, terminals, timeouts, pulls: (n, m), of each transition.
+        inside: bool (n, m), whether it belongs to the segment of the first; that one does.
+    """
+    ends = terminals | timeouts
+    ended_before = np.cumsum(ends, axis=1) - ends > 0
+    taken = inside & ~ended_before
+    lasting = np.where(taken, pulls, 0)
+    elapsed = np.cumsum(lasting, axis=1)
+    # r_i is discounted by the pulls before transition i
+    factors = discount ** (elapsed - lasting).astype(np.float64)
+    terminated = np.any(terminals & taken, axis=1)
+    return Returns(
+        steps=taken.sum(axis=1),
+        pulls=elapsed[:, -1],
+        rewards=np.where(taken, rewards * factors, 0).sum(axis=1),
+        discounts=np.where(terminated, 0, discount ** elapsed[:, -1].astype(np.float64)),
+        terminals=terminated,
+        timeouts=np.any(timeouts & taken, axis=1) & ~terminated,
+    )
+
+
+def other_codes(codes: Integers, own: Integers, count: int, rng: np.random.Generator) -> Integers:
+    """Draw, for each of n codes, `count` states with other codes, uniformly.
+
+    Args:
+        codes: (m,), the code of each state, as a number.
+        own: (n,), the codes to avoid, each one of `codes`.
+        count: states to draw for each.
+        rng: generator of the draws.
+
+    Returns:
+        (n, count), indices of states.
+
+    Raises:
+        InvalidWindow: all states have the same code.
+    """
+    order = np.argsort(codes, kind="stable")
+    low, high = (np.searchsorted(codes[order], own, side) for side in ("left", "right"))
+    left = len(codes) - (high - low)
+    if (left == 0).any():
+        raise InvalidWindow(
+            "negatives need a dataset with at least two Gauss codes, and this one has one"
+        )
+    drawn = rng.integers(left[:, None], size=(len(own), count))
+    # in sorted order the states with the code itself are the range [low, high), stepped over here
+    return order[drawn + np.where(drawn >= low[:, None], (high - low)[:, None], 0)]
