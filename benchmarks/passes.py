@@ -4,8 +4,8 @@
     python benchmarks/passes.py --rounds play/train-code --split train-code
 
 Plays in the chain engine from starts of the train split towards its goals, counts what passes do to
-diagrams, and takes the counts into the order after every round. In the second half of the rounds
-play explores less, so that passes of promise are counted more often. Diagrams keep the passes that
+diagrams, and takes the counts into the order after every round. From round `--later` on play
+explores less, so that passes of promise are counted more often. Diagrams keep the passes that
 are among the best `--most` for one of the goals, unless fewer than `--least` began there.
 
 Counts are written to `--rounds` after every round; run the command again to go on after the last,
@@ -19,7 +19,7 @@ from rich.console import Console
 
 from knotgym.common.streams import Stream, generator
 from knotgym.control.macro_lanes import MacroLanes
-from knotgym.control.pass_counts import PASSES, PassCounts
+from knotgym.control.pass_counts import PASSES, PassCounts, first_goal
 from knotgym.control.pass_play import PassPlay, PassPlayConfig, draw_starts, searches
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_actions import MacroActionConfig
@@ -35,6 +35,7 @@ def main() -> None:
     )
     parser.add_argument("--rounds", type=Path, required=True, help="folder for counts so far")
     parser.add_argument("--count", type=int, default=18, help="rounds")
+    parser.add_argument("--later", type=int, default=9, help="rounds until play explores less")
     parser.add_argument("--episodes", type=int, default=3000, help="of a round")
     parser.add_argument("--starts", type=int, default=256, help="resets of each task")
     parser.add_argument("--most", type=int, default=10)
@@ -60,7 +61,7 @@ def main() -> None:
     for number in range(args.count):
         path = args.rounds / f"{number}.h5"
         if not path.is_file():
-            config = PassPlayConfig() if number < args.count / 2 else LATER
+            config = PassPlayConfig() if number < args.later else LATER
             play = PassPlay(counts, config)
             won = [
                 reached
@@ -76,7 +77,8 @@ def main() -> None:
             )
         # read back in any case: the order of the counts is that of the file
         counts = PassCounts.load(path)
-    goals = dict.fromkeys(goal for one in drawn.values() for goal in one.goals)
+    # images of a goal keep the same passes
+    goals = dict.fromkeys(first_goal(goal)[0] for one in drawn.values() for goal in one.goals)
     counts.pruned([*goals], args.most, args.least).save(args.out or PASSES[args.split])
 
 

@@ -13,7 +13,6 @@ import typer
 
 from knotgym.cli import main as cli
 from knotgym.cli.options import field_help, options_of
-from knotgym.control.planner_config import PlannerConfig
 from knotgym.generate.episodes.collect import CollectConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig
 from knotgym.prompting.prompted_episodes import PromptConfig
@@ -112,7 +111,11 @@ def test_every_option_says_what_it_does_and_has_the_default_of_its_field() -> No
         defaults = {one.name: one.default for one in app.commands[name].params}
         assert defaults["episodes"] == config.episodes
         assert defaults["task__reset_noise"] == config.task.reset_noise
+<<<<<<< HEAD
         assert defaults["policy__planner__budget"] == PlannerConfig().budget
+=======
+        assert defaults["policy__planner__budget"] == 60000
+>>>>>>> b2-table
 
 
 def test_a_field_that_several_names_describe_has_their_help() -> None:

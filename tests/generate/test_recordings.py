@@ -22,6 +22,7 @@ from knotgym.generate.episodes.recordings import (
     write_recordings,
 )
 from knotgym.generate.episodes.suite import DiffersFromRecording, SuiteConfig, make_suite
+from knotgym.generate.episodes.suite_facts import agreement
 from knotgym.runs.run_options import NotEnough, RunOptions
 
 from ..small_job import knotgym
@@ -120,15 +121,16 @@ def test_what_is_not_recorded_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_recording_that_was_made_with_other_states_is_refused(
-    recordings: Path, tmp_path: Path
+def test_episodes_that_differ_because_of_other_states_are_told_so(
+    collected: Path, recordings: Path, tmp_path: Path
 ) -> None:
-    one = read_recording(NOISY, recordings)
-    path = tmp_path / "other.h5"
+    one, path = read_recording(NOISY, recordings), tmp_path / "other.h5"
     source = {**one.source, "states": {"shipped": "0" * 64}}
     write_recordings(path, [replace(one, source=source)])
-    with pytest.raises(InvalidRecording, match="was recorded with other states"):
-        make_suite(replace(PART, recorded=True), tmp_path / "out", ONCE, recordings=path)
+    assert agreement(NOISY, collected / NOISY, path) == "same"
+    write_recordings(path, [replace(one, source=source, digests=one.digests + np.uint8(1))])
+    differs = "differs from episode 0 (its states are others)"
+    assert agreement(NOISY, collected / NOISY, path) == differs
 
 
 def test_recordings_say_what_is_wrong_with_them(recordings: Path, tmp_path: Path) -> None:

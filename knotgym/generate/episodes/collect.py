@@ -409,10 +409,9 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     is_noisy = policy.policy in ("noisy", "mixed")
     noise = f", each pull a random one with probability {policy.noise}" * is_noisy
     planned = tally.planned_actions / max(tally.played, 1)
-    planning = (
-        f" Planning took {planned:.0f} simulated actions an episode, of {policy.planner.budget}"
-        " allowed."
-    )
+    # the expert's looks have limits of their own
+    allowed = f", of {policy.planner.budget} allowed" * (policy.policy == "planner")
+    planning = f" Planning took {planned:.0f} simulated actions an episode{allowed}."
     labels = " At every state stands what an expert would do there (infos/expert_action)."
     tried = f", the best of {config.attempts} attempts each" * (config.attempts > 1)
     text = (

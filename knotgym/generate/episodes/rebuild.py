@@ -14,7 +14,6 @@ from knotgym.generate.episodes.collect import (
     CollectConfig,
     EpisodeFile,
     EpisodeRecipe,
-    sources_of,
     write_episodes,
 )
 from knotgym.generate.episodes.recordings import InvalidRecording, PulledPolicy, Recording
@@ -37,19 +36,15 @@ class RebuildRecipe(EpisodeRecipe):
         """Take the dataset to make and its recording.
 
         Raises:
-            InvalidRecording: it has other settings, other states or fewer episodes.
+            InvalidRecording: it has other settings or fewer episodes.
         """
         _require_recorded(config, recording)
-        states = sources_of(config)["states"]
-        if found := [*differences(recording.source["states"], states)]:
-            raise InvalidRecording(
-                f"{recording.name} was recorded with other states: {'; '.join(found)}"
-            )
         self._recording = recording
         super().__init__(config, options)
 
     def sources(self) -> dict[str, Any]:
-        return self._recording.source
+        # the states of today: if their file was only written anew, the episodes are the same
+        return {**self._recording.source, "states": super().sources()["states"]}
 
     def work(self) -> Callable[[EpisodeFile], Tally]:
         return partial(_step, self._recording)

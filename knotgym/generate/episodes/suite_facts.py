@@ -115,8 +115,13 @@ def agreement(name: str, made: Path, recordings: Path = RECORDINGS) -> str:
     """Compare a dataset with its recording: "no" recording, "same", or "differs from episode k"."""
     if name not in recorded_ids(recordings):
         return "no"
-    first = read_recording(name, recordings).first_difference(made)
-    return "same" if first is None else f"differs from episode {first}"
+    recording = read_recording(name, recordings)
+    first = recording.first_difference(made)
+    if first is None:
+        return "same"
+    states = read_json(made / "data" / REPORT)["source"]["states"]
+    reason = "" if recording.source["states"] == states else " (its states are others)"
+    return f"differs from episode {first}{reason}"
 
 
 def predictability_of(
