@@ -111,11 +111,7 @@ def test_every_option_says_what_it_does_and_has_the_default_of_its_field() -> No
         defaults = {one.name: one.default for one in app.commands[name].params}
         assert defaults["episodes"] == config.episodes
         assert defaults["task__reset_noise"] == config.task.reset_noise
-<<<<<<< HEAD
-        assert defaults["policy__planner__budget"] == PlannerConfig().budget
-=======
         assert defaults["policy__planner__budget"] == 60000
->>>>>>> b2-table
 
 
 def test_a_field_that_several_names_describe_has_their_help() -> None:
