@@ -31,6 +31,7 @@ from knotgym.datasets import episode_reader, image_table
 from knotgym.datasets.cards.state_card import overlap_rows
 from knotgym.datasets.verification import OVERLAPS
 from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes import recordings
 from knotgym.generate.states import archive
 from knotgym.generate.states.archive import Archive
 from knotgym.quality.limits import UNITS
@@ -408,6 +409,15 @@ def test_the_archive_is_as_its_page_says(searched: Archive, tmp_path: Path) -> N
                 assert kinds[name].partition(",")[0] == kind_of(data.dtype), name
 
 
+def test_the_recordings_are_as_their_page_says() -> None:
+    said = tables(DOCS / "formats/recordings.md")
+    with h5py.File(recordings.RECORDINGS) as file:
+        group = file[recordings.recorded_ids()[0]]
+        assert names(said["Attributes of a group"]) == {*group.attrs}
+        kinds = {code_words(row[0])[0]: row[1] for row in said["Datasets of a group"]}
+        assert kinds == {name: kind_of(data.dtype) for name, data in group.items()}
+
+
 def test_counts_of_passes_are_as_their_page_says() -> None:
     said = tables(DOCS / "formats/search.md")["Datasets of passes"]
     with h5py.File(pass_counts.PASSES["train"]) as file:
@@ -423,7 +433,10 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
     }
     assert said == {
         module.FORMAT: module.FORMAT_VERSION
-        for module in (states, episode_reader, image_table, archive, transition_counts, pass_counts)
+        for module in (
+            *(states, episode_reader, image_table, recordings),
+            *(archive, transition_counts, pass_counts),
+        )
     } | {"knotgym-walks": 1, "knotgym-policy": 1}
 
 
