@@ -1,4 +1,4 @@
-"""PictureWindow of `render_mode="human"`: the rope beside its goal, as in videos, shown by pygame."""
+"""Window of `render_mode="human"`: the rope beside its goal, as in videos, shown by pygame."""
 
 from __future__ import annotations
 
