@@ -1,11 +1,16 @@
 """Make the counts of passes that the demonstrator's order is drawn from, the file that ships.
 
-    python benchmarks/passes.py --rounds 14 --episodes 3000 --seed 0
+    python benchmarks/passes.py --rounds play/train
+    python benchmarks/passes.py --rounds play/train-code --split train-code --count 3
 
 Plays in the chain engine from starts of the train split towards its goals, counts what passes do to
-diagrams, and takes the counts into the order after every round. Diagrams keep the passes that are
-among the best `--most` for one of the goals, unless fewer than `--least` began there. It takes
-about ten minutes of a core.
+diagrams, and takes the counts into the order after every round. From round `--later` on play
+explores less, so that passes of promise are counted more often. Diagrams keep the passes that
+are among the best `--most` for one of the goals, unless fewer than `--least` began there.
+
+Counts are written to `--rounds` after every round; run the command again to go on after the last,
+with the same result. A round takes half a minute of a core. The file for `train-code` that ships
+is of 3 rounds so far; a larger `--count` goes on.
 """
 
 import argparse
@@ -15,20 +20,23 @@ from rich.console import Console
 
 from knotgym.common.streams import Stream, generator
 from knotgym.control.macro_lanes import MacroLanes
-from knotgym.control.pass_counts import PASSES, PassCounts
+from knotgym.control.pass_counts import PASSES, PassCounts, first_goal
 from knotgym.control.pass_play import PassPlay, PassPlayConfig, draw_starts, searches
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_actions import MacroActionConfig
 
 # what an episode of each round plays, in turn: ties are learned from most
 TASKS = ("tie-2", "tie-3", "tie-3", "tie-4", "convert-2", "convert-3", "convert-4", "unknot-4")
+LATER = PassPlayConfig(explored=0.1, greedy=0.4)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--rounds", type=int, default=14)
+    parser.add_argument("--rounds", type=Path, required=True, help="folder for counts so far")
+    parser.add_argument("--count", type=int, default=18, help="rounds")
+    parser.add_argument("--later", type=int, default=9, help="rounds until play explores less")
     parser.add_argument("--episodes", type=int, default=3000, help="of a round")
     parser.add_argument("--starts", type=int, default=256, help="resets of each task")
     parser.add_argument("--most", type=int, default=10)
@@ -36,7 +44,7 @@ def main() -> None:
     parser.add_argument("--lanes", type=int, default=192, help="other numbers give other counts")
     parser.add_argument("--split", default="train", help="train-code for sets split by code")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=PASSES)
+    parser.add_argument("--out", type=Path, help="default: the file that ships")
     args = parser.parse_args()
     console, tasks = Console(), [name.split("-") for name in TASKS]
     drawn = {
@@ -47,22 +55,32 @@ def main() -> None:
         )
         for number, (task, nx) in enumerate(dict.fromkeys(map(tuple, tasks)))
     }
-    play = PassPlay(PassCounts(), PassPlayConfig())
     lanes = MacroLanes(args.lanes, MacroActionConfig())
     starts = [drawn[task, nx] for task, nx in tasks]
-    for number in range(args.rounds):
-        won = [
-            reached
-            for _, reached in lanes.run(searches(play, starts, args.episodes, args.seed, number))
-        ]
-        play.learn()
-        console.print(
-            f"round {number + 1}: {100 * sum(won) / len(won):.1f} % reached the goal;"
-            f" {play.counts.seen.total()} passes counted",
-            highlight=False,
-        )
-    goals = dict.fromkeys(goal for one in drawn.values() for goal in one.goals)
-    play.counts.pruned([*goals], args.most, args.least).save(args.out)
+    args.rounds.mkdir(parents=True, exist_ok=True)
+    counts = PassCounts()
+    for number in range(args.count):
+        path = args.rounds / f"{number}.h5"
+        if not path.is_file():
+            config = PassPlayConfig() if number < args.later else LATER
+            play = PassPlay(counts, config)
+            won = [
+                reached
+                for _, reached in lanes.run(
+                    searches(play, starts, args.episodes, args.seed, number)
+                )
+            ]
+            counts.save(path)
+            console.print(
+                f"round {number + 1}: {100 * sum(won) / len(won):.1f} % reached the goal;"
+                f" {counts.seen.total()} passes counted",
+                highlight=False,
+            )
+        # read back in any case: the order of the counts is that of the file
+        counts = PassCounts.load(path)
+    # images of a goal keep the same passes
+    goals = dict.fromkeys(first_goal(goal)[0] for one in drawn.values() for goal in one.goals)
+    counts.pruned([*goals], args.most, args.least).save(args.out or PASSES[args.split])
 
 
 if __name__ == "__main__":

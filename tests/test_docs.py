@@ -25,12 +25,13 @@ from typer.testing import CliRunner
 
 import knotgym
 from knotgym.cli.main import app
-from knotgym.control import transition_counts
+from knotgym.control import pass_counts, transition_counts
 from knotgym.control.learned_policies import load_model
 from knotgym.datasets import episode_reader, image_table
 from knotgym.datasets.cards.state_card import overlap_rows
 from knotgym.datasets.verification import OVERLAPS
 from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes import recordings
 from knotgym.generate.states import archive
 from knotgym.generate.states.archive import Archive
 from knotgym.quality.limits import UNITS
@@ -300,7 +301,7 @@ def test_the_state_file_is_as_its_page_says(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "states.h5") as file:
         check_datasets("states.md", "Datasets", file)
         said = names(tables(DOCS / "formats/states.md")["Attributes of the file"])
-        assert said - {"engine"} == {*file.attrs}  # the included sets name no engine
+        assert said == {*file.attrs}
         for name, unit in {
             code_words(row[0])[0]: row[3] for row in tables(DOCS / "formats/states.md")["Datasets"]
         }.items():
@@ -408,6 +409,23 @@ def test_the_archive_is_as_its_page_says(searched: Archive, tmp_path: Path) -> N
                 assert kinds[name].partition(",")[0] == kind_of(data.dtype), name
 
 
+def test_the_recordings_are_as_their_page_says() -> None:
+    said = tables(DOCS / "formats/recordings.md")
+    with h5py.File(recordings.RECORDINGS) as file:
+        group = file[recordings.recorded_ids()[0]]
+        assert names(said["Attributes of a group"]) == {*group.attrs}
+        kinds = {code_words(row[0])[0]: row[1] for row in said["Datasets of a group"]}
+        assert kinds == {name: kind_of(data.dtype) for name, data in group.items()}
+
+
+def test_counts_of_passes_are_as_their_page_says() -> None:
+    said = tables(DOCS / "formats/search.md")["Datasets of passes"]
+    with h5py.File(pass_counts.PASSES["train"]) as file:
+        assert {code_words(row[0])[0]: row[1] for row in said} == {
+            name: kind_of(data.dtype) for name, data in file.items()
+        }
+
+
 def test_formats_and_versions_are_those_of_the_overview() -> None:
     said = {
         code_words(row[2])[0]: int(re.findall(r"\d+", row[2])[0])
@@ -415,7 +433,10 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
     }
     assert said == {
         module.FORMAT: module.FORMAT_VERSION
-        for module in (states, episode_reader, image_table, archive, transition_counts)
+        for module in (
+            *(states, episode_reader, image_table, recordings),
+            *(archive, transition_counts, pass_counts),
+        )
     } | {"knotgym-walks": 1, "knotgym-policy": 1}
 
 

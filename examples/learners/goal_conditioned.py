@@ -2,7 +2,7 @@
 
     git clone https://github.com/seohongpark/ogbench
     knotgym suite --task tie,convert --nx 2,3 --states readable --out benchmark
-    python examples/learners/goal_conditioned.py gcivl benchmark/knotgym/*/scripted-v0 \\
+    python examples/learners/goal_conditioned.py gcivl benchmark/knotgym/*/noisy-v0 \\
         --ogbench ogbench --out gcivl
 
 Needs jax, flax, optax, distrax and ml_collections, and a checkout of OGBench, because its `impls`

@@ -1,7 +1,7 @@
 """Train d3rlpy on state observations: behaviour cloning, IQL, TD3+BC, CQL or decision transformer.
 
     knotgym suite --task tie,convert --nx 2,3 --states readable --out benchmark
-    python examples/learners/offline_rl.py iql benchmark/knotgym/*/scripted-v0 --out iql
+    python examples/learners/offline_rl.py iql benchmark/knotgym/*/noisy-v0 --out iql
 
 Needs d3rlpy, best in an environment of its own because it pins Gymnasium 1.0.0: pip install d3rlpy.
 By default (--relabel all) every code that an episode passes through also serves as a goal that it

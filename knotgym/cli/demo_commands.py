@@ -66,7 +66,7 @@ def demo(given: Given) -> None:
         frames = [frame for one in episodes for frame in film(one, config.task)]
         write_film(folder / film_name, frames)
         page(str(dataset), folder / "page.html", overwrite=False)
-    reached = sum(bool(one.is_success[-1]) for one in episodes)
+    reached = sum(bool(one.is_success.any()) for one in episodes)
     progress.say(f"{out / 'reset.png'}: the first observation, with the rope beside its goal")
     progress.say(f"{out / film_name}: the expert reaches the goal in {reached} of 2 episodes")
     progress.say(f"{out / 'page.html'}: the same episodes, to play and rotate in a browser")

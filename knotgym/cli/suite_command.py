@@ -29,17 +29,22 @@ def _options() -> list[Option]:
     return [
         *options_of(config, "tasks", tasks={**listed, "names": "--task"}),
         *options_of(config, "nx policies", policies=listed),
-        *options_of(config, "states", ENVIRONMENT, states=listed),
+        *options_of(
+            config,
+            "splits states",
+            ENVIRONMENT,
+            splits={**listed, "names": "--split"},
+            states=listed,
+        ),
         option(
             "--episodes",
             str,
             "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; others"
             " keep their default.",
             default="",
-            show_default=",".join(f"{policy}={count}" for policy, count in config.episodes.items()),
+            show_default="by nx",
         ),
         *options_of(config, "engine observation", ENVIRONMENT),
-        *options_of(config, "budget", "Who acts"),
         MINARI_ROOT,
         option(
             "--scores",
@@ -47,22 +52,23 @@ def _options() -> list[Option]:
             "Results of `knotgym evaluate --out` to add to the card's table, besides those in"
             " the folder `evaluations` next to the card; may be repeated.",
         ),
-        *options_of(config, "seed"),
+        *options_of(config, "seed recorded"),
         *run_options(f"{EXECUTION} {EXISTING}"),
     ]
 
 
 @command(_options)
 def suite(given: Given) -> None:
-    """Collect the fixed benchmark of offline datasets, or a part of it.
+    """Make the fixed benchmark of offline datasets, or a part of it.
 
-    It has episodes of four policies for each of nine setups, on the train split of two sets of
-    states, and one card for all. The expected time is printed first. With --resume, finished
-    datasets are kept and the others are collected.
+    It has episodes of four policies for each of nine setups, on two sets of states and two splits,
+    and one card for all. The expected time is printed first. With --recorded, datasets are rebuilt
+    from the pulls that are included, which takes minutes; if this machine gets other episodes, the
+    exit status is 1. With --resume, finished datasets are kept and the others are made.
 
     Examples:
 
-        knotgym suite --resume
+        knotgym suite --recorded --task tie --nx 2
 
         knotgym suite --task tie --nx 3 --states readable --policies expert,random --resume
     """

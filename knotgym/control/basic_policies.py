@@ -5,14 +5,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.control.demonstrator import Demonstrator, random_pass
-from knotgym.control.policy import NO_MACRO, Choice, Effort, Policy, UnplannedPolicy
+from knotgym.control.demonstrator import Demonstrator, DemonstratorConfig, random_pass
+from knotgym.control.planner_config import PlannerConfig
+from knotgym.control.policy import (
+    NO_MACRO,
+    Choice,
+    Effort,
+    InvalidPolicy,
+    Policy,
+    UnplannedPolicy,
+)
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import choices, quantized
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
+from knotgym.topology.gauss import GaussCode
 
 NOISE = "noise"  # reason for a random pull
+_DRAWN = 12  # random passes, of which the simplest is made
 _WANDERING = 0.5  # share of noisy episodes that begin with a random pass
 
 
@@ -115,6 +125,70 @@ class NoisyPolicy(UnplannedPolicy):
 
     def effort(self, index: int) -> Effort:
         return self._inner.effort(index)
+
+
+class PlayPolicy(Demonstrator):
+    """The demonstrator on its way to one goal after another, in endless tasks.
+
+    The first goal is the episode's. Whenever one is reached, another is drawn: half the time a code
+    of the task's goals, half the time one of its starts, so ropes are tied and untied in turn.
+    Where a look finds no way, another goal is drawn, after a random pass: of a dozen, the one that
+    leaves the fewest crossings. The reason for an action ends in the goal sought, as in "choice 1
+    to 1+,1-".
+    """
+
+    def __init__(self, config: DemonstratorConfig, planner: PlannerConfig) -> None:
+        super().__init__(config, planner)
+        self._rngs: dict[int, np.random.Generator] = {}
+        self._sought: dict[int, GaussCode] = {}
+
+    def suited(self, task: TaskConfig) -> TaskConfig:
+        if not task.endless:
+            raise InvalidPolicy(
+                "policy play goes on after every goal, so the task must be endless; give --endless,"
+                " and a --horizon such as 500"
+            )
+        return super().suited(task)
+
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
+        self._rngs[index], inner_rng = rng.spawn(2)
+        self._sought[index] = episodes.goals[index]
+        super().begin(episodes, index, inner_rng)
+
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
+        for index in ids.tolist():
+            if episodes.codes[index].matches(self._sought[index]):
+                self._draw_goal(episodes, index)
+                self.replan(index)
+        chosen = super().act(episodes, ids)
+        moves = [
+            f"{move} to {self._sought[index]}".rstrip()
+            for move, index in zip(chosen.moves, ids.tolist(), strict=True)
+        ]
+        return chosen._replace(moves=moves)
+
+    def goal(self, episodes: EpisodeBatch, index: int) -> GaussCode:
+        return self._sought[index]
+
+    def give_up(self, episodes: EpisodeBatch, index: int) -> None:
+        rng, beads = self._rngs[index], episodes.simulation.points.shape[1]
+        passes = [random_pass(beads, rng) for _ in range(_DRAWN)]
+        self.begin_with(episodes, index, self.simplest(episodes, index, passes))
+        self._draw_goal(episodes, index)
+
+    def name(self, index: int) -> str:
+        return "play"
+
+    def _draw_goal(self, episodes: EpisodeBatch, index: int) -> None:
+        rng, code = self._rngs[index], episodes.codes[index]
+        sides = [
+            [goal for goal in episodes.side_codes(side) if not code.matches(goal)]
+            for side in ("start", "goal")
+        ]
+        # a side whose only code is shown, such as the plain loop, has none left
+        goals = [side for side in sides if side]
+        drawn = goals[int(rng.integers(len(goals)))]
+        self._sought[index] = drawn[int(rng.integers(len(drawn)))]
 
 
 class MixedPolicy(Policy):

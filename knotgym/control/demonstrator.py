@@ -42,6 +42,8 @@ from knotgym.topology.gauss import GaussCode
 PLANNER = "planner"  # first word of the reason for an action of the planner's
 RANDOM = "random pass"  # reason for a pass that nobody chose
 _LANES = 64  # ropes of the chain engine in which looks are simulated
+_BOUNDED = 4  # times as many candidates where the rope's centre must stay in a region
+_TOWING = 0.9  # share of the limit on towing that looks go to: engines differ a little
 _CLOSE = 8  # fewest beads along the rope between the two of a random pass
 
 
@@ -50,7 +52,7 @@ class DemonstratorConfig:
     """Settings of the demonstrator.
 
     Attributes:
-        candidates: passes tried at a state, at most.
+        candidates: passes tried at a state, at most; four times as many where towing is limited.
         budget: actions simulated for a look, at most.
         steps: actions of a way, at most.
         last_resort: actions that the planner may simulate for an episode without a way.
@@ -109,12 +111,15 @@ class _Look:
         diagram = seen_diagram(points, crossings)
         here = self.values.reach(self.goal, diagram)
         arcs = ArcCoordinates(crossings, len(points))
+        # many passes tow the rope, and the order doesn't know which
+        candidates = self.config.candidates * (1 if self.bound is None else _BOUNDED)
         for rank, move in enumerate(self._passes(diagram, arcs, len(points)), 1):
-            if rank > self.config.candidates or self.spent >= self.config.budget:
+            if rank > candidates or self.spent >= self.config.budget:
                 return None
-            outcome: Landing = yield Trial(state, move, self.goal, min(LONGEST, steps))
+            pulls = min(LONGEST, steps)
+            outcome: Landing = yield Trial(state, move, self.goal, pulls, self.bound)
             self.spent += outcome.pulls
-            if self.bound is not None and self.bound.exceeded(outcome.points[None])[0]:
+            if outcome.towed:
                 continue
             decision = Decision(points, diagram.code, move, rank, outcome)
             if outcome.code.matches(self.goal):
@@ -209,8 +214,8 @@ class Demonstrator(Policy):
         simulation, controller = episodes.simulation, self._controller
         controller.advance(simulation.points)
         looking = [index for index in ids.tolist() if self._is_over(episodes, index)]
-        if looking:
-            self._look(episodes, np.array(looking))
+        for first in range(0, len(looking), _LANES):
+            self._look(episodes, np.array(looking[first : first + _LANES]))
         forces = controller.forces(simulation.points)[ids] * simulation.max_force
         actions = simulation.actions(controller.beads[ids], forces, ids)
         moves, macros = [], np.tile(NO_MACRO, (len(ids), 1))
@@ -239,6 +244,23 @@ class Demonstrator(Policy):
         """Act out a pass of somebody else's choice before the first look."""
         self._start(episodes, index, move, RANDOM)
 
+    def simplest(self, episodes: EpisodeBatch, index: int, passes: list[Pass]) -> Pass:
+        """Return the first of the passes that leave an episode's rope with the fewest crossings."""
+        assert self._lanes is not None  # a look came before
+        goal = self.goal(episodes, index)
+        (state,), _ = self._lanes.at_rest(episodes.simulation.qpos([index]))
+        left = dict(self._lanes.run(_crossings_left(state, move, goal) for move in passes))
+        return passes[min(left, key=lambda number: (left[number], number))]
+
+    def goal(self, episodes: EpisodeBatch, index: int) -> GaussCode:
+        """Return the goal code that an episode is led to."""
+        return episodes.goals[index]
+
+    def give_up(self, episodes: EpisodeBatch, index: int) -> None:
+        """Go on after a look that found no way."""
+        self._progress[index].taken_over = True
+        self._controller.release(index)
+
     def name(self, index: int) -> str:
         return "expert"
 
@@ -250,11 +272,15 @@ class Demonstrator(Policy):
         progress = self._progress[index]
         if progress.taken_over:
             return False
-        if episodes.codes[index].matches(episodes.goals[index]):
+        if episodes.codes[index].matches(self.goal(episodes, index)):
             progress.move = None
             return False
         over = progress.pulls >= LONGEST or bool(self._controller.idle[index])
         return progress.move is None or over
+
+    def _bound(self, episodes: EpisodeBatch, index: int) -> TowBound | None:
+        bound = episodes.tow_bound(index)
+        return bound and replace(bound, limit=_TOWING * bound.limit)
 
     def _look(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> None:
         """Find the next pass of some episodes, side by side."""
@@ -262,16 +288,16 @@ class Demonstrator(Policy):
         if self._lanes is None:
             rope = episodes.simulation.rope
             self._lanes = MacroLanes(_LANES, self.config.macro_actions, rope)
-        values = self._values or shipped_values()
+        values = self._values or shipped_values(episodes.config.split)
         states, points = self._lanes.at_rest(episodes.simulation.qpos(ids))
         searches = [
             find_way(
                 values,
-                episodes.goals[index],
+                self.goal(episodes, index),
                 self.config,
                 states[row],
                 points[row],
-                episodes.tow_bound(index),
+                self._bound(episodes, index),
             )
             for row, index in enumerate(ids.tolist())
         ]
@@ -284,14 +310,18 @@ class Demonstrator(Policy):
             if way:
                 self._start(episodes, index, way[0].move, f"choice {way[0].rank}")
             else:
-                progress.taken_over = True
-                self._controller.release(index)
+                self.give_up(episodes, index)
 
     def _start(self, episodes: EpisodeBatch, index: int, move: Pass, why: str) -> None:
         progress, points = self._progress[index], episodes.simulation.points[index]
         progress.move, progress.pulls, progress.why = move, 0, why
         macro_action = pass_straight(points, *move, self.config.macro_actions)
         self._controller.begin(index, macro_action, points)
+
+
+def _crossings_left(state: Array, move: Pass, goal: GaussCode) -> Search[int]:
+    outcome = yield Trial(state, move, goal)
+    return outcome.code.nx
 
 
 def random_pass(beads: int, rng: np.random.Generator) -> Pass:

@@ -22,6 +22,7 @@ from knotgym.rope.macro_actions import (
     pass_straight,
 )
 from knotgym.rope.model import Array, Rope
+from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
@@ -36,12 +37,14 @@ class Trial(NamedTuple):
         move: the pass; it ends with its last waypoint, or at the goal.
         goal: compared without chirality.
         pulls: actions that it may take.
+        bound: region in which the rope's centre must stay; None for no limit.
     """
 
     state: Array
     move: Pass
     goal: GaussCode
     pulls: int = LONGEST
+    bound: TowBound | None = None
 
 
 class Landing(NamedTuple):
@@ -52,12 +55,14 @@ class Landing(NamedTuple):
         points: float64 (beads, 3), metres.
         code: with chirality.
         pulls: actions taken.
+        towed: whether the rope left the trial's bound, where the trial ended.
     """
 
     state: Array
     points: Array
     code: GaussCode
     pulls: int
+    towed: bool = False
 
 
 Search = Generator[Trial, Landing, Result]
@@ -110,8 +115,11 @@ class MacroLanes:
                 assert lane.trial is not None
                 lane.pulls += 1
                 reached = codes[row].matches(lane.trial.goal)
-                if idle[index] or reached or not stable[row] or lane.pulls >= lane.trial.pulls:
-                    outcome = self._outcome(index, codes[row], lane.pulls)
+                bound = lane.trial.bound
+                towed = bound is not None and bound.exceeded(self.simulation.points[[index]])[0]
+                over = idle[index] or lane.pulls >= lane.trial.pulls
+                if over or reached or towed or not stable[row]:
+                    outcome = self._outcome(index, codes[row], lane.pulls, bool(towed))
                     yield from self._go_on(index, outcome, lanes, free)
 
     def at_rest(self, qpos: Array) -> tuple[Array, Array]:
@@ -154,6 +162,6 @@ class MacroLanes:
                 return
             outcome = self._outcome(index, label_many(points[None])[0], 0)
 
-    def _outcome(self, index: int, code: GaussCode, pulls: int) -> Landing:
+    def _outcome(self, index: int, code: GaussCode, pulls: int, towed: bool = False) -> Landing:
         state = self.simulation.at_rest([index])[0]
-        return Landing(state, self.simulation.points[index].copy(), code, pulls)
+        return Landing(state, self.simulation.points[index].copy(), code, pulls, towed)

@@ -95,7 +95,7 @@ def draw_starts(task: TaskConfig, count: int, rng: np.random.Generator) -> Start
         codes.append(episodes.codes[0])
     simulation = ChainSimulation(count)
     simulation.lay(np.array(qpos))
-    return Starts(simulation.states(), simulation.points.copy(), codes, episodes.goal_codes())
+    return Starts(simulation.states(), simulation.points.copy(), codes, episodes.side_codes("goal"))
 
 
 class PassPlay:

@@ -6,6 +6,7 @@ scripted        one macro-action after another, without a goal
 expert          does the same thing in the same state, see `demonstrator`
 noisy           the expert, but each pull is a random one with probability `noise`, after which it
                 looks again; half of the episodes begin with a random pass
+play            the expert, to a goal drawn anew whenever one is reached; for endless tasks
 planner         plans in the chain engine from the rope's current state, see `expert`
 mixed           draws one of random, scripted, noisy and expert for each episode
 module:name     user code: a function of (observation) or (observation, info, generator), or an
@@ -40,6 +41,7 @@ from knotgym.control.basic_policies import (
     ConstantPolicy,
     MixedPolicy,
     NoisyPolicy,
+    PlayPolicy,
     RandomPolicy,
     ScriptedPolicy,
 )
@@ -77,11 +79,11 @@ class PolicyConfig:
     """Which policy acts, and its settings.
 
     Attributes:
-        policy: policy: random, constant, scripted, expert, noisy, planner, mixed, pretrained or
-            pretrained-clone; a folder written by `knotgym train`; a .zip (SB3), .onnx or .pt file;
-            prompt:FILE, to score transcripts of `knotgym prompt`; or module:name for your own code:
-            a function of (observation) or (observation, info, generator), or an object with reset
-            and act.
+        policy: policy: random, constant, scripted, expert, noisy, play, planner, mixed, pretrained
+            or pretrained-clone; a folder written by `knotgym train`; a .zip (SB3), .onnx or .pt
+            file; prompt:FILE or recorded:DATASET, to score transcripts of `knotgym prompt` or a
+            recording; or module:name for your own code: a function of (observation) or
+            (observation, info, generator), or an object with reset and act.
         noise: probability that a pull of the noisy policy is random.
         shares: shares of random, scripted, noisy and expert episodes in mixed.
         demonstrator: settings of the expert.
@@ -110,7 +112,7 @@ class PolicyConfig:
         """Rough cost of an episode of 50 steps, in seconds on one core of the machine described in
         docs/validation.md. Policies that plan take longer.
         """
-        return 3.0 if self.policy in ("expert", "noisy", "planner", "mixed") else 0.5
+        return 3.0 if self.policy in ("expert", "noisy", "play", "planner", "mixed") else 0.5
 
     @property
     def short(self) -> str:
@@ -293,11 +295,14 @@ def _mixed(config: PolicyConfig) -> Policy:
 
 
 _planner_files = tuple(path for path in (TRANSITIONS,) if path.is_file())
-_expert_files = (*_planner_files, *(path for path in (PASSES,) if path.is_file()))
+_expert_files = (*_planner_files, *(path for path in PASSES.values() if path.is_file()))
 register_policy("random", lambda config: RandomPolicy())
 register_policy("constant", lambda config: ConstantPolicy())
 register_policy("scripted", _scripted)
 register_policy("expert", _expert, _expert_files)
 register_policy("noisy", _noisy, _expert_files)
+register_policy(
+    "play", lambda config: PlayPolicy(config.demonstrator, config.planner), _expert_files
+)
 register_policy("planner", lambda config: Expert(config.planner), _planner_files)
 register_policy("mixed", _mixed, _expert_files)

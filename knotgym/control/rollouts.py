@@ -51,8 +51,8 @@ class Rollout:
 
     @property
     def success(self) -> bool:
-        """Whether the episode ended in the goal."""
-        return bool(self.episode.is_success[-1])
+        """Whether the episode reached the goal, where it ends unless the task is endless."""
+        return bool(self.episode.is_success.any())
 
 
 @dataclass(eq=False)

@@ -189,7 +189,9 @@ def show_episodes(source: Any) -> dict[str, Any]:
     """Summarize an episode file or a Minari dataset; every value can be written as JSON."""
     reader = EpisodeReader(source)
     attributes = [reader.attributes(i) for i in range(len(reader))]
-    success = np.array([reader.column(i, "is_success")[-1] for i in range(len(reader))], dtype=bool)
+    success = np.array(
+        [reader.column(i, "is_success").any() for i in range(len(reader))], dtype=bool
+    )
     failed = sum(bool(reader.column(i, "simulation_failed")[-1]) for i in range(len(reader)))
     returns = np.array([reader.column(i, "rewards").sum() for i in range(len(reader))])
     size, frames = reader.path.stat().st_size, int(reader.lengths.sum()) + len(reader)
@@ -332,9 +334,10 @@ def _outcome(
         towed = bound.exceeded(episode.points[1:])
     held = consecutive(shown & ~towed)
     rule = replace(task.reward_rule, hold=episode.hold or task.hold)
-    outcome = rule.outcome(held, np.arange(1, len(codes)), episode.simulation_failed[1:], towed)
+    failed = episode.simulation_failed[1:]
+    outcome = rule.outcome(held, np.arange(1, len(codes)), failed, towed)
     return {
-        "is_success": np.concatenate([[False], outcome.terminated]),
+        "is_success": np.concatenate([[False], rule.reached(held, failed)]),
         "terminations": outcome.terminated,
         "truncations": outcome.truncated,
         "rewards": outcome.rewards,

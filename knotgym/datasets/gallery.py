@@ -101,7 +101,7 @@ def write_episode_gallery(
         reader, name = EpisodeReader(dataset), dataset_name(dataset).removeprefix("knotgym/")
         for row in range(min(len(reader), SHOWN - len(tiles))):
             points = reader.column(row, "points")[-1]
-            outcome = "reached" if reader.column(row, "is_success")[-1] else "failed"
+            outcome = "reached" if reader.column(row, "is_success").any() else "failed"
             captions = (label(points).chiral or "loop", f"{name}  episode {row}", outcome)
             tiles.append(Tile(draw_diagram(points), captions, OUTCOMES[outcome]))
         reader.close()

@@ -241,7 +241,7 @@ class _Episodes(RowsOfDataset):
         return {
             "episode": reader.rows[index],
             "length": int(reader.lengths[index]),
-            "success": bool(reader.column(index, "is_success")[-1]),
+            "success": bool(reader.column(index, "is_success").any()),
             "total_reward": float(reader.column(index, "rewards").sum()),
             "terminated": bool(reader.column(index, "terminations")[-1]),
             "truncated": bool(reader.column(index, "truncations")[-1]),

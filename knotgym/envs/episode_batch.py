@@ -99,12 +99,11 @@ class EpisodeBatch:
             return rows
         return rows[self._goals.gauss_code[rows] != self._starts.gauss_code[start]]
 
-    def goal_codes(self) -> list[GaussCode]:
-        """Return the distinct codes of the goals, without chirality, in order of their text."""
-        return [
-            GaussCode.parse(code)
-            for code in sorted({*self._goals.gauss_code[self._rows["goal"]].tolist()})
-        ]
+    def side_codes(self, side: str) -> list[GaussCode]:
+        """Return the distinct codes of the "start" or "goal" states, without chirality, sorted."""
+        states = self._starts if side == "start" else self._goals
+        codes = {*states.gauss_code[self._rows[side]].tolist()}
+        return [_parsed(str(code)) for code in sorted(codes)]
 
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
@@ -304,7 +303,7 @@ class EpisodeBatch:
         infos = {
             **dict(zip(("gauss_code", "gauss_code_chiral", "goal_gauss_code"), shown, strict=True)),
             "crossings": np.array([code.nx for code in codes]),
-            "is_success": (self.held[ids] >= self.config.hold) & ~failed,
+            "is_success": self.config.reward_rule.reached(self.held[ids], failed),
             "simulation_failed": failed,
             "start": self.start_row[ids],
             "goal": self.goal_row[ids],

@@ -6,6 +6,9 @@
     otherwise, if the simulation blew up                    0, truncated
     otherwise                                               0, the episode continues
 
+An endless task pays success_reward at every step that has shown the goal for long enough, and
+failure_reward never; its episodes are truncated as above and don't terminate.
+
 Codes are compared without chirality (`GaussCode.matches`). A step in which the simulation blew up
 never succeeds, and its reward is 0 even at the horizon.
 """
@@ -39,12 +42,14 @@ class RewardRule:
         horizon: steps until truncation.
         success_reward: reward on success.
         failure_reward: reward at the horizon, or beyond the bound on towing, without success.
+        endless: go on after success.
     """
 
     hold: int = 1
     horizon: int = 50
     success_reward: float = SUCCESS_REWARD
     failure_reward: float = FAILURE_REWARD
+    endless: bool = False
 
     def outcome(
         self, held: ArrayLike, steps: ArrayLike, failed: ArrayLike, towed: ArrayLike = False
@@ -62,14 +67,20 @@ class RewardRule:
         array([ 5.,  0., -5.])
         """
         blew_up = np.asarray(failed, dtype=bool)
-        terminated = (np.asarray(held) >= self.hold) & ~blew_up
+        reached = self.reached(held, failed)
+        terminated = reached & (not self.endless)
         late = ((np.asarray(steps) >= self.horizon) | np.asarray(towed)) & ~terminated
-        unsuccessful = np.where(late & ~blew_up, self.failure_reward, 0.0)
+        failure = 0.0 if self.endless else self.failure_reward
+        unsuccessful = np.where(late & ~blew_up, failure, 0.0)
         return Outcome(
-            rewards=np.where(terminated, self.success_reward, unsuccessful),
+            rewards=np.where(reached, self.success_reward, unsuccessful),
             terminated=terminated,
             truncated=late | blew_up,
         )
+
+    def reached(self, held: ArrayLike, failed: ArrayLike) -> NDArray[np.bool_]:
+        """Return which of n steps are successes; arguments as of `outcome`."""
+        return (np.asarray(held) >= self.hold) & ~np.asarray(failed, dtype=bool)
 
 
 def success_at_last(steps: int, success_reward: float = SUCCESS_REWARD) -> Outcome:

@@ -65,6 +65,8 @@ class TaskConfig:
         horizon: steps before an episode is truncated. A macro-action is as many steps as it has
             pulls.
         hold: consecutive steps that the rope must show the goal code.
+        endless: episodes don't end at the goal, but only at the horizon; the reward is
+            `success_reward` at every step that shows the goal, otherwise 0.
         tow_limit: furthest that the rope's centre may be towed, in metres; no limit by default.
             Beyond it no state counts as the goal, and the episode is truncated. With 0.04,
             repeating one action hardly ever unties a rope.
@@ -90,6 +92,7 @@ class TaskConfig:
     max_goals: int | None = None
     horizon: int = 50
     hold: int = 1
+    endless: bool = False
     tow_limit: float | None = None
     reset_noise: float = RESET_NOISE
     image_size: int = 128
@@ -153,8 +156,9 @@ class TaskConfig:
             raise InvalidSetting(
                 f"max_goals must be a whole number of at least 1, or None, got {goals!r}"
             )
-        if not isinstance(self.numeric_infos, bool):
-            raise InvalidSetting(f"numeric_infos must be True or False, got {self.numeric_infos!r}")
+        for name in ("endless", "numeric_infos"):
+            if not isinstance(getattr(self, name), bool):
+                raise InvalidSetting(f"{name} must be True or False, got {getattr(self, name)!r}")
         if self.states is not None and not isinstance(self.states, str):
             raise InvalidSetting(
                 f"states must be the path of a state file as a string, got {self.states!r}"
@@ -184,6 +188,7 @@ class TaskConfig:
             horizon=self.horizon,
             success_reward=self.success_reward,
             failure_reward=self.failure_reward,
+            endless=self.endless,
         )
 
     @property

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from knotgym.generate.episodes.collect import CollectConfig, collect
     from knotgym.generate.episodes.evaluate import EvaluateConfig
     from knotgym.generate.episodes.evaluate import run as evaluate
-    from knotgym.generate.episodes.suite import SuiteConfig, make_suite
+    from knotgym.generate.episodes.recordings import InvalidRecording
+    from knotgym.generate.episodes.suite import DiffersFromRecording, SuiteConfig, make_suite
     from knotgym.generate.episodes.suite_scores import InvalidScores
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.generate.images.images_config import ImagesConfig
@@ -33,10 +34,12 @@ else:
 
 __all__ = [
     "CollectConfig",
+    "DiffersFromRecording",
     "EvaluateConfig",
     "GenerateConfig",
     "ImagesConfig",
     "InvalidConfig",
+    "InvalidRecording",
     "InvalidRun",
     "InvalidScores",
     "NotEnough",

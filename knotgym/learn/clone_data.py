@@ -286,7 +286,8 @@ def _macros(episode: Episode, number: int, config: CloneConfig) -> Decisions:
     codes = [GaussCode.parse(text) for text in episode.gauss_code_chiral.tolist()]
     goal = GaussCode.parse(episode.goal_gauss_code)
     asked, way, decisions = list[DecidedStep](), list[DecidedStep](), list[Decisions]()
-    for at, end in zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True):
+    ends = [*starts[1:].tolist(), count][: len(starts)]  # none if nothing was chosen
+    for at, end in zip(starts.tolist(), ends, strict=True):
         points, (bead, target, side) = episode.points.astype(np.float32), table[at].tolist()
         step = DecidedStep(points[at], points[end], codes[at], codes[end], (bead, target, side))
         # a pass that nobody chose isn't imitated, but led somewhere all the same

@@ -54,7 +54,7 @@ def demonstrate(
         Their decisions; and for each task the share of demonstrations that reached their goal, and
         the share of decisions for the first pass of the fixed order.
     """
-    config, values = clone.demonstrations, shipped_values()
+    config, values = clone.demonstrations, shipped_values(clone.demonstrations.split)
     demonstrator = DemonstratorConfig(budget=config.budget)
     lanes = MacroLanes(config.lanes, demonstrator.macro_actions)
     parts, told = [none()], dict[str, Any]()
@@ -120,9 +120,7 @@ def _way(
 
 
 def _step(decision: Decision) -> DecidedStep:
-    points, landed = (
-        one.astype(np.float32) for one in (decision.points, decision.landing.points)
-    )
+    points, landed = (one.astype(np.float32) for one in (decision.points, decision.landing.points))
     bead, target, side = decision.move
     macro = bead, target, side
     return DecidedStep(points, landed, decision.code, decision.landing.code, macro)

@@ -51,6 +51,7 @@ from knotgym.topology.gauss import GaussCode
 
 _WARM_UP = 50  # steps over which the learning rate rises
 _LEAST_RATE = 0.02  # of the peak, at the last step
+_JUDGING_STEPS = 500  # of the clone that tells how predictable a demonstrator is
 _JUDGED = 2048  # held-out decisions on which weights are judged, at most
 
 
@@ -303,6 +304,23 @@ def fit_clone(
         "play": rates,
     }
     return network, training.curve, facts
+
+
+def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -> tuple[float, int]:
+    """Train a clone on a demonstrator's datasets and judge it on held-out episodes.
+
+    Returns:
+        The share of the held-out decisions whose bead is the network's first guess, and their
+        number.
+    """
+    config = config or CloneConfig(steps=_JUDGING_STEPS, held_out=0.2, hindsight=0, copies=0)
+    decisions = read_decisions(datasets, config)
+    network, _, _ = fit_clone(decisions, config)
+    held = np.flatnonzero(_held_out(decisions.episodes, config) & decisions.asked)
+    aside = examples(decisions.rows(held))
+    with torch.no_grad():
+        guesses = network(inputs(aside.seen)).logits.argmax(1).numpy()
+    return float((guesses == aside.macros[:, 0]).mean()), len(held)
 
 
 def _with_demonstrations(

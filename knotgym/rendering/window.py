@@ -18,7 +18,7 @@ class NoWindow(KnotgymError, RuntimeError):
     """No window can be opened, for lack of pygame or of a display."""
 
 
-class Window:
+class PictureWindow:
     """A window that opens with the first frame and doesn't zoom in during an episode.
 
     Raises:

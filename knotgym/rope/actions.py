@@ -83,7 +83,8 @@ def quantized(forces: ArrayLike) -> Array:
     The result holds the float32 numbers of an action, so what is simulated with it is what the
     action does.
     """
-    bins = np.rint(np.asarray(forces, dtype=np.float64) * FORCE_BINS)
+    # + 0.0 makes -0.0 to 0.0, which a whole number can't tell apart
+    bins = np.rint(np.asarray(forces, dtype=np.float64) * FORCE_BINS) + 0.0
     return (bins / FORCE_BINS).astype(np.float32).astype(np.float64)
 
 
@@ -102,11 +103,13 @@ def encode_pulls(actions: ArrayLike, points: Array, rope: RopeConfig) -> NDArray
     if points.shape[1] > 256:
         raise InvalidPulls(f"a pull's bead is one byte, got a rope of {points.shape[1]} beads")
     beads, _ = decode_actions(actions, points, rope)
-    given = np.asarray(actions, dtype=np.float32)
+    given = np.ascontiguousarray(actions, dtype=np.float32)
     bins = np.rint(given[:, 3:] * FORCE_BINS)
     pulls = np.concatenate([beads[:, None].astype(np.uint8).view(np.int8), bins], axis=1)
     pulls = pulls.astype(np.int8)
-    off = np.flatnonzero((decode_pulls(pulls, points, rope) != given).any(axis=1))
+    # bit by bit: -0.0 equals 0.0, but isn't the same
+    decoded = decode_pulls(pulls, points, rope).view(np.uint32)
+    off = np.flatnonzero((decoded != given.view(np.uint32)).any(axis=1))
     if len(off):
         raise InvalidPulls(
             f"an action must pull a bead at its vertex with multiples of 1/{FORCE_BINS} of the"

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -18,13 +19,16 @@ from knotgym.control.pass_counts import (
     template_images,
     templates,
 )
+from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram
 from knotgym.control.transition_counts import ELEMENTS, ArcCoordinates
+from knotgym.datasets.episode_verification import episode_faults
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_actions import MacroActionConfig, Pass
-from knotgym.rope.model import Array
+from knotgym.rope.model import Array, Rope
+from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
@@ -137,8 +141,17 @@ def test_counts_survive_a_file_and_a_changed_one_is_refused(tmp_path: Path) -> N
         PassCounts.load(path)
 
 
-def test_the_shipped_counts_are_small() -> None:
-    assert PASSES.stat().st_size < 300_000
+@pytest.mark.parametrize("split", PASSES)
+def test_the_shipped_counts_are_small(split: str) -> None:
+    assert PASSES[split].stat().st_size < 300_000
+
+
+def test_splits_by_code_have_an_order_of_their_own() -> None:
+    assert shipped_values("test") is shipped_values("train")
+    assert shipped_values("test-code") is shipped_values("train-code")
+    goal = GaussCode.parse("1+c,1-c,2+a,2-a")
+    one, other = (shipped_values(split).order(goal, LOOP) for split in ("train", "test-code"))
+    assert one and other and one != other
 
 
 def test_searches_find_the_same_in_any_company() -> None:
@@ -154,6 +167,20 @@ def test_searches_find_the_same_in_any_company() -> None:
     for number, bead in enumerate((20, 30, 40, 50)):
         ((_, alone),) = lanes.run([search(bead)])
         assert np.array_equal(alone.points, together[number].points)
+
+
+def test_a_pass_that_tows_the_rope_too_far_ends_there() -> None:
+    lanes = MacroLanes(1, MacroActionConfig())
+    (state,), points = lanes.at_rest(lanes.simulation.qpos([0]))
+
+    def search(limit: float) -> Search[Landing]:
+        bound = TowBound.of_episode(points, limit)
+        return (yield Trial(state, Pass(20, 70, 1), KINK, bound=bound))
+
+    ((_, whole),) = lanes.run([search(1.0)])
+    ((_, short),) = lanes.run([search(0.01)])
+    assert not whole.towed and whole.pulls > 1
+    assert short.towed and 0 < short.pulls < whole.pulls
 
 
 def test_the_same_state_gets_the_same_action() -> None:
@@ -183,3 +210,25 @@ def test_a_way_in_the_engine_of_the_episode_leads_to_the_goal() -> None:
         assert begun[0] == 1 and np.array_equal(episode.macro_bead[begun], episode.bead[begun])
         assert episode.move is not None
         assert all(str(why).startswith(("choice", "planner")) for why in episode.move[1:])
+
+
+def test_play_goes_on_to_another_goal_and_its_record_verifies() -> None:
+    task = replace(TASK, endless=True, horizon=60)
+    (played,) = rollout(task, make_policy(PolicyConfig(policy="play")), [2], 0)
+    episode = played.episode
+    assert len(episode) == 60 and not episode.terminations.any() and episode.truncations[-1]
+    assert episode.move is not None
+    sought = [str(move).partition(" to ")[2] for move in episode.move[1:]]
+    changes = [step for step in range(1, 60) if sought[step] != sought[step - 1]]
+    assert len(changes) >= 2 and "" in sought  # the plain loop, too
+    # a goal is left when it is shown
+    reached = [episode.gauss_code[step] == sought[step - 1] for step in changes]
+    assert sum(reached) >= len(changes) - 1
+    assert played.success and (episode.rewards == 5.0 * episode.is_success[1:]).all()
+    assert episode_faults(episode, task, Rope(task.rope)) == []
+    assert episode_faults(episode, replace(task, endless=False), Rope(task.rope))
+
+
+def test_play_in_a_task_that_ends_at_the_goal_is_refused() -> None:
+    with pytest.raises(InvalidPolicy, match="must be endless; give --endless"):
+        rollout(TASK, make_policy(PolicyConfig(policy="play")), [0], 0)

@@ -349,7 +349,7 @@ def test_planning_keeps_its_budget_and_says_what_it_spent() -> None:
 
 def test_a_search_that_has_had_its_chance_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     def searched(budget: int) -> tuple[list[Node], Plan]:
-        simulation, met = MujocoSimulation(4), list[Node]()
+        simulation, met = ChainSimulation(4), list[Node]()
         planned = plan(
             simulation,
             simulation.states([0])[0],
@@ -366,11 +366,11 @@ def test_a_search_that_has_had_its_chance_begins_anew(monkeypatch: pytest.Monkey
     def root(node: Node) -> Node:
         return node if node.before is None else root(node.before)
 
-    monkeypatch.setattr(planner, "ANEW", 60)
-    met, planned = searched(180)
-    assert planned.spent == 180 and not planned.solved
+    monkeypatch.setattr(planner, "ANEW", 240)  # long enough for each search to keep a state
+    met, planned = searched(720)
+    assert planned.spent == 720 and not planned.solved
     assert len({id(root(node)) for node in met}) == 3
-    first, _ = searched(60)
+    first, _ = searched(240)
     assert [node.code for node in met[: len(first)]] == [node.code for node in first]
 
 

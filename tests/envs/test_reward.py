@@ -34,6 +34,15 @@ def test_towing_too_far_pays_as_the_horizon_does() -> None:
     assert outcome.truncated.all() and not outcome.terminated.any()
 
 
+def test_an_endless_task_pays_while_the_goal_is_shown_and_ends_at_the_horizon() -> None:
+    task = TaskConfig(task="tie", hold=2, horizon=9, success_reward=3.0, endless=True)
+    failed = [False, False, False, False, True]
+    outcome = task.reward_rule.outcome([1, 2, 5, 0, 3], [4, 4, 9, 9, 4], failed)
+    assert outcome.rewards.tolist() == [0.0, 3.0, 3.0, 0.0, 0.0]
+    assert not outcome.terminated.any()
+    assert outcome.truncated.tolist() == [False, False, True, True, True]
+
+
 @given(st.integers(0, 60), st.integers(1, 60), st.booleans())
 def test_no_step_is_both_terminated_and_truncated(held: int, step: int, failed: bool) -> None:
     outcome = RULE.outcome([held], [step], [failed])

@@ -14,6 +14,7 @@ from knotgym.generate.episodes import collect as collecting
 from knotgym.generate.episodes.suite import (
     POLICIES,
     SETUPS,
+    SPLITS,
     STATES,
     SuiteConfig,
     core_seconds,
@@ -24,8 +25,9 @@ from knotgym.runs.staging import staging_folder
 
 from ..small_job import knotgym
 
-WORDS = ("suite", "--task", "unknot", "--nx", 2, "--states", "readable", "--workers", 1)
-CHEAP = (*WORDS, "--policies", "random,scripted", "--episodes", "random=1,scripted=5")
+WHERE = ("--states", "readable", "--split", "train")
+WORDS = ("suite", "--task", "unknot", "--nx", 2, *WHERE, "--workers", 1)
+CHEAP = (*WORDS, "--policies", "random,expert", "--episodes", "random=1,expert=5")
 ID = "knotgym/unknot-nx2/{}-v0"
 DAY = 24 * 3600
 
@@ -52,11 +54,13 @@ def card(out: Path) -> dict[str, Any]:
     return found
 
 
-def test_the_whole_is_nine_set_ups_by_four_policies_by_two_sets_of_states() -> None:
+def test_the_whole_is_nine_set_ups_by_policies_splits_and_sets_of_states() -> None:
     sets = list(SuiteConfig().sets())
-    assert len({one.dataset_id for one in sets}) == len(SETUPS) * len(POLICIES) * len(STATES) == 72
-    assert {one.task.split for one in sets} == {"train"}
-    assert all(one.episodes >= 1000 for one in sets if one.policy.policy == "expert")
+    count = len(SETUPS) * len(POLICIES) * len(SPLITS) * len(STATES)
+    assert len({one.dataset_id for one in sets}) == len(sets) == count
+    for one in sets:
+        assert ("train-code" in one.dataset_id) == (one.task.split == "train-code")
+        assert (one.task.tow_limit == 0.04) == (one.task.task == "unknot")
 
 
 def test_the_whole_takes_less_than_eight_hours_on_two_cores() -> None:
@@ -70,14 +74,18 @@ def test_no_episode_begins_as_one_of_an_evaluation_on_the_train_split() -> None:
 def test_every_policy_has_its_set_and_the_card_tells_of_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert knotgym(*WORDS, "--episodes", 1, "--budget", 60, "--out", tmp_path) == 0
+    policies = ("random", "noisy", "expert")  # an episode of play takes long
+    words = (*WORDS, "--policies", ",".join(policies))
+    assert knotgym(*words, "--episodes", 1, "--out", tmp_path) == 0
     told = capfd.readouterr().out
-    assert "\n4 sets; 4 episodes to play, about " in told and "with 1 workers" in told
+    assert "\n3 sets; 3 episodes to play, about " in told and "with 1 workers" in told
     sets = card(tmp_path)["sets"]
-    assert sets.keys() == {ID.format(policy) for policy in POLICIES}
+    assert sets.keys() == {ID.format(policy) for policy in policies}
     for name, one in sets.items():
         reader = EpisodeReader(tmp_path / name)
         assert len(reader) == one["episodes"] == 1
+        assert (one["first_choices"] is None) == (one["policy"] == "random")
+        assert one["codes"]["train"] == one["codes"]["test"] == 1  # the plain loop
         assert one["sha256"]["main_data.hdf5"] == sha256(reader.path)
     page = (tmp_path / "knotgym" / "README.md").read_text()
     assert all(f"`{name}`" in page for name in sets)
@@ -104,7 +112,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(
         patch.setattr(collecting, "play", killed)
         assert knotgym(*CHEAP, "--quiet", "--out", tmp_path) == 130
     assert (tmp_path / ID.format("random")).is_dir()
-    assert staging_folder(tmp_path / ID.format("scripted")).is_dir()
+    assert staging_folder(tmp_path / ID.format("expert")).is_dir()
     capfd.readouterr()
     assert knotgym(*CHEAP, "--quiet", "--out", tmp_path) == 2
     assert "--resume keeps finished datasets" in capfd.readouterr().err
@@ -124,15 +132,14 @@ def test_a_finished_suite_is_left_alone_and_shows_evaluations_that_came_since(
     assert knotgym(*CHEAP, "--resume", "--scores", scores, "--quiet", "--out", unbroken) == 0
     assert {path: path.stat().st_mtime_ns for path in before} == before
     page = (unbroken / "knotgym" / "README.md").read_text()
-    assert (
-        "| random |  |  |  | **0.0** (0 to 79, of 1) |" in page and "DreamerV3, published" in page
-    )
+    assert "**0.0** (0 to 79, of 1) |" in page and "DreamerV3, published" in page
     scores.unlink()
     part = SuiteConfig(
         tasks=("unknot",),
         nx=(2,),
         policies=("random",),
         states=("readable",),
+        splits=("train",),
         episodes={"random": 1},
     )
     make_suite(part, unbroken, RunOptions(workers=1, quiet=True, resume=True))
@@ -151,9 +158,10 @@ def test_a_finished_suite_is_left_alone_and_shows_evaluations_that_came_since(
             ("--states", "mine.h5"),
             "the suite's states must be among readable, random-walk; got mine.h5",
         ),
-        (("--policies", "mixed"), "the suite's policies must be among random, scripted"),
+        (("--policies", "mixed"), "the suite's policies must be among random, noisy"),
+        (("--split", "test"), "the suite's splits must be among train, train-code; got test"),
         (("--episodes", "expert:3"), "--episodes takes a number, or one per policy"),
-        (("--episodes", "dreamer=3"), "episodes are set for random, scripted"),
+        (("--episodes", "dreamer=3"), "episodes are set for random, noisy"),
         (("--episodes", "0"), "episodes must be a whole number of at least 1, got 0"),
         (("--observation", "smell"), "no observation 'smell'"),
         (("--scores", "pyproject.toml"), "pyproject.toml isn't a file of `knotgym evaluate"),

@@ -209,9 +209,8 @@ def test_copies_lead_to_the_goal_as_their_own_first_bead_reads_it(states: States
 
 
 def test_demonstrations_are_made_on_the_way(tmp_path: Path, task: TaskConfig) -> None:
-    made = {"lanes": 4, "starts": 4, "nx": (2,), "wander": 0}
     for name, lanes in (("one", 4), ("other", 2)):
-        demonstrations = DemonstrationsConfig(episodes=3, **{**made, "lanes": lanes})
+        demonstrations = DemonstrationsConfig(episodes=3, lanes=lanes, starts=4, nx=(2,), wander=0)
         train_tiny(None, tmp_path / name, demonstrations=demonstrations, failed=False)
     cards = [json.loads((tmp_path / name / "policy.json").read_text()) for name in ("one", "other")]
     assert cards[0]["demonstrations_sha256"] == cards[1]["demonstrations_sha256"]

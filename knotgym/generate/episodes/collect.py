@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +26,7 @@ from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.generate.episodes.results import reference_scores
+from knotgym.generate.episodes.tally import Tally
 from knotgym.rope.engines import MUJOCO
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.engine import Batch, Recipe, run
@@ -146,7 +147,7 @@ def distinct_id(config: CollectConfig) -> str:
     marked = ("task", "nx", "split", "states", "engine", "observation")
     plain = TaskConfig(**{name: getattr(task, name) for name in marked})
     rules = list(differences(as_json(plain), as_json(task)))
-    if config.labels or policy.policy in ("noisy", "mixed", "expert"):
+    if config.labels or policy.policy in ("noisy", "mixed", "expert", "play"):
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
     digest = f"rules{hashlib.sha256('; '.join(rules).encode()).hexdigest()[:8]}" if rules else ""
@@ -162,39 +163,12 @@ def distinct_id(config: CollectConfig) -> str:
     )
 
 
-class _EpisodeFile(NamedTuple):
-    """A unit of work: play episodes `numbers` and write them to `path`."""
+class EpisodeFile(NamedTuple):
+    """A unit of work: make episodes `numbers` and write them to `path`."""
 
     config: CollectConfig
     numbers: range
     path: Path
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tally:
-    """Totals over episodes.
-
-    Attributes:
-        played, succeeded, kept: numbers of episodes.
-        steps: actions of the kept episodes.
-        successful_steps: actions of the successful episodes.
-        planned_actions: actions simulated for planning.
-        planning_seconds: time for planning; the only value that differs between identical runs.
-        simulation_failures: episodes that ended because the simulation diverged.
-    """
-
-    played: int = 0
-    succeeded: int = 0
-    kept: int = 0
-    steps: int = 0
-    successful_steps: int = 0
-    planned_actions: int = 0
-    planning_seconds: float = 0.0
-    simulation_failures: int = 0
-
-    def __add__(self, other: Tally) -> Tally:
-        pairs = zip(astuple(self), astuple(other), strict=True)
-        return Tally(**dict(zip(asdict(self), map(sum, pairs), strict=True)))
 
 
 def collect(
@@ -254,7 +228,7 @@ class EpisodeRecipe(Recipe):
         self.config, self.shard, self.tally = config, options.shard, Tally()
         self.engine = config.task.engine
         self.numbers = options.shard.share(config.episodes)
-        self.files: list[_EpisodeFile] = []
+        self.files: list[EpisodeFile] = []
         if not self.numbers:
             raise InvalidConfig(
                 f"shard {options.shard} of {config.episodes} episodes has none: split the run into"
@@ -262,28 +236,36 @@ class EpisodeRecipe(Recipe):
             )
 
     def request(self) -> dict[str, Any]:
-        return {"config": as_json(self.config), "source": sources_of(self.config)}
+        return {"config": as_json(self.config), "source": self.sources()}
+
+    def sources(self) -> dict[str, Any]:
+        """Return the digests of everything that is read."""
+        return sources_of(self.config)
+
+    def work(self) -> Callable[[EpisodeFile], Tally]:
+        """Return what makes a file."""
+        return play
 
     def batches(self, folder: Path) -> Iterator[Batch]:
         size = self.config.episodes_per_file
         for first in range(0, len(self.numbers), size):
             few, path = self.numbers[first : first + size], f"episodes-{first // size:06d}.h5"
-            self.files.append(_EpisodeFile(self.config, few, folder / path))
+            self.files.append(EpisodeFile(self.config, few, folder / path))
         finished = {file.path: _finished(file.path) for file in self.files}
         self.tally = sum((tally for tally in finished.values() if tally is not None), Tally())
 
-        def absorb(file: _EpisodeFile, tally: Tally) -> None:
+        def absorb(file: EpisodeFile, tally: Tally) -> None:
             self.tally += tally
 
         left = [file for file in self.files if finished[file.path] is None]
-        yield Batch(play, left, absorb, "playing files of a few episodes")
+        yield Batch(self.work(), left, absorb, "playing files of a few episodes")
 
     def status(self) -> Status:
         facts = {"reached the goal": f"{self.tally.succeeded}"}
         return Status(self.tally.played, len(self.numbers), "episodes", facts, even=True)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
-        require_unchanged(request["source"], sources_of(self.config))
+        require_unchanged(request["source"], self.sources())
         paths = [file.path for file in self.files]
         if self.shard.is_whole:
             return write_whole(self.config, paths, self.tally, folder, request)
@@ -364,10 +346,14 @@ def _report(
     path.write_text(json.dumps(said, indent=1, sort_keys=True), encoding="utf-8")
 
 
-def play(file: _EpisodeFile) -> Tally:
-    """Play a file's episodes, write it, and then write its tally, which marks it as finished."""
+def play(file: EpisodeFile) -> Tally:
+    """Play a file's episodes and write it."""
+    return write_episodes(file, _best_of_attempts(file.config, file.numbers))
+
+
+def write_episodes(file: EpisodeFile, rollouts: Sequence[Rollout]) -> Tally:
+    """Write a file and then its tally, which marks it as finished."""
     config = file.config
-    rollouts = _best_of_attempts(config, file.numbers)
     kept = [played for played in rollouts if played.success or config.keep_failed]
     with EpisodeWriter(file.path, config.stored_task) as writer:
         for played in kept:
@@ -418,15 +404,14 @@ def _finished(path: Path) -> Tally | None:
 def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     """Return Minari's metadata; reference scores are those of random and expert policies."""
     task, policy = config.task, config.policy
-    measured = task.engine == MUJOCO and task.rope == RopeConfig()
+    measured = task.engine == MUJOCO and task.rope == RopeConfig() and not task.endless
     scores = reference_scores().get(f"{task.task}-nx{task.nx}", {}) if measured else {}
     is_noisy = policy.policy in ("noisy", "mixed")
     noise = f", each pull a random one with probability {policy.noise}" * is_noisy
     planned = tally.planned_actions / max(tally.played, 1)
-    planning = (
-        f" Planning took {planned:.0f} simulated actions an episode, of {policy.planner.budget}"
-        " allowed."
-    )
+    # the expert's looks have limits of their own
+    allowed = f", of {policy.planner.budget} allowed" * (policy.policy == "planner")
+    planning = f" Planning took {planned:.0f} simulated actions an episode{allowed}."
     labels = " At every state stands what an expert would do there (infos/expert_action)."
     tried = f", the best of {config.attempts} attempts each" * (config.attempts > 1)
     text = (

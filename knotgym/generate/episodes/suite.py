@@ -1,11 +1,13 @@
-"""The fixed benchmark: four policies' episodes on nine setups and two sets of states.
+"""The fixed benchmark: a few policies' episodes on nine setups, two splits and two sets of states.
 
-    {out}/knotgym/{task}-nx{nx}/{policy}-v0                 on readable states
-    {out}/knotgym/{task}-nx{nx}/{policy}-random-walk-v0     on random-walk states
-    {out}/knotgym/suite.json, README.md                     sizes, seeds, checksums; the card
+    {out}/knotgym/{task}-nx{nx}/{policy}-v0                         readable states, split by state
+    {out}/knotgym/{task}-nx{nx}/{policy}-random-walk-v0             random-walk states
+    {out}/knotgym/{task}-nx{nx}/{policy}-train-code[-...]-v0        split by code
+    {out}/knotgym/suite.json, README.md                             what is known of each; the card
 
-Every dataset is an ordinary collection, see `collect`. This module defines which ones there are,
-their order, the estimate of the time they take, and one card for all.
+Every dataset is an ordinary collection, see `collect`, or rebuilt from a recording, see `rebuild`.
+This module defines which ones there are, their order, the estimate of the time they take, and one
+card for all.
 """
 
 import json
@@ -18,35 +20,43 @@ from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.common.atomic_files import Occupied, atomic_write, require_output, sha256
+from knotgym.common.atomic_files import Occupied, atomic_write, require_output
 from knotgym.common.configuration import InvalidConfig, read_json
-from knotgym.common.errors import one_line
-from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import (
-    REPORT,
-    CollectConfig,
-    EpisodeRecipe,
-    collect,
-    plain_id,
+from knotgym.generate.episodes.collect import CollectConfig, EpisodeRecipe, plain_id
+from knotgym.generate.episodes.rebuild import RebuildRecipe
+from knotgym.generate.episodes.recordings import (
+    RECORDINGS,
+    InvalidRecording,
+    read_recording,
+    recorded_ids,
 )
 from knotgym.generate.episodes.results import reference_scores
+from knotgym.generate.episodes.suite_facts import describe_set
 from knotgym.generate.episodes.suite_scores import SUITE, read_scores, score_tables
 from knotgym.rope.engines import ENGINES, MUJOCO
-from knotgym.runs.engine import is_finished, request_of, require_resumable, whole_request
+from knotgym.runs.engine import is_finished, request_of, require_resumable, run, whole_request
 from knotgym.runs.executors import cores
 from knotgym.runs.progress import Progress, duration
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.staging import has_work, require_no_interrupted_run, staging_folder
 from knotgym.states.state_file import minari_root
 
-POLICIES, STATES = tuple(SUITE["policies"]), tuple(SUITE["states"])
+POLICIES, STATES, SPLITS = (tuple(SUITE[name]) for name in ("policies", "states", "splits"))
 SETUPS = tuple(product(SUITE["tasks"], SUITE["nx"]))
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
+_PLAY = (
+    *("id", "reached the goal, %", "first choices, %", "planner, %", "bead predicted, %"),
+    *("goal codes, train", "test", "in both", "classes in both"),
+)
+
+
+class DiffersFromRecording(NotEnough):
+    """Rebuilt episodes aren't those that were recorded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,30 +66,34 @@ class SuiteConfig:
     Attributes:
         tasks: tasks, comma-separated: unknot, tie, convert.
         nx: numbers of crossings, from 2 to 4: 3 or 2,3.
-        policies: policies, comma-separated: random, scripted, noisy, expert.
+        policies: policies, comma-separated: random, noisy, expert, play.
+        splits: splits, comma-separated: train, whose states are held out from test, and train-code,
+            which shares no code with test-code.
         states: sets of states, comma-separated: readable, random-walk.
-        episodes: policy -> episodes per setup and set of states.
+        episodes: policy -> episodes per dataset; by default those of `data/suite.toml`.
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
             Every engine but MuJoCo has ids of its own.
         observation: observation to store: pixels, state, both or symbolic. Pictures can be drawn
             from any of them.
-        budget: simulated actions per episode for expert planning.
         seed: random seed of every dataset; not 0, the default of `evaluate`, whose episodes on the
             train split would then start like those of the datasets.
+        recorded: rebuild datasets from the recordings that are included, by stepping alone. Setups
+            without a recording are left out; random episodes follow from the seed.
     """
 
     tasks: tuple[str, ...] = tuple(SUITE["tasks"])
     nx: tuple[int, ...] = tuple(SUITE["nx"])
     policies: tuple[str, ...] = POLICIES
+    splits: tuple[str, ...] = SPLITS
     states: tuple[str, ...] = STATES
     episodes: Mapping[str, int] = field(default_factory=dict)
     engine: str = MUJOCO
     observation: str = SUITE["observation"]
-    budget: int = SUITE["budget"]
     seed: int = SUITE["seed"]
+    recorded: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("tasks", "nx", "policies", "states"):
+        for name in ("tasks", "nx", "policies", "splits", "states"):
             some, known = getattr(self, name), SUITE[name]
             wrong = [one for one in some if one not in known]
             if wrong or not some:
@@ -91,36 +105,44 @@ class SuiteConfig:
             raise InvalidConfig(
                 f"episodes are set for {', '.join(POLICIES)}; got {', '.join(unknown)}"
             )
-        object.__setattr__(self, "episodes", {**SUITE["episodes"], **self.episodes})
         for _ in self.sets():  # raises if a size, seed or observation is invalid
             pass
 
     def sets(self) -> Iterator[CollectConfig]:
         """Yield the requested datasets in the order in which they are made.
 
-        Readable states come first; within a set of states, one setup is completed before the next.
+        The split by state and readable states come first; within them, one setup is completed
+        before the next.
         """
         seed_mark = () if self.seed == SUITE["seed"] else (f"seed{self.seed}",)
-        for states, task, nx, name in product(self.states, self.tasks, self.nx, self.policies):
-            policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=self.budget))
+        every = product(self.splits, self.states, self.tasks, self.nx, self.policies)
+        for split, states, task, nx, name in every:
+            policy = PolicyConfig(policy=name)
             own = None if states == STATES[0] else states
             setup = TaskConfig(
-                task=task, nx=nx, states=own, engine=self.engine, observation=self.observation
+                task=task,
+                nx=nx,
+                split=split,
+                states=own,
+                engine=self.engine,
+                observation=self.observation,
+                **SUITE["settings"].get(task, {}),
+                **SUITE["settings"].get(name, {}),
             )
+            size = SUITE["episodes"][name][SUITE["nx"].index(nx)]
             yield CollectConfig(
                 task=setup,
                 policy=policy,
-                episodes=self.episodes[name],
+                episodes=self.episodes.get(name, size),
                 seed=self.seed,
                 dataset_id=plain_id(setup, policy, own or "", *seed_mark),
             )
 
 
-def core_seconds(config: CollectConfig) -> float:
+def core_seconds(config: CollectConfig, recorded: bool = False) -> float:
     """Return the estimated cost of a dataset in core seconds, from `data/suite.toml`."""
-    task = config.task
-    rates = SUITE["rates"][task.states or STATES[0]][f"{task.task}-nx{task.nx}"]
-    return float(rates[config.policy.policy]) * config.episodes
+    rates = SUITE["core_seconds"]["recorded" if recorded else config.policy.policy]
+    return float(rates[SUITE["nx"].index(config.task.nx)]) * config.episodes
 
 
 def make_suite(
@@ -129,6 +151,7 @@ def make_suite(
     options: RunOptions,
     *,
     scores: Sequence[Path] = (),
+    recordings: Path = RECORDINGS,
     progress: Progress | None = None,
 ) -> Path:
     """Make the missing datasets and a card for all existing ones; return the card's folder.
@@ -140,39 +163,81 @@ def make_suite(
             ones continued; with `overwrite`, each is replaced once the new one is complete.
         scores: files of `knotgym evaluate --out` for the card's table of results, besides those in
             the folder `evaluations` next to the card.
+        recordings: file of recordings; the one that is included by default.
         progress: where to show progress; a new display by default.
 
     Raises:
         Occupied: a dataset, a card or an interrupted run is in the way.
         InvalidRun: an existing dataset was made by another request.
         InvalidConfig, InvalidScores: an existing dataset or an evaluation can't be read.
+        InvalidRecording: nothing that is asked for is recorded, or with other settings.
+        DiffersFromRecording: this machine gets other episodes than recorded. The datasets and the
+            card are finished.
     """
     if progress is None:
         with Progress(options.quiet) as progress:
-            return make_suite(config, out, options, scores=scores, progress=progress)
+            return make_suite(
+                config, out, options, scores=scores, recordings=recordings, progress=progress
+            )
     root = Path(out) if out is not None else minari_root()
     folder = root / "knotgym"
-    wanted = list(config.sets())
+    wanted, known = list(config.sets()), list[str]()
+    if config.recorded:
+        known = recorded_ids(recordings)
+        wanted = _recorded(config, known)
+    recipes = {
+        one.dataset_id: (
+            RebuildRecipe(one, options, read_recording(one.dataset_id, recordings))
+            if one.dataset_id in known
+            else EpisodeRecipe(one, options)
+        )
+        for one in wanted
+    }
     results = read_scores([*scores, *sorted((folder / "evaluations").glob("*.json"))])
-    left = [one for one in wanted if not _is_made(one, root, options)]
+    left = [one for one in wanted if not _is_made(recipes[one.dataset_id], root, options)]
     _require_own_card(folder, options)
-    progress.say(_forecast(wanted, left, options))
-    told = _described(config, root)
+    seconds = sum(core_seconds(one, one.dataset_id in known) for one in left)
+    progress.say(_forecast(wanted, left, seconds, options))
+    told = _described(config, root, recordings)
     _write_card(told, results, config.seed, folder)
     for number, one in enumerate(left, 1):
+        made = root / one.dataset_id
         progress.say(f"set {number} of {len(left)}: {one.dataset_id}, {one.episodes} episodes")
-        begun = has_work(staging_folder(root / one.dataset_id))
-        collect(one, root, replace(options, resume=options.resume and begun), progress=progress)
-        told[one.dataset_id] = describe_set(root / one.dataset_id)
+        begun = options.resume and has_work(staging_folder(made))
+        run(recipes[one.dataset_id], made, replace(options, resume=begun), progress)
+        told[one.dataset_id] = describe_set(made, recordings)
         _write_card(told, results, config.seed, folder)  # the card is current during the run
     progress.say(f"{folder}: {len(wanted)} sets, README.md, suite.json")
+    rebuilt = {one.dataset_id: told[one.dataset_id]["recorded"] for one in wanted}
+    differing = [f"{name} {how}" for name, how in rebuilt.items() if how.startswith("differs")]
+    if config.recorded and differing:
+        raise DiffersFromRecording(
+            f"this machine gets other episodes than recorded: {'; '.join(differing)}; the sets are"
+            " kept, as a collection on this machine would be, and the card says so"
+        )
     return folder
 
 
-def _is_made(one: CollectConfig, root: Path, options: RunOptions) -> bool:
+def _recorded(config: SuiteConfig, known: Sequence[str]) -> list[CollectConfig]:
+    """List the requested sets that are recorded, and the random ones of the same setups."""
+    every = replace(config, policies=POLICIES).sets()
+    setups = {one.task for one in every if one.dataset_id in known}
+    wanted = [
+        one
+        for one in config.sets()
+        if one.dataset_id in known or (one.policy.policy == "random" and one.task in setups)
+    ]
+    if not wanted:
+        raise InvalidRecording(
+            f"nothing of this is recorded; there is {', '.join(known) or 'no recording'}"
+        )
+    return wanted
+
+
+def _is_made(recipe: EpisodeRecipe, root: Path, options: RunOptions) -> bool:
     """Whether a dataset of the same request is finished; raises as `make_suite` does."""
-    made = root / one.dataset_id
-    request = whole_request(EpisodeRecipe(one, options).request(), options.shard)
+    made = root / recipe.config.dataset_id
+    request = whole_request(recipe.request(), options.shard)
     require_no_interrupted_run(made, options)
     if has_work(staging_folder(made)):
         if options.resume:
@@ -204,51 +269,25 @@ def _require_own_card(folder: Path, options: RunOptions) -> None:
 
 
 def _forecast(
-    wanted: Sequence[CollectConfig], left: Sequence[CollectConfig], options: RunOptions
+    wanted: Sequence[CollectConfig],
+    left: Sequence[CollectConfig],
+    seconds: float,
+    options: RunOptions,
 ) -> str:
     workers = options.workers or cores()
     episodes = sum(one.episodes for one in left)
-    spent = sum(map(core_seconds, left)) / workers
     finished = f", {len(wanted) - len(left)} finished already" if len(left) < len(wanted) else ""
     return (
         f"{len(wanted)} sets{finished}; {episodes} episodes to play, about"
-        f" {duration(math.ceil(spent))} with {workers} workers, each a core of its own"
+        f" {duration(math.ceil(seconds / workers))} with {workers} workers, each a core of its own"
     )
 
 
-def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
+def _described(config: SuiteConfig, root: Path, recordings: Path) -> dict[str, Any]:
     """Describe every existing dataset of the benchmark, of this run or earlier ones, by id."""
     whole = SuiteConfig(observation=config.observation, seed=config.seed)
     ids = [one.dataset_id for engine in ENGINES for one in replace(whole, engine=engine).sets()]
-    return {name: describe_set(root / name) for name in ids if (root / name).exists()}
-
-
-def describe_set(made: Path) -> dict[str, Any]:
-    """Return the size, seed and checksums of a finished dataset, made by `knotgym collect`."""
-    try:
-        said = read_json(made / "data" / REPORT)
-        config, tally = said["config"], said["tally"]
-        files = {name: made / "data" / name for name in ("main_data.hdf5", "metadata.json")}
-        return {
-            "task": config["task"]["task"],
-            "nx": config["task"]["nx"],
-            "split": config["task"]["split"],
-            "states": config["task"]["states"] or STATES[0],
-            "engine": config["task"]["engine"],
-            "observation": config["task"]["observation"],
-            "policy": config["policy"]["policy"],
-            "seed": config["seed"],
-            "episodes": tally["kept"],
-            "succeeded": tally["succeeded"],
-            "steps": tally["steps"],
-            "bytes": sum(file.stat().st_size for file in files.values()),
-            "sha256": {name: sha256(file) for name, file in files.items()},
-            "versions": said["versions"],
-        }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidConfig(
-            f"{made} is none of the suite's sets ({one_line(error)}); remove it"
-        ) from error
+    return {name: describe_set(root / name, recordings) for name in ids if (root / name).exists()}
 
 
 def _write_card(
@@ -272,18 +311,30 @@ def _write_card(
 def suite_card(report: Mapping[str, Any]) -> str:
     """Return the card of the benchmark as Markdown; `report` is the content of suite.json."""
     sets = report["sets"]
-    columns = "id states engine policy seed episodes steps".split()
-    head = (*columns, "reached the goal", "MB", "SHA-256 of main_data.hdf5")
-    rows = [
-        (
-            *(code_span(name), *(plain(one[key]) for key in ("states", "engine", "policy"))),
-            *(one["seed"], one["episodes"], one["steps"]),
-            f"{100 * one['succeeded'] / max(one['episodes'], 1):.1f} %",
-            f"{one['bytes'] / 1e6:.1f}",
-            f"`{one['sha256']['main_data.hdf5'][:16]}...`",
+    columns = "id states split engine policy seed episodes steps".split()
+    head = (*columns, "MB", "as recorded", "SHA-256 of main_data.hdf5")
+    rows, play = [], []
+    for name, one in sorted(sets.items()):
+        rows.append(
+            (
+                code_span(name),
+                *(plain(one[key]) for key in columns[1:]),
+                f"{one['bytes'] / 1e6:.1f}",
+                plain(one["recorded"]),
+                f"`{one['sha256']['main_data.hdf5'][:16]}...`",
+            )
         )
-        for name, one in sorted(sets.items())
-    ]
+        codes, guessed = one["codes"] or {}, one["predictability"]
+        play.append(
+            (
+                code_span(name),
+                "" if one["endless"] else _percent(one["succeeded"] / max(one["episodes"], 1)),
+                _percent(one["first_choices"]),
+                _percent(one["planner"]),
+                f"{_percent(guessed['bead_top1'])} of {guessed['decisions']}" if guessed else "",
+                *(codes.get(key, "") for key in ("train", "test", "shared", "shared_classes")),
+            )
+        )
     references = [
         (setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
         for setup, one in reference_scores().items()
@@ -297,6 +348,11 @@ def suite_card(report: Mapping[str, Any]) -> str:
         version=report["knotgym"],
         seed=report["seed"],
         sets=table(head, rows),
+        play=table(_PLAY, play),
         references=table(("set-up", "random", "expert", "episodes"), references),
         results=score_tables(report["results"], "###") or none,
     )
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.1f}"
