@@ -60,4 +60,4 @@ def test_every_line_runs_as_it_stands(tmp_path: Path) -> None:
         assert ended.returncode == 0, f"{text}\n{ended.stdout[-1000:]}\n{ended.stderr[-2000:]}"
         assert "Traceback" not in ended.stderr, text
     assert (checkout / "knotgym-data/nx3/states.h5").is_file()
-    assert (checkout / "cloned.pt").is_file()
+    assert (checkout / "clone" / "policy.json").is_file()

@@ -26,7 +26,6 @@ def _options() -> list[Option]:
             "--data",
             list[str],
             "Minari id or folder of train-split episodes; may be repeated.",
-            default=...,
         ),
         option(
             "--learner",
@@ -42,11 +41,21 @@ def _options() -> list[Option]:
                 "help": "Training steps: of the reader of pictures, or 4000 of the clone.",
             },
         ),
-        *options_of(CloneConfig(), "improve"),
+        *_of_the_clone(),
         *run_options("settings"),
         *options_of(TrainConfig(), "seed"),
         *run_options(EXISTING),
     ]
+
+
+def _of_the_clone() -> list[Option]:
+    made = "episodes task nx split".replace(" ", " demonstrations.")
+    return options_of(
+        CloneConfig(),
+        f"demonstrations.{made} improve",
+        "The clone",
+        episodes={"names": "--demonstrations"},
+    )
 
 
 @command(_options)
@@ -58,14 +67,18 @@ def train(given: Given) -> None:
     from knotgym.learn.clone_training import train_clone
     from knotgym.learn.training import train as train_from_pictures
 
-    learner, data, out = given["learner"], given["data"], given["out"]
+    learner, data, out = given["learner"], given["data"] or [], given["out"]
     if learner == "clone":
         clone = given.config(CloneConfig)
         train_clone(data, out, clone, existing=given.run, progress=given.progress)
     elif learner != "pictures":
         raise InvalidTraining(f"no learner {learner!r}; there is pictures, clone")
-    elif given["improve"]:
-        raise InvalidTraining("only the clone improves by playing: add --learner clone")
+    elif given.typed & {option.path for option in _of_the_clone()}:
+        raise InvalidTraining(
+            "only the clone makes demonstrations and improves by playing: add --learner clone"
+        )
+    elif not data:
+        raise InvalidTraining("name at least one dataset to train on, as in --data FOLDER")
     else:
         pictures = given.config(TrainConfig)
         train_from_pictures(data, out, pictures, existing=given.run, progress=given.progress)

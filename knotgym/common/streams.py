@@ -68,6 +68,9 @@ class Stream(IntEnum):
     LEARN_HELD_OUT = 54  # the episodes held out of a clone's training
     LEARN_PLAY = 55  # round and task, episode: the choices of a clone that plays
     LEARN_PLAY_START = 56  # the same: the seed of that episode's start and goal
+    LEARN_COPIES = 57  # episode: the first beads of its copies
+    DEMONSTRATION = 58  # task, episode: its start, its goal, and the passes before it
+    DEMONSTRATION_STARTS = 59  # task: the starts of demonstrations
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play
     SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions

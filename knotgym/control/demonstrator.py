@@ -77,14 +77,14 @@ class Decision(NamedTuple):
         code: with chirality.
         move: the pass.
         rank: how many passes were tried there, this one included.
-        pulls: actions that it took.
+        landing: where it led.
     """
 
     points: Array
     code: GaussCode
     move: Pass
     rank: int
-    pulls: int
+    landing: Landing
 
 
 @dataclass(eq=False)
@@ -121,7 +121,7 @@ class _Look:
             self.spent += outcome.pulls
             if outcome.towed:
                 continue
-            decision = Decision(points, diagram.code, move, rank, outcome.pulls)
+            decision = Decision(points, diagram.code, move, rank, outcome)
             if outcome.code.matches(self.goal):
                 return [decision]
             left = steps - outcome.pulls

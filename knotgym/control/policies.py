@@ -12,7 +12,7 @@ mixed           draws one of random, scripted, noisy and expert for each episode
 module:name     user code: a function of (observation) or (observation, info, generator), or an
                 object with `reset` and `act`, see `own_policies`; the module may lie in the
                 current folder
-FOLDER          a learner that `knotgym train` wrote; `pretrained` for the one that ships
+FOLDER          a learner that `knotgym train` wrote; `pretrained`, `pretrained-clone` ship
 FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC selects an
                 algorithm other than PPO), .onnx, or .pt (TorchScript)
 prompt:FILE     replays the actions in the transcripts of `knotgym prompt`
@@ -79,11 +79,11 @@ class PolicyConfig:
     """Which policy acts, and its settings.
 
     Attributes:
-        policy: policy: random, constant, scripted, expert, noisy, play, planner, mixed or
-            pretrained; a folder written by `knotgym train`; a .zip (SB3), .onnx or .pt file;
-            prompt:FILE, to score transcripts of `knotgym prompt`; or module:name for your own code:
-            a function of (observation) or (observation, info, generator), or an object with reset
-            and act.
+        policy: policy: random, constant, scripted, expert, noisy, play, planner, mixed, pretrained
+            or pretrained-clone; a folder written by `knotgym train`; a .zip (SB3), .onnx or .pt
+            file; prompt:FILE or recorded:DATASET, to score transcripts of `knotgym prompt` or a
+            recording; or module:name for your own code: a function of (observation) or
+            (observation, info, generator), or an object with reset and act.
         noise: probability that a pull of the noisy policy is random.
         shares: shares of random, scripted, noisy and expert episodes in mixed.
         demonstrator: settings of the expert.

@@ -23,7 +23,7 @@ from knotgym.rope.simulation import InvalidAction
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
 
-    from knotgym.rendering.window import Window
+    from knotgym.rendering.window import PictureWindow
 
 _FPS = 5  # an action lasts 0.192 s
 _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
@@ -64,11 +64,11 @@ class KnotEnv(gym.Env[Any, NDArray[Any]]):
         self.config = task_config(task, settings)
         warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array", "human")
-        self._window: Window | None = None
+        self._window: PictureWindow | None = None
         if render_mode == "human":
-            from knotgym.rendering.window import Window  # only this mode needs pygame
+            from knotgym.rendering.window import PictureWindow  # only this mode needs pygame
 
-            self._window = Window(_FPS)
+            self._window = PictureWindow(_FPS)
         self.episodes = EpisodeBatch(self.config)
         beads = self.episodes.simulation.rope.config.beads
         self.observation_space = observation_space(self.config, beads)

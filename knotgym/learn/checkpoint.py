@@ -27,7 +27,8 @@ from knotgym.learn.reader import Reader
 
 FORMAT, FORMAT_VERSION = "knotgym-policy", 1
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
-PRETRAINED = "pretrained"  # name of the checkpoint that ships with the package
+PRETRAINED, PRETRAINED_CLONE = "pretrained", "pretrained-clone"
+SHIPPED = (PRETRAINED, PRETRAINED_CLONE)  # names of the checkpoints that ship with the package
 
 
 class InvalidCheckpoint(KnotgymError, ValueError):
@@ -72,9 +73,9 @@ def write_checkpoint(folder: Path, tensors: dict[str, Tensor], made: dict[str, A
 
 
 def policy_folder(name: str) -> Path:
-    """Return the folder of a checkpoint: a path, or PRETRAINED for the one that ships."""
-    if name == PRETRAINED:
-        return Path(str(files("knotgym.learn") / "data" / PRETRAINED))
+    """Return the folder of a checkpoint: a path, or the name of one that ships."""
+    if name in SHIPPED:
+        return Path(str(files("knotgym.learn") / "data" / name))
     return Path(name)
 
 

@@ -11,6 +11,44 @@ HEADS = ("macro", "bead")
 
 
 @dataclass(frozen=True, kw_only=True)
+class DemonstrationsConfig:
+    """Demonstrations that a training makes for itself, in the chain engine.
+
+    Attributes:
+        episodes: demonstrations to make of each task and nx, in the chain engine.
+        task: tasks of these demonstrations: tie, convert, unknot.
+        nx: numbers of crossings of these demonstrations.
+        split: split of their starts and goals: train or train-code.
+        starts: resets of each task that they begin from.
+        wander: random passes before a demonstration, at most.
+        budget: actions simulated for a demonstration, at most; what needs more is given up, and is
+            no example of what is done at first sight.
+        lanes: demonstrations side by side; makes no difference to them.
+    """
+
+    episodes: int = 0
+    task: tuple[str, ...] = ("tie",)
+    nx: tuple[int, ...] = (2,)
+    split: str = "train"
+    starts: int = 512
+    wander: int = 2
+    budget: int = 400
+    lanes: int = 128
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            counts=("starts", "budget", "lanes"),
+            whole=("episodes", "wander"),
+            error=InvalidTraining,
+        )
+        if self.split not in ("train", "train-code"):
+            raise InvalidTraining(
+                f"a clone learns from train or train-code, got the split {self.split!r}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class ImproveConfig:
     """How the clone plays to improve.
 
@@ -41,8 +79,11 @@ class CloneConfig:
         action: what is cloned: "macro" for a demonstrator's macro-actions, "bead" for every pull.
         steps: optimizer steps on the data.
         failed: whether to learn from episodes that didn't reach their goal, too.
+        demonstrations: to make, beside those in datasets.
         hindsight: macro-actions before a state for which its code counts as a goal; 0 for none.
-        hindsight_share: share of each batch that has such goals, if there are any.
+        copies: of a way to a goal, with the rope's beads numbered from others; each leads to the
+            goal's code as it is read from its first bead.
+        other_share: share of each batch with goals in hindsight or of copies, if there are any.
         improve: rounds of improvement by playing in the chain engine.
         round_steps: optimizer steps after each of them.
         batch: decisions per step.
@@ -60,8 +101,10 @@ class CloneConfig:
     action: str = "macro"
     steps: int = 4000
     failed: bool = False
+    demonstrations: DemonstrationsConfig = DemonstrationsConfig()
     hindsight: int = 2
-    hindsight_share: float = 0.2
+    copies: int = 4
+    other_share: float = 0.5
     improve: int = 0
     round_steps: int = 1000
     batch: int = 128
@@ -79,17 +122,18 @@ class CloneConfig:
         check_numbers(
             self,
             counts=("steps", "round_steps", "batch", "judge_every", "width", "layers"),
-            whole=("seed", "improve", "hindsight"),
+            whole=("seed", "improve", "hindsight", "copies"),
             positive=("rate",),
-            non_negative=("decay", "average", "held_out", "hindsight_share"),
+            non_negative=("decay", "average", "held_out", "other_share"),
             error=InvalidTraining,
         )
         if self.action not in HEADS:
             raise InvalidTraining(f"action must be {' or '.join(HEADS)}, got {self.action!r}")
-        for name in ("average", "held_out", "hindsight_share"):
+        for name in ("average", "held_out", "other_share"):
             if getattr(self, name) >= 1:
                 raise InvalidTraining(f"{name} must be below 1, got {getattr(self, name)}")
-        if self.improve and self.action != "macro":
+        if (self.improve or self.demonstrations.episodes) and self.action != "macro":
             raise InvalidTraining(
-                f"a clone improves by its macro-actions: set action = macro, got {self.action!r}"
+                "play and demonstrations in the chain engine consist of macro-actions: set action"
+                f" = macro, got {self.action!r}"
             )

@@ -15,16 +15,20 @@ from safetensors.numpy import save
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import one_line
 from knotgym.common.hdf5_files import require_regular
+from knotgym.common.streams import Stream, generator
 from knotgym.control.demonstrator import RANDOM
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.trajectory import MACRO_INFOS, Episode
 from knotgym.envs.marked import Marked, mark
+from knotgym.learn.clone_config import CloneConfig
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.train_config import InvalidTraining
 from knotgym.learn.training_data import require_trainable
 from knotgym.rope.actions import force_choices
 from knotgym.rope.model import RopeConfig
+from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import shifted_base
 
 
 class Decisions(NamedTuple):
@@ -36,7 +40,8 @@ class Decisions(NamedTuple):
         macros: int64 (n, 3): bead to lead, bead of the strand to pass, +1 over or -1 under.
         forces: float32 (n, 3), relative to the largest, of pulls; not used for macro-actions.
         episodes: int64 (n,), episodes are held out whole.
-        asked: bool (n,), whether the goal had been asked for; else it was reached by chance.
+        asked: bool (n,), whether the goal had been asked for; else it was reached by chance, or the
+            rope is a copy whose beads are numbered from another one.
     """
 
     points: NDArray[np.float32]
@@ -60,12 +65,35 @@ class Decisions(NamedTuple):
 
 
 class DecidedStep(NamedTuple):
-    """One decision: the rope before it, the codes before and after it, and the macro-action."""
+    """One decision.
+
+    Attributes:
+        points: float32 (beads, 3), metres, before it.
+        landed: the same after it.
+        before, after: codes.
+        macro: see `Decisions`.
+    """
 
     points: NDArray[np.float32]
+    landed: NDArray[np.float32]
     before: GaussCode
     after: GaussCode
     macro: tuple[int, int, int]
+
+    def numbered_from(self, base: int) -> DecidedStep:
+        """Return the same decision on a rope whose beads are numbered from bead `base`."""
+        count, (bead, target, side) = len(self.points), self.macro
+        before, after = (
+            shifted_base(find_crossings(points.astype(np.float64)), base)
+            for points in (self.points, self.landed)
+        )
+        return DecidedStep(
+            np.roll(self.points, -base, axis=0),
+            np.roll(self.landed, -base, axis=0),
+            before,
+            after,
+            ((bead - base) % count, (target - base) % count, side),
+        )
 
 
 class Examples(NamedTuple):
@@ -104,48 +132,47 @@ def examples(decisions: Decisions) -> Examples:
     )
 
 
-def read_decisions(
-    datasets: Sequence[Any], action: str = "macro", failed: bool = False, hindsight: int = 0
-) -> Decisions:
+def read_decisions(datasets: Sequence[Any], config: CloneConfig) -> Decisions:
     """Read the decisions of datasets, given as ids or folders.
 
     Args:
         datasets: of the train split.
-        action: "macro" for the macro-actions that a demonstrator chose; "bead" for every pull.
-        failed: also imitate episodes that didn't reach their goal.
-        hindsight: macro-actions before a state for which its code counts as a goal.
+        config: says what is imitated.
 
     Raises:
         InvalidTraining: a dataset is not of the train split, has no episodes, was made with another
             rope, or holds no macro-actions.
         InvalidEpisodeFile, MissingFile: a dataset is missing or not of this version.
     """
-    if not datasets:
-        raise InvalidTraining("name at least one dataset to train on, as in --data FOLDER")
     parts = list[Decisions]()
     number = 0
     for dataset in datasets:
         reader = EpisodeReader(dataset)
         require_trainable(reader, dataset)
-        if action == "macro" and not reader.has("macro_start"):
+        if config.action == "macro" and not reader.has("macro_start"):
             raise InvalidTraining(
                 f"{dataset} doesn't say which macro-actions its policy chose, so the clone can't"
                 " learn them; use a demonstrator's set, or set action = bead to learn pulls"
             )
         for index in range(len(reader)):
             episode = reader.episode(index)
-            if action == "macro":
-                parts.append(_macros(episode, number, failed, hindsight))
-            elif failed or episode.terminations[-1]:
+            if config.action == "macro":
+                parts.append(_macros(episode, number, config))
+            elif config.failed or episode.terminations[-1]:
                 parts.append(_pulls(episode, number))
             number += 1
         reader.close()
-    if not any(part.asked.any() for part in parts):
+    if datasets and not any(part.asked.any() for part in parts):
         raise InvalidTraining(
             f"no episode of {', '.join(map(str, datasets))} reached its goal, so there is nothing"
             " to imitate; set failed = true to learn from the others too"
         )
-    return join(parts)
+    return join([none(), *parts])
+
+
+def none() -> Decisions:
+    """Return no decisions."""
+    return gathered([], [], GaussCode(), 0, CloneConfig())
 
 
 def join(parts: Sequence[Decisions]) -> Decisions:
@@ -168,8 +195,8 @@ def gathered(
     way: Sequence[DecidedStep],
     asked: Sequence[DecidedStep],
     goal: GaussCode,
-    window: int,
     number: int,
+    config: CloneConfig,
 ) -> Decisions:
     """Return the decisions of an episode that are worth learning.
 
@@ -178,15 +205,22 @@ def gathered(
             for the goal of that step and of up to `window` - 1 steps before it (hindsight).
         asked: steps to imitate for the episode's own goal.
         goal: the episode's own.
-        window: 0 for no hindsight.
         number: of the episode.
+        config: says how much hindsight there is, and how many copies.
     """
     rows = [(step, goal.plain, True) for step in asked]
+    window = config.hindsight
     for end, last in enumerate(way):
         reached = last.after.plain
         for step in way[max(0, end + 1 - window) : end + 1]:
             if reached != goal.plain and not step.before.matches(reached):
                 rows.append((step, reached, False))
+    # a copy's goal is the code that the whole way led to, read from the copy's first bead
+    if asked and asked[-1].after.matches(goal):
+        rng = generator(Stream.LEARN_COPIES, config.seed, abs(number), int(number < 0))
+        for base in rng.choice(np.arange(1, BEADS), config.copies, replace=False).tolist():
+            copied = [step.numbered_from(base) for step in asked]
+            rows += [(step, copied[-1].after.plain, False) for step in copied]
     count = len(rows)
     points = np.stack([step.points for step, *_ in rows]) if rows else np.zeros((0, BEADS, 3))
     return Decisions(
@@ -242,7 +276,7 @@ def _pulls(episode: Episode, number: int) -> Decisions:
     )
 
 
-def _macros(episode: Episode, number: int, failed: bool, window: int) -> Decisions:
+def _macros(episode: Episode, number: int, config: CloneConfig) -> Decisions:
     """Return the macro-actions of an episode as decisions, and what they reached in hindsight."""
     start, *macro = (getattr(episode, name)[1:] for name in MACRO_INFOS)
     count = len(episode)
@@ -254,14 +288,14 @@ def _macros(episode: Episode, number: int, failed: bool, window: int) -> Decisio
     asked, way, decisions = list[DecidedStep](), list[DecidedStep](), list[Decisions]()
     ends = [*starts[1:].tolist(), count][: len(starts)]  # none if nothing was chosen
     for at, end in zip(starts.tolist(), ends, strict=True):
-        points, (bead, target, side) = episode.points[at].astype(np.float32), table[at].tolist()
-        step = DecidedStep(points, codes[at], codes[end], (bead, target, side))
+        points, (bead, target, side) = episode.points.astype(np.float32), table[at].tolist()
+        step = DecidedStep(points[at], points[end], codes[at], codes[end], (bead, target, side))
         # a pass that nobody chose isn't imitated, but led somewhere all the same
-        if reasons[at] != RANDOM and (failed or episode.terminations[-1]):
+        if reasons[at] != RANDOM and (config.failed or episode.terminations[-1]):
             asked.append(step)
         if part_of_none[at:end].any():  # cut short by a random pull
-            decisions.append(gathered(without_loops(way), [], goal, window, number))
+            decisions.append(gathered(without_loops(way), [], goal, number, config))
             way = []
         elif step.before != step.after:
             way.append(step)
-    return join([*decisions, gathered(without_loops(way), asked, goal, window, number)])
+    return join([*decisions, gathered(without_loops(way), asked, goal, number, config)])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.learn.clone_config import ImproveConfig
+from knotgym.learn.clone_config import CloneConfig
 from knotgym.learn.clone_data import DecidedStep, Decisions, gathered, join, without_loops
 from knotgym.learn.clone_network import CloneNetwork
 from knotgym.learn.clone_policy import ClonePolicy
@@ -30,7 +30,8 @@ class PlayedMacros(NamedTuple):
     """What a round of play gave.
 
     Attributes:
-        decisions: kept ones; episodes are numbered from 0.
+        decisions: kept ones; the numbers of their episodes are negative, and differ between
+            rounds and tasks.
         success_rate: share of the episodes that reached their goal.
     """
 
@@ -41,24 +42,21 @@ class PlayedMacros(NamedTuple):
 def play(
     network: CloneNetwork,
     task: TaskConfig,
-    config: ImproveConfig,
-    seed: int,
+    clone: CloneConfig,
     number: int,
     known: Sequence[GaussCode] = (),
-    hindsight: int = 2,
 ) -> PlayedMacros:
-    """Play episodes of the train split and return the decisions worth learning.
+    """Play episodes and return the decisions worth learning.
 
     Args:
         network: in evaluation mode; its macro-actions are drawn at a temperature.
         task: whose starts and goals; the engine and the views are replaced.
-        config: how to play.
-        seed: of the training.
+        clone: how to play, and what is learned from it.
         number: of the round and task, so that each plays other episodes.
         known: codes that half of the episodes get as their goal instead of the task's.
-        hindsight: as of `CloneConfig`.
     """
-    task = replace(task, engine="chain", action="macro", observation="state", split="train")
+    config, seed = clone.play, clone.seed
+    task = replace(task, engine="chain", action="macro", observation="state")
     episodes = EpisodeBatch(task, min(_LANES, config.episodes))
     policy = ClonePolicy(network, "macro", config.temperature)
     steps: dict[int, list[DecidedStep]] = {}
@@ -84,7 +82,8 @@ def play(
     def close(index: int) -> None:
         if index in opened:
             points, before, macro = opened.pop(index)
-            steps[index].append(DecidedStep(points, before, episodes.codes[index], macro))
+            landed = episodes.simulation.points[index].astype(np.float32)
+            steps[index].append(DecidedStep(points, landed, before, episodes.codes[index], macro))
 
     under_way = np.array([index for index in range(episodes.count) if begin(index)])
     while len(under_way):
@@ -106,7 +105,8 @@ def play(
             reached += bool(terminated[row])
             way = without_loops(steps[index])
             asked = way if terminated[row] else []
-            kept.append(gathered(way, asked, episodes.goals[index], hindsight, numbers[index]))
+            key = -1 - config.episodes * number - numbers[index]
+            kept.append(gathered(way, asked, episodes.goals[index], key, clone))
             left[row] = begin(index)
         under_way = under_way[left]
     return PlayedMacros(join(kept), reached / config.episodes)

@@ -185,7 +185,7 @@ def choose_pulls(network: CloneNetwork, points: Array, goals: list[GaussCode]) -
 
 def save_clone(folder: Path, network: CloneNetwork, made: dict[str, Any]) -> None:
     """Write a checkpoint folder; `made` adds to its card, and must hold `config`."""
-    tensors = {name: own.detach().contiguous() for name, own in network.state_dict().items()}
+    tensors = {name: own.detach().half().contiguous() for name, own in network.state_dict().items()}
     write_checkpoint(folder, tensors, {"learner": CLONE, **made})
 
 

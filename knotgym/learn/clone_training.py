@@ -8,6 +8,7 @@ to a goal (`clone_play`): what a network did, a network can learn.
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Sequence
@@ -21,7 +22,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import knotgym
-from knotgym.common.atomic_files import remove
+from knotgym.common.atomic_files import atomic_write, remove
+from knotgym.common.configuration import read_json
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.envs.tasks import TaskConfig
@@ -35,9 +37,12 @@ from knotgym.learn.clone_data import (
     read_decisions,
     save_decisions,
 )
+from knotgym.learn.clone_demonstrations import demonstrate, demonstrated_tasks
 from knotgym.learn.clone_network import CloneNetwork, Macros, inputs
 from knotgym.learn.clone_play import play
 from knotgym.learn.clone_policy import ClonePolicy, load_clone, save_clone
+from knotgym.learn.imagination import BEADS
+from knotgym.learn.train_config import InvalidTraining
 from knotgym.learn.training import begin_training, draw_curve, keep_training, run_training
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import REFUSE_EXISTING, Existing
@@ -151,7 +156,7 @@ class CloneTraining:
         """Draw a batch of rows, of which a share has goals in hindsight."""
         asked, reached = np.flatnonzero(data.asked), np.flatnonzero(~data.asked)
         batch = self._config.batch
-        other = round(self._config.hindsight_share * batch) if len(reached) else 0
+        other = round(self._config.other_share * batch) if len(reached) else 0
         return np.concatenate(
             [
                 asked[rng.integers(len(asked), size=batch - other)],
@@ -198,19 +203,27 @@ def train_clone(
     shown = progress
 
     def read() -> tuple[Decisions, str]:
-        decisions = read_decisions(datasets, config.action, config.failed, config.hindsight)
+        if not datasets and not config.demonstrations.episodes:
+            raise InvalidTraining(
+                "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations"
+                " be made, as in --demonstrations 1000"
+            )
+        decisions = read_decisions(datasets, config)
         return decisions, decisions.digest
 
     def make(decisions: Decisions, request: dict[str, Any], folder: Path) -> None:
         began = time.perf_counter()
-        tasks = tasks_of(datasets)
-        network, curve, facts = fit_clone(decisions, config, tasks, shown, folder, request)
+        kept = begin_training(folder, request)
+        decisions, told = _with_demonstrations(decisions, config, folder, shown)
+        tasks = tasks_of(datasets, demonstrated_tasks(config.demonstrations))
+        network, curve, facts = fit_clone(decisions, config, tasks, shown, folder, kept)
         remove(folder / "made")
         made = {
             "knotgym": knotgym.__version__,
             **request,
             "data": ["/".join(Path(str(one)).parts[-3:]) for one in datasets],
             **facts,
+            **told,
             "seconds": round(time.perf_counter() - began),
         }
         save_clone(folder / "made", network, made)
@@ -226,7 +239,7 @@ def fit_clone(
     tasks: Sequence[TaskConfig] = (),
     progress: Progress | None = None,
     folder: Path | None = None,
-    request: dict[str, Any] | None = None,
+    kept: dict[str, Tensor] | None = None,
 ) -> tuple[CloneNetwork, list[tuple[int, float, float]], dict[str, Any]]:
     """Train a clone on decisions, then by play.
 
@@ -235,15 +248,14 @@ def fit_clone(
         config: settings.
         tasks: what to play in rounds of improvement.
         progress: where to show progress.
-        folder: staging folder to resume from and to save to; None to keep nothing.
-        request: settings and digest that a resumed training must have.
+        folder: staging folder to save to; None to keep nothing.
+        kept: what a training that is resumed had saved there.
 
     Returns:
         The network, the curve (see `CloneTraining`), and facts for its card.
     """
     progress = progress or Progress(quiet=True)
     training = CloneTraining(config)
-    kept = begin_training(folder, request) if folder is not None and request is not None else {}
     if kept:
         training.restore(kept)
 
@@ -278,14 +290,20 @@ def fit_clone(
             if path is not None:
                 save_decisions(path, own, rate)
         rounds.append(own)
-        rates.append(rate)
+        rates.append(dict(sorted(rate.items())))
         progress.say(f"round {number + 1}: " + ", ".join(f"{k} {v:.0%}" for k, v in rate.items()))
         recent = rounds[-config.play.rounds_kept :]
         train(join([decisions, *recent]), stop - config.round_steps, stop)
     progress.show(status, last=True)
-    episodes = len(np.unique(decisions.episodes))
-    facts = {"episodes": episodes, "decisions": len(decisions.points), "play": rates}
-    return training.averaged() if config.improve else training.best(), training.curve, facts
+    network = training.averaged() if config.improve else training.best()
+    facts = {
+        "episodes": len(np.unique(decisions.episodes)),
+        "decisions": int(decisions.asked.sum()),
+        "decisions_in_hindsight_and_of_copies": int((~decisions.asked).sum()),
+        "held_out": _first_guesses(network, decisions, config),
+        "play": rates,
+    }
+    return network, training.curve, facts
 
 
 def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -> tuple[float, int]:
@@ -296,7 +314,7 @@ def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -
         number.
     """
     config = config or CloneConfig(steps=_JUDGING_STEPS, held_out=0.2, hindsight=0)
-    decisions = read_decisions(datasets, hindsight=0)
+    decisions = read_decisions(datasets, config)
     network, _, _ = fit_clone(decisions, config)
     held = np.flatnonzero(_held_out(decisions.episodes, config) & decisions.asked)
     aside = examples(decisions.rows(held))
@@ -305,9 +323,49 @@ def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -
     return float((guesses == aside.macros[:, 0]).mean()), len(held)
 
 
-def tasks_of(datasets: Sequence[Any]) -> list[TaskConfig]:
-    """Return the tasks of datasets, one of each kind and nx, with the path of their states."""
-    tasks = dict[tuple[str, int], TaskConfig]()
+def _with_demonstrations(
+    decisions: Decisions, config: CloneConfig, folder: Path, progress: Progress
+) -> tuple[Decisions, dict[str, Any]]:
+    """Add the demonstrations that are to be made, or that a staging folder has already."""
+    if not config.demonstrations.episodes:
+        return decisions, {}
+    path, told_in = folder / "demonstrations.safetensors", folder / "demonstrations.json"
+    if path.exists():
+        made, _ = load_decisions(path)
+        told = read_json(told_in)
+    else:
+        progress.stage("making demonstrations in the chain engine")
+        made, told = demonstrate(config, int(decisions.episodes.max(initial=-1)) + 1, progress)
+        with atomic_write(told_in) as part:
+            part.write_text(json.dumps(told), encoding="utf-8")
+        save_decisions(path, made, {})
+    told = {"demonstrations": told, "demonstrations_sha256": made.digest}
+    return join([decisions, made]), told
+
+
+def _first_guesses(
+    network: CloneNetwork, decisions: Decisions, config: CloneConfig
+) -> dict[str, dict[str, float]]:
+    """Tell how often the likeliest bead is the one chosen, in held-out decisions, by nx."""
+    aside = decisions.asked & _held_out(decisions.episodes, config)
+    found = dict[str, dict[str, float]]()
+    crossings = np.array([goal.count("+") for goal in decisions.goals.tolist()])
+    for nx in np.unique(crossings[aside]).tolist():
+        own = examples(decisions.rows(np.flatnonzero(aside & (crossings == nx))[:_JUDGED]))
+        with torch.no_grad():
+            guesses = network(inputs(own.seen)).logits.argmax(1).numpy()
+        apart = np.abs(guesses - own.macros[:, 0])
+        found[f"nx {nx}"] = {
+            "decisions": len(guesses),
+            "bead_first_guess": float(np.mean(apart == 0)),
+            "bead_within_two": float(np.mean(np.minimum(apart, BEADS - apart) <= 2)),
+        }
+    return found
+
+
+def tasks_of(datasets: Sequence[Any], more: Sequence[TaskConfig] = ()) -> list[TaskConfig]:
+    """Return tasks, one of each kind and nx: those of datasets, with the path of their states."""
+    tasks = {(task.task, task.nx): task for task in more}
     for dataset in datasets:
         reader = EpisodeReader(dataset)
         states = reader.task.states if ships(reader.task.states) else str(reader.states_path())
@@ -330,11 +388,8 @@ def _play(
     for place, task in enumerate(tasks):
         known = [code for code in codes if code.nx == task.goal_nx]
         order = number * len(tasks) + place
-        played = play(network, task, config.play, config.seed, order, known, config.hindsight)
-        own = played.decisions
-        # episodes of other tasks, rounds and datasets have other numbers
-        first = -1 - config.play.episodes * order
-        parts.append(own._replace(episodes=first - own.episodes))
+        played = play(network, task, config, order, known)
+        parts.append(played.decisions)
         rates[f"{task.task} {task.nx}"] = played.success_rate
     return join(parts), rates
 

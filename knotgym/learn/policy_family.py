@@ -1,4 +1,4 @@
-"""Names of learners as policies: a folder that `knotgym train` wrote, or `pretrained`.
+"""Names of learners as policies: a folder that `knotgym train` wrote, or one that ships.
 
 `knotgym.control.policies` finds this module through the entry point `learner`. It must stay light:
 torch is imported when a policy is made or its files are read, not when a name is checked.
@@ -17,7 +17,7 @@ from knotgym.control.transition_graph import TRANSITIONS
 
 
 def _matches(name: str) -> bool:
-    return name == "pretrained" or (name != "" and Path(name).is_dir())
+    return name in ("pretrained", "pretrained-clone") or (name != "" and Path(name).is_dir())
 
 
 def _make(config: PolicyConfig) -> Policy:
@@ -52,5 +52,9 @@ def _card(name: str) -> dict[str, Any]:
 
 
 FAMILY = PolicyFamily(
-    form="pretrained, a learner's folder", matches=_matches, make=_make, files=_files, card=_card
+    form="pretrained, pretrained-clone, a learner's folder",
+    matches=_matches,
+    make=_make,
+    files=_files,
+    card=_card,
 )

@@ -206,7 +206,7 @@ class Player:
         if len(self.session.actions) == taken:
             return
         after, lasts = self.session.points.copy(), self._lasts
-        self._forget()
+        self._forget_paths()
         while (share := (time.monotonic() - began) / lasts) < 1 and not self._closed.is_set():
             shown = time.monotonic()
             self.scene.move((1 - share) * before + share * after)
@@ -257,7 +257,7 @@ class Player:
     def _foresee(self, policies: list[str]) -> None:
         self._say("thinking ...")
         seen = [self.session.foresee(policy) for policy in policies]
-        self._forget()
+        self._forget_paths()
         self._forget = self.scene.draw_paths([one.path for one in seen])
         lines = [
             f"**{policy}** pulls bead {one.bead}, to `{one.code or 'the plain loop'}`"
@@ -282,12 +282,15 @@ class Player:
 
     def _show(self, lines: list[str] | None = None, keep: bool = False) -> None:
         if not keep:
-            self._forget()
-            self._forget = lambda: None
+            self._forget_paths()
         points = self.session.points
         self.scene.move(points)
         self.scene.mark(points)
         self._say(*(lines or []))
+
+    def _forget_paths(self) -> None:
+        forget, self._forget = self._forget, lambda: None
+        forget()
 
     def _say(self, *lines: str) -> None:
         session = self.session

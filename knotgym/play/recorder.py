@@ -40,7 +40,7 @@ _LONGEST_NAME = 80  # characters of a player's name
 _JOURNAL = "journal-{}.jsonl"
 
 
-class InvalidRecording(KnotgymError, ValueError):
+class InvalidJournal(KnotgymError, ValueError):
     """The dataset to record into holds something else."""
 
 
@@ -84,10 +84,10 @@ class Recorder:
             root: Minari root; None for Minari's own.
 
         Raises:
-            InvalidRecording: the dataset exists and holds other episodes.
+            InvalidJournal: the dataset exists and holds other episodes.
         """
         if len(player) > _LONGEST_NAME or not player.isprintable():
-            raise InvalidRecording(
+            raise InvalidJournal(
                 f"a player's name is at most {_LONGEST_NAME} printable characters, got"
                 f" {printable(player[:_LONGEST_NAME])!r}"
             )
@@ -194,7 +194,7 @@ class Recorder:
         task, seeds = reader.task, [reader.attributes(i).get("seed") for i in range(len(reader))]
         reader.close()
         if stored is None or stored.algorithm_name != HUMAN or task != self._task:
-            raise InvalidRecording(
+            raise InvalidJournal(
                 f"{self.folder} isn't a recording of this task with these settings: give another"
                 f" --id, or the settings {as_json(task)}"
             )
@@ -205,7 +205,7 @@ def _journalled(path: Path) -> tuple[int, list[NDArray[np.float32]]]:
     """Read the number and the pulls of an episode that a killed program was in.
 
     Raises:
-        InvalidRecording: the journal isn't one.
+        InvalidJournal: the journal isn't one.
     """
     said: Any = read_json(path)
     try:
@@ -214,5 +214,5 @@ def _journalled(path: Path) -> tuple[int, list[NDArray[np.float32]]]:
         if not np.isfinite(actions).all() or number < 0:
             raise ValueError
     except (TypeError, ValueError, KeyError) as error:
-        raise InvalidRecording(f"{path} isn't a journal of knotgym play; remove it") from error
+        raise InvalidJournal(f"{path} isn't a journal of knotgym play; remove it") from error
     return number, list(np.clip(actions, -1, 1))

@@ -1,4 +1,4 @@
-"""Window of `render_mode="human"`: the rope beside its goal, as in videos, shown by pygame."""
+"""PictureWindow of `render_mode="human"`: the rope beside its goal, as in videos, shown by pygame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class NoWindow(KnotgymError, RuntimeError):
     """No window can be opened, for lack of pygame or of a display."""
 
 
-class Window:
+class PictureWindow:
     """A window that opens with the first frame and doesn't zoom in during an episode.
 
     Raises:

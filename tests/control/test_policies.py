@@ -307,7 +307,8 @@ def test_digests_are_of_weights_transcripts_and_the_planner_s_table(tmp_path: Pa
     (tmp_path / "transcripts.jsonl").write_bytes(b"{}")
     model, prompted = tmp_path / "model.pt", tmp_path / "transcripts.jsonl"
     asked = {str(model): ["model.pt"], f"prompt:{prompted}": ["transcripts"], "random": []}
-    asked |= {name: ["passes.h5", "transitions.h5"] for name in ("expert", "noisy", "mixed")}
+    tables = ["passes-by-code.h5", "passes.h5", "transitions.h5"]
+    asked |= {name: tables for name in ("expert", "noisy", "mixed")}
     asked |= {"planner": ["transitions.h5"]}
     for name, files in asked.items():
         assert list(policy_digests(PolicyConfig(policy=name))) == files

@@ -23,7 +23,7 @@ from knotgym.envs.observations import SYMBOLS, symbols
 from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.rendering.picture import PictureConfig, draw
-from knotgym.rendering.window import NoWindow, Window
+from knotgym.rendering.window import NoWindow, PictureWindow
 from knotgym.rope.simulation import InvalidAction
 from knotgym.states.state_file import InvalidStates, States, merge_states, write_states
 from knotgym.topology.crossings import label
@@ -831,9 +831,9 @@ def test_a_window_shows_the_start_and_every_step_of_an_episode(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     shown: list[tuple[int, str]] = []
-    monkeypatch.setattr(Window, "__init__", lambda *_: None)
-    monkeypatch.setattr(Window, "show", lambda _, *given: shown.append((given[2], given[4])))
-    monkeypatch.setattr(Window, "close", lambda _: shown.append((-1, "")))
+    monkeypatch.setattr(PictureWindow, "__init__", lambda *_: None)
+    monkeypatch.setattr(PictureWindow, "show", lambda _, *given: shown.append((given[2], given[4])))
+    monkeypatch.setattr(PictureWindow, "close", lambda _: shown.append((-1, "")))
     env = gym.make("knotgym/Tie-v0", nx=2, horizon=2, render_mode="human", observation="state")
     env.reset(seed=0)
     for _ in range(2):

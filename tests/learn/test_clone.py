@@ -16,7 +16,10 @@ from knotgym.control.policy import InvalidPolicy
 from knotgym.control.rollouts import rollout
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig, ImproveConfig
 from knotgym.runs.run_options import Existing, RunOptions
+from knotgym.states.state_file import States
+from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
 from ..small_job import knotgym
@@ -53,12 +56,13 @@ def macros(tmp_path_factory: pytest.TempPathFactory, states_path: str) -> Path:
     return out / config.dataset_id
 
 
-def train_tiny(data: Path, out: Path, *, resume: bool = False, **changes: Any) -> Any:
-    from knotgym.learn.clone_config import CloneConfig
+def train_tiny(data: Path | None, out: Path, *, resume: bool = False, **changes: Any) -> Any:
     from knotgym.learn.clone_training import train_clone
 
     config = CloneConfig(**{**TINY, **changes})
-    return train_clone([data], out, config, existing=Existing(resume=resume), quiet=True)
+    return train_clone(
+        [data] if data else [], out, config, existing=Existing(resume=resume), quiet=True
+    )
 
 
 @pytest.fixture(scope="session")
@@ -92,6 +96,14 @@ def test_both_views_give_the_same_episode(clone: Path, task: TaskConfig) -> None
         for view in ("macro", "pull")
     ]
     assert np.array_equal(both[0][0].episode.actions, both[1][0].episode.actions)
+
+
+def test_the_one_that_ships_reaches_easy_goals() -> None:
+    config = PolicyConfig(policy="pretrained-clone")
+    task = TaskConfig(task="tie", nx=2, split="test", action="macro", engine="chain")
+    policy = make_policy(config)
+    played = rollout(policy.suited(task), policy, range(8), seed=0)
+    assert sum(bool(one.episode.terminations[-1]) for one in played) >= 5
 
 
 def test_pictures_are_enough(clone: Path, task: TaskConfig) -> None:
@@ -129,7 +141,6 @@ def test_episodes_that_missed_their_goal_are_not_imitated(macros: Path, tmp_path
 def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
     macros: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from knotgym.learn.clone_config import ImproveConfig
     from knotgym.learn.clone_training import CloneTraining
 
     settings: dict[str, Any] = {"improve": 1, "round_steps": 4, "play": ImproveConfig(episodes=2)}
@@ -170,13 +181,45 @@ def test_loops_are_left_out_and_codes_on_the_way_become_goals() -> None:
     points = np.zeros((100, 3), dtype=np.float32)
     way = without_loops(
         [
-            DecidedStep(points, *codes, (bead, 50, 1))
+            DecidedStep(points, points, *codes, (bead, 50, 1))
             for bead, codes in enumerate([(a, b), (b, a), (a, b), (b, b), (b, c)])
         ]
     )
     assert [step.macro[0] for step in way] == [2, 4]
-    kept = gathered(way, way, c, 2, number=7)
+    kept = gathered(way, way, c, 7, CloneConfig(hindsight=2, copies=0))
     told = zip(kept.macros[:, 0].tolist(), kept.goals.tolist(), kept.asked.tolist(), strict=True)
     assert list(told) == [(2, str(c.plain), True), (4, str(c.plain), True), (2, "1+,1-", False)]
     assert set(kept.episodes.tolist()) == {7}
-    assert len(gathered(way, [], c, 0, number=7).points) == 0
+    assert len(gathered(way, [], c, 7, CloneConfig(hindsight=0)).points) == 0
+
+
+def test_copies_lead_to_the_goal_as_their_own_first_bead_reads_it(states: States) -> None:
+    from knotgym.learn.clone_data import DecidedStep, gathered
+
+    before, landed = (states.points[states.nx == nx][0].astype(np.float32) for nx in (1, 3))
+    codes = [label(one.astype(float)) for one in (before, landed)]
+    step = DecidedStep(before, landed, codes[0], codes[1], (10, 60, 1))
+    kept = gathered([], [step], codes[1], 3, CloneConfig(copies=3))
+    assert kept.asked.tolist() == [True, False, False, False]
+    for points, goal, macro in zip(kept.points[1:], kept.goals[1:], kept.macros[1:], strict=True):
+        base = (10 - macro[0]) % 100
+        assert np.array_equal(points, np.roll(before, -base, axis=0))
+        assert goal == str(label(np.roll(landed, -base, axis=0).astype(float)).plain)
+        assert (macro[1] - macro[0]) % 100 == 50
+
+
+def test_demonstrations_are_made_on_the_way(tmp_path: Path, task: TaskConfig) -> None:
+    for name, lanes in (("one", 4), ("other", 2)):
+        demonstrations = DemonstrationsConfig(episodes=3, lanes=lanes, starts=4, nx=(2,), wander=0)
+        train_tiny(None, tmp_path / name, demonstrations=demonstrations, failed=False)
+    cards = [json.loads((tmp_path / name / "policy.json").read_text()) for name in ("one", "other")]
+    assert cards[0]["demonstrations_sha256"] == cards[1]["demonstrations_sha256"]
+    assert cards[0]["demonstrations"]["tie 2"]["reached"] == 1
+    assert cards[0]["decisions"] >= 3
+    assert weights(tmp_path / "one") == weights(tmp_path / "other")
+
+
+def test_nothing_to_learn_from_is_told(tmp_path: Path) -> None:
+    with pytest.raises(KnotgymError, match="--demonstrations 1000"):
+        train_tiny(None, tmp_path / "none")
+    assert knotgym("train", "--demonstrations", 5, "--out", tmp_path / "pictures") == 2

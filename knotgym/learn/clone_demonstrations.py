@@ -1,0 +1,126 @@
+"""Demonstrations for the clone, made in the chain engine: a hundred times as fast as episodes.
+
+A demonstration is a way that the demonstrator finds from a start to a goal, with the rope at rest
+before every pass. Some begin after passes that nobody chose, so that the clone also sees states
+that a demonstrator doesn't lead to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from knotgym.common.streams import Stream, generator
+from knotgym.control.demonstrator import Decision, DemonstratorConfig, find_way, random_pass
+from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
+from knotgym.control.pass_counts import DiagramValues, shipped_values
+from knotgym.control.pass_play import Starts, draw_starts
+from knotgym.envs.tasks import TaskConfig
+from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig
+from knotgym.learn.clone_data import DecidedStep, Decisions, gathered, join, none
+from knotgym.rope.model import Array
+from knotgym.runs.progress import Progress, Status
+from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
+
+# a goal and the way to it: empty if none was found, None if random passes led there already
+_Found = tuple[GaussCode, list[Decision] | None]
+
+
+def demonstrated_tasks(config: DemonstrationsConfig) -> list[TaskConfig]:
+    """Return the tasks that are demonstrated."""
+    if not config.episodes:
+        return []
+    return [
+        TaskConfig(task=task, nx=nx, split=config.split, observation="state", engine="chain")
+        for task in config.task
+        for nx in config.nx
+    ]
+
+
+def demonstrate(
+    clone: CloneConfig, number: int, progress: Progress
+) -> tuple[Decisions, dict[str, Any]]:
+    """Make demonstrations of each task.
+
+    Args:
+        clone: says which, and what is learned from them.
+        number: of the first episode.
+        progress: where to show progress.
+
+    Returns:
+        Their decisions; and for each task the share of demonstrations that reached their goal, and
+        the share of decisions for the first pass of the fixed order.
+    """
+    config, values = clone.demonstrations, shipped_values()
+    demonstrator = DemonstratorConfig(budget=config.budget)
+    lanes = MacroLanes(config.lanes, demonstrator.macro_actions)
+    parts, told = [none()], dict[str, Any]()
+    tasks, done = demonstrated_tasks(config), 0
+
+    def status() -> Status:
+        return Status(done, config.episodes * len(tasks), "demonstrations")
+
+    for place, task in enumerate(tasks):
+        rng = generator(Stream.DEMONSTRATION_STARTS, clone.seed, place)
+        starts = draw_starts(task, config.starts, rng)
+        ways = dict[int, _Found]()
+        searches = _searches(values, starts, demonstrator, clone, place)
+        for episode, found in lanes.run(searches):
+            ways[episode], done = found, done + 1
+            progress.show(status)
+        for episode, (goal, way) in sorted(ways.items()):
+            steps = [_step(decision) for decision in way or []]
+            parts.append(gathered(steps, steps, goal, number + episode, clone))
+        number += config.episodes
+        asked = [way for _, way in ways.values() if way is not None]
+        ranks = np.array([decision.rank for way in asked for decision in way])
+        told[f"{task.task} {task.nx}"] = {
+            "reached": float(np.mean([bool(way) for way in asked])),
+            "decisions": len(ranks),
+            "first_choices": float(np.mean(ranks == 1)) if len(ranks) else None,
+        }
+    progress.show(status, last=True)
+    return join(parts), told
+
+
+def _searches(
+    values: DiagramValues,
+    starts: Starts,
+    demonstrator: DemonstratorConfig,
+    clone: CloneConfig,
+    place: int,
+) -> Iterator[Search[_Found]]:
+    for episode in range(clone.demonstrations.episodes):
+        rng = generator(Stream.DEMONSTRATION, clone.seed, place, episode)
+        row, goal = starts.draw(rng)
+        wander = int(rng.integers(clone.demonstrations.wander + 1))
+        yield _way(values, goal, demonstrator, starts.states[row], starts.points[row], wander, rng)
+
+
+def _way(
+    values: DiagramValues,
+    goal: GaussCode,
+    config: DemonstratorConfig,
+    state: Array,
+    points: Array,
+    wander: int,
+    rng: np.random.Generator,
+) -> Search[_Found]:
+    """Find a way after some random passes."""
+    for _ in range(wander):
+        landing: Landing = yield Trial(state, random_pass(len(points), rng), goal)
+        state, points = landing.state, landing.points
+    if label(points).matches(goal):
+        return goal, None
+    way, _ = yield from find_way(values, goal, config, state, points)
+    return goal, way
+
+
+def _step(decision: Decision) -> DecidedStep:
+    points, landed = (one.astype(np.float32) for one in (decision.points, decision.landing.points))
+    bead, target, side = decision.move
+    macro = bead, target, side
+    return DecidedStep(points, landed, decision.code, decision.landing.code, macro)
