@@ -115,7 +115,7 @@ class _Pool:
         if len(nodes) > self._config.kept:
             cost = self._config.try_cost
             nodes.remove(max(nodes, key=lambda node: node.steps + cost * node.tries))
-        # computed anew, since the state dropped may have been the earliest
+        # computed again, since the state dropped may have been the earliest
         self._earliest[row] = min([node.steps for node in nodes])
 
     def tries(self, code: GaussCode) -> int:

@@ -6,7 +6,7 @@ scripted        one macro-action after another, without a goal
 expert          does the same thing in the same state, see `demonstrator`
 noisy           the expert, but each pull is a random one with probability `noise`, after which it
                 looks again; half of the episodes begin with a random pass
-play            the expert, to a goal drawn anew whenever one is reached; for endless tasks
+play            the expert, to another goal whenever one is reached; for endless tasks
 planner         plans in the chain engine from the rope's current state, see `expert`
 mixed           draws one of random, scripted, noisy and expert for each episode
 module:name     user code: a function of (observation) or (observation, info, generator), or an

@@ -199,7 +199,7 @@ def begin_training(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
     except (OSError, ValueError) as error:
         raise InvalidTraining(
             f"no training to resume in {folder}, its {REQUEST} is missing or damaged; --restart"
-            " begins anew"
+            " starts over"
         ) from error
     if not isinstance(before, dict):
         raise InvalidTraining(f"{folder / REQUEST} doesn't hold a training's settings")

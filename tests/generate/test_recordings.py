@@ -159,7 +159,8 @@ def test_differing_is_a_failure_and_no_mistake_of_the_user() -> None:
 def test_the_recordings_that_ship_are_those_of_the_suite() -> None:
     sets = {one.dataset_id: one for one in SuiteConfig().sets()}
     known = recorded_ids()
-    clean = {f"knotgym/{task}-nx2/expert-v0" for task in ("tie", "convert", "unknot")}
+    # the release gate refuses that of convert, see docs/learning.md
+    clean = {f"knotgym/{task}-nx2/expert-v0" for task in ("tie", "unknot")}
     assert clean <= set(known) <= set(sets)
     assert all(len(read_recording(name)) == sets[name].episodes for name in known)
     assert RECORDINGS.stat().st_size < 5e6

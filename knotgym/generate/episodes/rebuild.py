@@ -43,7 +43,7 @@ class RebuildRecipe(EpisodeRecipe):
         super().__init__(config, options)
 
     def sources(self) -> dict[str, Any]:
-        # the states of today: if their file was only written anew, the episodes are the same
+        # the states of today: if their file was only rewritten, the episodes are the same
         return {**self._recording.source, "states": super().sources()["states"]}
 
     def work(self) -> Callable[[EpisodeFile], Tally]:
