@@ -398,8 +398,13 @@ def test_windows_that_a_dataset_cannot_give_are_refused(folder: Path) -> None:
         Transitions(path, window=goals).batch([0])
     with pytest.raises(InvalidWindow, match="window=Window"):
         Transitions(path).sample_goals([0], np.random.default_rng(0))
+
+
+@pytest.mark.clients
+def test_whole_episodes_have_no_windows(folder: Path) -> None:
+    pytest.importorskip("torch")
     with pytest.raises(InvalidWindow, match="kind 'transitions'"):
-        torch_dataset(path, "episodes", window=Window(n_step=2))
+        torch_dataset(folder / "state.h5", "episodes", window=Window(n_step=2))
 
 
 def test_the_example_of_the_page_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
