@@ -22,7 +22,7 @@ from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, pr
 from knotgym.topology.gauss import GaussCode
 
 NOISE = "noise"  # reason for a random pull
-_DRAWN = 12  # random passes, of which the simplest is made
+_DRAWN = 12  # random passes are tried; the simplest is made
 _WANDERING = 0.5  # share of noisy episodes that begin with a random pass
 
 

@@ -40,7 +40,7 @@ HAUL = "haul"  # kind of the actions of a haul
 HARD_NX = 7  # hauls are allowed from this many crossings on, where guidance knows very little
 HAULED_NX = 3  # a hard rope is hauled only from states of at least this many crossings
 HAULS = 0.6  # share of a hard rope's macro-actions that are hauls
-ANEW = 20_000  # simulated actions after which a search restarts: other draws may do better
+RESTART = 20_000  # simulated actions after which a search restarts: other draws may do better
 
 
 @dataclass(eq=False)
@@ -211,7 +211,7 @@ def plan(
         steps: most actions that the plan may have.
         hold: number of consecutive states that must show the goal.
         budget: most actions to simulate, `config.budget` if None; the search restarts after every
-            ANEW of them.
+            RESTART of them.
         bound: region in which the rope's centre must stay; None for no limit.
         met: called with every state that is kept, in order; the goal comes last.
         hauling: allow hauls if the rope has at least HARD_NX crossings, and more than the goal.
@@ -220,7 +220,7 @@ def plan(
         The first plan found that reaches the goal; if none is found, the plan to the state nearest
         to the goal.
     """
-    # Restarts draw from the same generator, so they differ. A last search shorter than ANEW gets
+    # Restarts draw from the same generator, so they differ. A last search shorter than RESTART gets
     # what is left; the loop ends when that is less than one action per rope.
     limit = config.budget if budget is None else budget
     spent, nearest = 0, list[Node]()  # the best node of each restart
@@ -228,7 +228,7 @@ def plan(
         search = _Search(
             simulation, state, goal, graph, config, rng, steps, hold, bound, met, hauling
         )
-        reached = search.run(min(ANEW, limit - spent))
+        reached = search.run(min(RESTART, limit - spent))
         spent += search.spent
         if reached is not None:
             return _plan_to(reached, True, spent)

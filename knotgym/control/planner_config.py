@@ -15,7 +15,7 @@ class PlannerConfig:
 
     Attributes:
         budget: simulated actions per episode for expert planning. A search restarts after
-            `planner.ANEW` of them.
+            `planner.RESTART` of them.
         batch_size: copies of the rope simulated side by side.
         guided: share of macro-actions that imitate counted ones, where there are any; the rest are
             random.

@@ -366,7 +366,7 @@ def test_a_search_that_has_had_its_chance_begins_anew(monkeypatch: pytest.Monkey
     def root(node: Node) -> Node:
         return node if node.before is None else root(node.before)
 
-    monkeypatch.setattr(planner, "ANEW", 240)  # long enough for each search to keep a state
+    monkeypatch.setattr(planner, "RESTART", 240)  # long enough for each search to keep a state
     met, planned = searched(720)
     assert planned.spent == 720 and not planned.solved
     assert len({id(root(node)) for node in met}) == 3
