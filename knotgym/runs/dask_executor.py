@@ -99,6 +99,12 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
             "--executor dask needs Dask distributed, which isn't installed; install it with:"
             f" {install_command('dask')}"
         ) from error
+    except AttributeError as error:
+        # distributed takes any module `snappy` for the compressor of that name
+        raise InvalidRun(
+            "Dask distributed can't be imported where SnapPy is installed, which has a module of"
+            " the same name as a compressor that Dask looks for: use an environment without SnapPy"
+        ) from error
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.startswith(("distributed", "tornado")):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # errors are raised instead
