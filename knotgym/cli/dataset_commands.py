@@ -1,7 +1,5 @@
 """The commands `knotgym dataset ...`, which inspect, check and convert datasets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

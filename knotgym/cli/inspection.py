@@ -1,7 +1,5 @@
 """The work of the `knotgym dataset` commands on a dataset named by a path or an id."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Summaries that `knotgym dataset show` prints for states, pictures, episodes and transcripts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill, wrap

@@ -1,7 +1,5 @@
 """Datasets of the three kinds as rows with columns, for `subsets`: states, pictures, episodes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Hashable

@@ -6,8 +6,6 @@ come from, each with a new card and new checksums. Manifests, state files and ep
 under "selection" the sources and the conditions. Pictures and actions are copied, not made again.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path

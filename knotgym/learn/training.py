@@ -1,7 +1,5 @@
 """Train a learner, that is its reader; resumable and reproducible to the bit."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json

@@ -4,8 +4,6 @@ Replies are logged in the staging folder as they arrive; `--resume` reuses them 
 the rest.
 """
 
-from __future__ import annotations
-
 import json
 import queue
 import shutil

@@ -6,8 +6,6 @@ always has a full sequence of actions, which `knotgym evaluate --policy prompt:F
 same codes.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

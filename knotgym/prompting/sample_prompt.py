@@ -1,7 +1,5 @@
 """Build a sample prompt for inspection, without sending it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

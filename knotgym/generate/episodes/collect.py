@@ -5,8 +5,6 @@ at the end. An episode depends only on the seed and its number, so the dataset's
 on the processes. A resumed run keeps the files that are finished.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence

@@ -4,8 +4,6 @@ Confidence intervals are over states, see `cluster_interval`. With several cross
 splits, the results are a generalization matrix for policies trained on one of them.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator, Sequence

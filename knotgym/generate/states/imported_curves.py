@@ -9,8 +9,6 @@ It keeps the Gauss code that it shows from +z, and its knot must be certified.
     .npz    arrays (n, 3), one curve each
 """
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Iterator, Sequence
