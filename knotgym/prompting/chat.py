@@ -142,7 +142,6 @@ class Chat:
     """A client of one server; several threads may use it at once.
 
     Args:
-        config: settings.
         stop: once it is set, requests raise Stopped.
 
     Raises:

@@ -35,7 +35,6 @@ def sample_prompt(
     In mode stateful it is the second request, after a made-up first answer.
 
     Args:
-        config: settings of the run.
         rows: rows of a perception table, for mode read.
     """
     if config.mode == READ:

@@ -34,8 +34,6 @@ def export(
         source: what `EpisodeReader` takes.
         out: a file for "compact", a folder for the others.
         form: the format, one of FORMS.
-        count: progress callback, called before each episode.
-        overwrite: replace what exists.
 
     Raises:
         ExportError: there is no such format, or the dataset can't be stored in it.

@@ -262,11 +262,9 @@ def run(
     """Evaluate, print the results, and write the requested files.
 
     Args:
-        config: what to evaluate.
         options: how to execute the run; with `resume`, a finished evaluation is only printed.
         out: JSON file to write, see `report`.
         video: film to write, of `config.filmed` episodes per setup, or 2.
-        progress: where to show progress; none by default.
 
     Raises:
         InvalidConfig: resume or restart is requested without `out`.
