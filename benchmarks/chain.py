@@ -2,17 +2,19 @@
 
     python benchmarks/chain.py speed [--out chain.json]
 
-Commands: speed, distance, frontier, converge, play, policy.
+Commands: speed, distance, sequences, frontier, converge, play, policy.
 
 `speed`: CPU milliseconds an action of either engine on one pinned core, the same ropes and pulls,
 in turn. `distance`: how far beads end from where MuJoCo puts them after 1, 2 and 4 random actions
 of full force, from shipped states of 0 to 4 crossings, mean over beads and states; and how often
-both show the same Gauss code. `frontier`: both for other schedules of substeps. `converge`: the
-distance with ever more substeps, from MuJoCo as it is and from MuJoCo with 16 times the steps and
-stiff closures. `play`: crossings and radius of gyration after random actions on either engine.
-`policy`: success of random actions in the nine set-ups of both state sets, test split, with the
-same starts and goals on either engine, and Newcombe's 95 % interval of the difference on these
-states. Parts that --out holds are not played again. `long_play.py` is about safety.
+both show the same Gauss code. `sequences`: how often the pulls of the expert's recorded episodes
+end in the same code on either engine. `frontier`: speed and distance for other schedules of
+substeps. `converge`: the distance with ever more substeps, from MuJoCo as it is and from MuJoCo
+with 16 times the steps and stiff closures. `play`: crossings and radius of gyration after random
+actions on either engine. `policy`: success of random actions in the nine set-ups of both state
+sets, test split, with the same starts and goals on either engine, and Newcombe's 95 % interval of
+the difference on these states. Parts that --out holds are not played again. `long_play.py` is about
+safety.
 """
 
 import argparse
@@ -28,8 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from knotgym.common.configuration import from_json
+from knotgym.control.rollouts import rollout
 from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes.collect import CollectConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig, evaluate
+from knotgym.generate.episodes.recordings import PulledPolicy, read_recording, recorded_ids
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.chain.solver import SCHEDULE
 from knotgym.rope.engines import CHAIN, MUJOCO
@@ -144,6 +150,34 @@ def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, An
     }
 
 
+def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    told: dict[str, Any] = {}
+    for name in recorded_ids():
+        recording = read_recording(name)
+        config = from_json(CollectConfig, recording.config)
+        if config.policy.policy != "expert":
+            continue
+        numbers = range(min(args.ropes, len(recording)))
+        recorded, ends = [recording.episode(number) for number in numbers], []
+        longest = int(recording.lengths.max())
+        for engine in (MUJOCO, CHAIN):
+            task = replace(config.seen_task, engine=engine, horizon=longest, hold=longest)
+            played = rollout(task, PulledPolicy("expert", recorded), numbers, config.seed)
+            ends.append(
+                label_many(
+                    np.stack(
+                        [
+                            one.episode.points[len(own.pulls)]
+                            for one, own in zip(played, recorded, strict=True)
+                        ]
+                    )
+                )
+            )
+        same = sum(one.matches(other) for one, other in zip(*ends, strict=True))
+        told[name] = {"episodes": len(numbers), "same code": same / len(numbers)}
+    return told
+
+
 def laid(qpos: Array) -> ChainSimulation:
     simulation = ChainSimulation(len(qpos))
     simulation.lay(qpos)
@@ -254,7 +288,9 @@ def compared(found: dict[str, dict[str, list[int]]]) -> list[str]:
     return [*rows, f"{within} of {len(rows)} hold 0"]
 
 
-COMMANDS = {run.__name__: run for run in (speed, distance, frontier, converge, play, policy)}
+COMMANDS = {
+    run.__name__: run for run in (speed, distance, sequences, frontier, converge, play, policy)
+}
 
 
 def main() -> None:
