@@ -20,6 +20,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import Count, EpisodeReader, episode_file, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
+from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.exports.forms import export as convert
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
@@ -149,6 +150,7 @@ def export(
     form: str = "compact",
     overwrite: bool = False,
     count: Count = uncounted,
+    video: str = "",
 ) -> str:
     """Export a dataset to another format; return a one-line summary.
 
@@ -156,7 +158,10 @@ def export(
         named: a path or an id.
         out: a file for one dataset in format compact; otherwise a folder.
         form: the format: compact, lerobot, ogbench, huggingface, minari or curves.
+        video: "h264" or "av1" for the pictures of format lerobot as video.
     """
+    if video and form != "lerobot":
+        raise ExportError(f"--video is for --to lerobot, got {video!r} for {form}")
     require_writable(out)  # each exporter then checks what it would replace
     require_own_files(named)
     if form == "huggingface":
@@ -179,7 +184,7 @@ def export(
             raise UnknownDataset(
                 f"{named} has {len(found)} datasets; export them to {form} one by one"
             )
-        convert(found[0].path, out, form, count, overwrite=overwrite)
+        convert(found[0].path, out, form, count, overwrite=overwrite, video=video)
         return f"{len(EpisodeReader(found[0].path))} episodes for {form}"
     refuse_minaris_folder(out)
     if len(found) == 1:
