@@ -24,7 +24,6 @@ from knotgym.cli.options import (
     options_of,
     run_options,
 )
-from knotgym.common.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.notation import parse_code
 
@@ -98,6 +97,7 @@ def generate(given: Given) -> None:
 
         knotgym generate --nx 2-4 --source random-walk
     """
+    from knotgym.common.streams import Stream, generator
     from knotgym.datasets.minari_dataset import loading_lines
     from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig
@@ -128,7 +128,7 @@ def generate(given: Given) -> None:
         f"seed{given['seed']}" if given["seed"] else "",
     )
     if source == "random-walk":
-        for name in ("every_code", "split_by", "knot", "codes", "archive", "cycles"):
+        for name in ("every_code", "split_by", "knot", "codes", "beads", "archive", "cycles"):
             if name in given.typed:
                 dashed = name.replace("_", "-")
                 raise typer.BadParameter(f"--{dashed} needs --source drawing, not random-walk")
