@@ -168,7 +168,9 @@ def main() -> None:
         flow = Network(rows.chunks.shape[1], rows.chunks.shape[1])
         flow.load_state_dict(torch.load(given.flow, weights_only=True))
     torch.save(flow.state_dict(), given.out / "flow.pt")
-    critic = trained_critic(rows, flow, given) if given.learner == "qc" else None
+    critic = (
+        trained_critic(rows.rows(~rows.hindsight), flow, given) if given.learner == "qc" else None
+    )
     if critic is not None:
         torch.save(critic.state_dict(), given.out / "critic.pt")
     name = f"torch-{given.learner}"

@@ -148,9 +148,10 @@ def trained(name: str, sees: str, given: Any, rows: Decisions, seen: Floats, act
 
 
 def imitated(rows: Decisions) -> Decisions:
-    """Return rows worth imitating, each as an episode of its own."""
-    every = np.ones(len(rows.beads), dtype=bool)
-    return rows._replace(terminals=every, ends=every).rows(rows.chosen)
+    """Return the rows worth imitating, as one episode: what follows a decision doesn't matter."""
+    own = rows.rows(rows.chosen)
+    last = np.arange(len(own.beads)) == len(own.beads) - 1
+    return own._replace(terminals=last, ends=last)
 
 
 def with_bead(seen: Floats, beads: Any) -> Floats:
@@ -192,16 +193,16 @@ def main() -> None:
     training = Training(f"d3rlpy {d3rlpy.__version__}", given, given.datasets)
     d3rlpy.seed(given.seed)
     torch.set_num_threads(1)
-    rows = read(given.datasets, given.chunk, given.copies, given.seed)
-    if given.learner.endswith("bc") and given.learner != "td3bc":
-        rows = imitated(rows)
+    every = read(given.datasets, given.chunk, given.copies, given.seed)
+    cloned = given.learner in ("bc", "discrete-bc")
+    rows = imitated(every) if cloned else every.rows(~every.hindsight)
     name = f"d3rlpy-{given.learner}" + f"-chunk{given.chunk}" * (given.chunk != CHUNK)
     puller, files = None, ["model.pt"]
     if given.learner.startswith("discrete"):
         beads = rows.beads[:, None].astype(np.int32)
         learner = trained(given.learner, "logits", given, rows, rows.observations, beads)
         # the pulls of a bead are learned from macro-actions that weren't cut short
-        own = imitated(rows.rows(rows.whole))
+        own = imitated(every.rows(every.whole))
         seen = with_bead(own.observations, own.beads)
         puller = trained("bc", "bead", given, own, seen, own.chunks[:, 3:])
         puller.save_model(str(given.out / "puller.pt"))
