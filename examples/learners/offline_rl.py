@@ -1,6 +1,7 @@
 """Train d3rlpy on decisions: behaviour cloning, TD3+BC, IQL, CQL, decision transformer.
 
-    knotgym suite --task tie --nx 2 --policies expert,noisy --episodes 1000 --out sets
+    knotgym suite --task tie --nx 2 --states readable --split train --policies expert,noisy \\
+        --episodes expert=200,noisy=1200 --out sets
     python examples/learners/offline_rl.py discrete-bc sets/knotgym/*/{expert,noisy}-v0 \\
         --task tie --nx 2 --out bc
 
@@ -17,14 +18,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor, nn
 
 try:
     import d3rlpy
     import structlog
 except ModuleNotFoundError as error:
     raise SystemExit("offline_rl.py needs d3rlpy: pip install d3rlpy") from error
+import torch
 from d3rlpy.dataset import MDPDataset
 from d3rlpy.models.encoders import EncoderFactory
 from decisions import (
@@ -39,6 +39,7 @@ from decisions import (
     read,
 )
 from protocol import Training, measure, parser
+from torch import Tensor, nn
 
 LEARNERS = {
     "discrete-bc": "DiscreteBCConfig",
