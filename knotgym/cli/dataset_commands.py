@@ -213,6 +213,15 @@ def export(
             )
         ),
     ] = "compact",
+    video: Annotated[
+        str,
+        typer.Option(
+            help=(
+                "With lerobot: pictures as video, h264 or av1, instead of PNG. Video is lossy, see"
+                " the card that is written. Needs the extra video."
+            )
+        ),
+    ] = "",
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -221,4 +230,4 @@ def export(
         from knotgym.cli.inspection import export as convert
 
         progress.stage("exporting")
-        progress.say(f"{out}: {convert(path, out, to, overwrite, progress.stage)}")
+        progress.say(f"{out}: {convert(path, out, to, overwrite, progress.stage, video)}")

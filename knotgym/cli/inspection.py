@@ -20,6 +20,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import Count, EpisodeReader, episode_file, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
+from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.exports.forms import export as convert
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
@@ -43,7 +44,7 @@ from knotgym.generate.states.imported_curves import write_curves
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Array, RopeConfig
+from knotgym.rope.model import Array, RopeConfig, rope_of
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
 from knotgym.states.state_file import (
@@ -145,6 +146,7 @@ def export(
     form: str = "compact",
     overwrite: bool = False,
     count: Count = uncounted,
+    video: str = "",
 ) -> str:
     """Export a dataset to another format; return a one-line summary.
 
@@ -152,7 +154,10 @@ def export(
         named: a path or an id.
         out: a file for one dataset in format compact; otherwise a folder.
         form: the format: compact, lerobot, ogbench, huggingface, minari or curves.
+        video: "h264" or "av1" for the pictures of format lerobot as video.
     """
+    if video and form != "lerobot":
+        raise ExportError(f"--video is for --to lerobot, got {video!r} for {form}")
     require_writable(out)  # each exporter then checks what it would replace
     require_own_files(named)
     if form == "huggingface":
@@ -175,7 +180,7 @@ def export(
             raise UnknownDataset(
                 f"{named} has {len(found)} datasets; export them to {form} one by one"
             )
-        convert(found[0].path, out, form, count, overwrite=overwrite)
+        convert(found[0].path, out, form, count, overwrite=overwrite, video=video)
         return f"{len(EpisodeReader(found[0].path))} episodes for {form}"
     refuse_minaris_folder(out)
     if len(found) == 1:
@@ -349,7 +354,7 @@ def _state_scene(path: Path, row: int) -> _Scene:
     end = states.points[row]
     reached = np.arange(len(actions) + 1) == len(actions)
     start = states.source["start_qpos"][row]
-    return _Scene(states.engine, RopeConfig(), start, actions, end, end, reached)
+    return _Scene(states.engine, rope_of(len(end)), start, actions, end, end, reached)
 
 
 def _episode_scene(path: Path, row: int) -> _Scene:

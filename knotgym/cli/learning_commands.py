@@ -33,7 +33,7 @@ def _options() -> list[Option]:
         ),
         *_of_the_clone(),
         *run_options("settings"),
-        *options_of(TrainConfig(), "seed"),
+        *options_of(TrainConfig(), "engine seed"),
         *run_options(EXISTING),
     ]
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
 from knotgym.common.errors import KnotgymError
+from knotgym.rope.engines import MUJOCO, require_engine
 
 
 class InvalidTraining(KnotgymError, ValueError):
@@ -19,6 +20,7 @@ class TrainConfig:
         batch: pictures per step.
         places: start positions of episodes that are kept, at most.
         save_every: steps between checkpoints.
+        engine: engine that the episodes must be made with, mujoco or chain.
         seed: random seed; the same seed and data give the same weights.
     """
 
@@ -26,6 +28,7 @@ class TrainConfig:
     batch: int = 48
     places: int = 512
     save_every: int = 200
+    engine: str = MUJOCO
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -35,3 +38,4 @@ class TrainConfig:
             whole=("seed",),
             error=InvalidTraining,
         )
+        require_engine(self.engine)

@@ -73,7 +73,7 @@ def train(
     shown, made = progress, list[Learned]()
 
     def read() -> tuple[TrainingData, str]:
-        data = read_training_data(datasets)
+        data = read_training_data(datasets, config.engine)
         return data, data.digest
 
     def make(data: TrainingData, request: dict[str, Any], folder: Path) -> None:
