@@ -1,7 +1,5 @@
 """The work of the `knotgym dataset` commands on a dataset named by a path or an id."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,14 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.cli.dataset_paths import (
-    Dataset,
-    UnknownDataset,
-    episodes_at,
-    name_of,
-    resolve_dataset,
-    resolve_datasets,
-)
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
 from knotgym.common.atomic_files import (
     atomic_write,
@@ -41,6 +31,14 @@ from knotgym.datasets.gallery import (
     write_picture_gallery,
 )
 from knotgym.datasets.image_table import read_table, shards
+from knotgym.datasets.located import (
+    Dataset,
+    UnknownDataset,
+    episodes_at,
+    name_of,
+    resolve_dataset,
+    resolve_datasets,
+)
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, dataset_files, merge_datasets
 from knotgym.datasets.page.page_data import dataset_name, page_data
@@ -160,8 +158,6 @@ def export(
         named: a path or an id.
         out: a file for one dataset in format compact; otherwise a folder.
         form: the format: compact, lerobot, ogbench, huggingface, minari or curves.
-        overwrite: replace `out`.
-        count: called before each episode.
         video: "h264" or "av1" for the pictures of format lerobot as video.
     """
     if video and form != "lerobot":

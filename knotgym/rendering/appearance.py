@@ -10,8 +10,6 @@ Style "knotbench" draws the diagram as a line with gaps, as printed ones and tho
 base point and in both directions.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ All of them play in a browser: .mp4 files hold H.264 and .webm files VP9, both e
 (extra `video`). `Encoder` also writes pictures of datasets as video.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

@@ -26,6 +26,7 @@ from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "examples"
 SCRIPTS = [
+    FOLDER / "learners" / "chunked.py",
     FOLDER / "learners" / "clone.py",
     FOLDER / "learners" / "goal_conditioned.py",
     FOLDER / "learners" / "offline_rl.py",
@@ -34,6 +35,7 @@ SCRIPTS = [
     FOLDER / "perception" / "transcribe.py",
 ]
 MODULES = [
+    FOLDER / "learners" / "decisions.py",
     FOLDER / "learners" / "protocol.py",
     FOLDER / "perception" / "misread.py",
 ]  # what the scripts share
@@ -56,9 +58,12 @@ def test_every_example_says_how_to_use_it(
     torch.tensor = np.array
     for name, module in (("torch", torch), ("torch.nn", torch.nn)):
         monkeypatch.setitem(sys.modules, name, module)
-    for name in ("d3rlpy", "structlog"):
+    encoders = mock.MagicMock(EncoderFactory=object)
+    for name in ("d3rlpy", "d3rlpy.dataset", "d3rlpy.models", "structlog"):
         monkeypatch.setitem(sys.modules, name, mock.MagicMock())
-    with pytest.raises(SystemExit) as ended:
+    monkeypatch.setitem(sys.modules, "d3rlpy.models.encoders", encoders)
+    # what is imported with these mocks is imported anew afterwards
+    with mock.patch.dict(sys.modules), pytest.raises(SystemExit) as ended:
         run_script(script, "--help")
     assert ended.value.code == 0 and f"usage: {script.name}" in capsys.readouterr().out
     usage = f"\n    python {script.relative_to(ROOT).as_posix()}"

@@ -35,8 +35,6 @@ def export(
         source: what `EpisodeReader` takes.
         out: a file for "compact", a folder for the others.
         form: the format, one of FORMS.
-        count: progress callback, called before each episode.
-        overwrite: replace what exists.
         video: "h264" or "av1" for the pictures of format lerobot as video; PNG by default.
 
     Raises:
