@@ -1,7 +1,5 @@
 """The command `knotgym train`."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Each episode has a budget of simulated actions for all its plans together. Once 
 expert goes on without looking ahead, with macro-actions chosen by guidance alone.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Settings of the clone's training; no torch here, because the command line reads them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers

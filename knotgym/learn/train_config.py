@@ -1,7 +1,5 @@
 """The configuration of `knotgym train`, which can be read without torch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers

@@ -1,7 +1,5 @@
 """Training data: the states and actions of episode datasets of the train split."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
