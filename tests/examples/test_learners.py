@@ -51,6 +51,15 @@ def check_scores(folder: Path, name: str) -> None:
     assert row["training"]["cpu_seconds"] > 0
 
 
+def test_ppo_in_one_file_trains_and_acts(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    model, task = tmp_path / "ppo.pt", ("--task", "unknot", "--nx", 2, "--tow-limit", 0.04)
+    few = ("--envs", 2, "--rollout", 4, "--batch", 4, "--epochs", 1, "--steps", 16)
+    run_script(FOLDER / "online_ppo.py", *task, *few, "--out", model)
+    words = ("--policy", model, "--engine", "chain", "--episodes", 1, "--horizon", 3)
+    assert knotgym("evaluate", *task, *words, "--workers", 1, "--quiet") == 0
+
+
 @no_d3rlpy
 @pytest.mark.parametrize(
     "learner", ["discrete-bc", "discrete-cql", "bc", "td3bc", "iql", "cql", "dt"]
