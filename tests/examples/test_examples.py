@@ -30,6 +30,7 @@ SCRIPTS = [
     FOLDER / "learners" / "clone.py",
     FOLDER / "learners" / "goal_conditioned.py",
     FOLDER / "learners" / "offline_rl.py",
+    FOLDER / "learners" / "online_ppo.py",
     FOLDER / "perception" / "read.py",
     FOLDER / "perception" / "trace.py",
     FOLDER / "perception" / "transcribe.py",
@@ -56,7 +57,11 @@ def test_every_example_says_how_to_use_it(
     torch = mock.MagicMock(pi=np.pi)  # takes seconds to import, and need not be installed
     torch.nn.Module = object
     torch.tensor = np.array
-    for name, module in (("torch", torch), ("torch.nn", torch.nn)):
+    for name, module in (
+        ("torch", torch),
+        ("torch.nn", torch.nn),
+        ("torch.distributions", torch.distributions),
+    ):
         monkeypatch.setitem(sys.modules, name, module)
     encoders = mock.MagicMock(EncoderFactory=object)
     for name in ("d3rlpy", "d3rlpy.dataset", "d3rlpy.models", "structlog"):
