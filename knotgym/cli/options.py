@@ -5,8 +5,6 @@ its default the field's default, and its type the field's type. A configuration 
 values. Options are made when their command is typed, because configurations import the simulator.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 import tomllib

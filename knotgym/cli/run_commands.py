@@ -1,7 +1,5 @@
 """The commands `knotgym generate` and `knotgym images`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

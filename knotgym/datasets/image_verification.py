@@ -83,7 +83,6 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
     Args:
         path: a folder made by `knotgym images`, or a single shard, whose rows alone are checked.
         each: `map` or a pool's, for shards and batches of walks; results keep the order.
-        count: progress callback.
     """
     folder = Path(path)
     arrow()

@@ -4,8 +4,6 @@ The environment, the datasets and the loaders all use this module, so that store
 the environment's byte for byte.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """States from which a task's starts and goals are sampled."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple

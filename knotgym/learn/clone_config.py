@@ -1,11 +1,10 @@
 """Settings of the clone's training; no torch here, because the command line reads them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
 from knotgym.learn.train_config import InvalidTraining
+from knotgym.rope.engines import MUJOCO, require_engine
 
 HEADS = ("macro", "bead")
 
@@ -94,6 +93,7 @@ class CloneConfig:
         judge_every: steps between held-out losses and checkpoints.
         width: of the network.
         layers: of attention.
+        engine: engine that the episodes of datasets must be made with, mujoco or chain.
         seed: seed of all random draws.
         play: how the clone plays.
     """
@@ -115,6 +115,7 @@ class CloneConfig:
     judge_every: int = 250
     width: int = 96
     layers: int = 2
+    engine: str = MUJOCO
     seed: int = 0
     play: ImproveConfig = ImproveConfig()
 
@@ -127,6 +128,7 @@ class CloneConfig:
             non_negative=("decay", "average", "held_out", "other_share"),
             error=InvalidTraining,
         )
+        require_engine(self.engine)
         if self.action not in HEADS:
             raise InvalidTraining(f"action must be {' or '.join(HEADS)}, got {self.action!r}")
         for name in ("average", "held_out", "other_share"):

@@ -141,14 +141,14 @@ def read_decisions(datasets: Sequence[Any], config: CloneConfig) -> Decisions:
 
     Raises:
         InvalidTraining: a dataset is not of the train split, has no episodes, was made with another
-            rope, or holds no macro-actions.
+            rope or engine, or holds no macro-actions.
         InvalidEpisodeFile, MissingFile: a dataset is missing or not of this version.
     """
     parts = list[Decisions]()
     number = 0
     for dataset in datasets:
         reader = EpisodeReader(dataset)
-        require_trainable(reader, dataset)
+        require_trainable(reader, dataset, config.engine)
         if config.action == "macro" and not reader.has("macro_start"):
             raise InvalidTraining(
                 f"{dataset} doesn't say which macro-actions its policy chose, so the clone can't"

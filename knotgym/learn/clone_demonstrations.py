@@ -5,8 +5,6 @@ before every pass. Some begin after passes that nobody chose, so that the clone 
 that a demonstrator doesn't lead to.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -5,8 +5,6 @@ several good macro-actions doesn't get a mixture of them. A pull is chosen as be
 of its force given the bead. All is in the canonical frame of `envs.marked`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ out. The way of an episode that reached its goal is kept for that goal. Every co
 as a goal too, for the decisions shortly before it, as if it had been asked for (hindsight).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

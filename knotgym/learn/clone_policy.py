@@ -5,8 +5,6 @@ carries them out itself. It sees the rope and the goal's code from vertices; if 
 "pixels" it sees nothing but the pictures, as the reader of `shape_hypotheses` reads them.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The learner as a policy: it gets nothing of an episode but its pictures."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

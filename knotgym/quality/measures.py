@@ -3,8 +3,6 @@
 `limits` defines the measures, their units and the limits for curated states.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -6,8 +6,6 @@ code is read: towards red, or from the bright end to the dark one. Under "single
 base bead is marked, so the code and the code of the reversed rope fit the picture equally well.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ strand itself. It makes the gap in the under strand. The band covers parts of th
 which are therefore painted once more.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

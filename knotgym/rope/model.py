@@ -8,8 +8,6 @@ Source: arXiv 2505.18028 for the constants. All beads are equal here; in the pub
 lengths vary.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import asdict, dataclass

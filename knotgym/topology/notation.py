@@ -25,8 +25,6 @@ The plain loop is written [] in both, as by spherogram; KnotInfo leaves it blank
 PD[Loop[1]] can be read too.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -22,7 +22,7 @@ from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.exports.forms import ExportError, export
-from knotgym.datasets.exports.lerobot_export import task_text
+from knotgym.datasets.exports.lerobot_export import LEAST_PSNR, task_text
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.trajectory import Episode
@@ -121,7 +121,73 @@ def test_lerobot_rows_are_the_episodes_steps(dataset: Path, tmp_path: Path) -> N
     actions = np.array([row["action"] for row in rows])
     assert np.allclose(stats["action"]["mean"], actions.mean(axis=0))
     assert np.allclose(stats["action"]["std"], actions.std(axis=0))
+    assert stats["action"]["count"] == [len(rows)] and info["video_path"] is None
+    episodes = parquet.read_table(
+        tmp_path / "a/meta/episodes/chunk-000/file-000.parquet"
+    ).to_pylist()
+    for k, row in enumerate(episodes):
+        own = reader.column(k, "actions")
+        assert np.allclose(row["stats/action/q10"], np.quantile(own, 0.1, axis=0))
+        seen = reader.observations(k, slice(0, len(own)), observation="pixels") / 255
+        assert np.allclose(np.ravel(row["stats/observation.image/mean"]), seen.mean((0, 1, 2)))
+    weights = [row["length"] / len(rows) for row in episodes]
+    of_all = np.average([row["stats/action/q90"] for row in episodes], axis=0, weights=weights)
+    assert np.allclose(stats["action"]["q90"], of_all)
     assert np.shape(stats["observation.image"]["mean"]) == (3, 1, 1)
+    assert "lossless PNG" in (tmp_path / "a/README.md").read_text()
+
+
+@pytest.mark.parametrize("video", ["h264", "av1"])
+def test_lerobot_s_video_shows_the_pictures(states_path: str, tmp_path: Path, video: str) -> None:
+    av, parquet = pytest.importorskip("av"), pytest.importorskip("pyarrow.parquet")
+    task = TaskConfig(task="tie", states=states_path, horizon=3)
+    env = KnotEnv(**vars(task))
+    with EpisodeWriter(tmp_path / "a.h5", task) as writer:
+        for seed in range(2):
+            writer.add(record(env, seed)[0])
+    out = tmp_path / "a"
+    assert (
+        knotgym("dataset", "export", tmp_path / "a.h5", "--to", "lerobot", "--video", video,
+                "--out", out) == 0
+    )  # fmt: skip
+    reader = EpisodeReader(tmp_path / "a.h5")
+    shown = np.concatenate(
+        [reader.observations(k, slice(0, int(reader.lengths[k]))) for k in range(2)]
+    )
+    with av.open(str(out / "videos/observation.image/chunk-000/file-000.mp4")) as film:
+        frames = [*film.decode(video=0)]
+    decoded = np.array([frame.to_ndarray(format="rgb24") for frame in frames], dtype=np.float64)
+    assert decoded.shape == shown.shape
+    errors = ((decoded - shown) ** 2).mean(axis=(1, 2, 3))
+    assert 10 * np.log10(255**2 / errors.max()) >= LEAST_PSNR[video]
+    assert np.allclose([frame.time for frame in frames], np.arange(len(shown)) / 5)
+    episodes = parquet.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    begins = [row["videos/observation.image/from_timestamp"] for row in episodes]
+    ends = [row["videos/observation.image/to_timestamp"] for row in episodes]
+    assert begins == [0, ends[0]] and ends[1] == len(shown) / 5
+    info = json.loads((out / "meta/info.json").read_text())
+    assert info["features"]["observation.image"]["dtype"] == "video"
+    columns = parquet.read_table(out / "data/chunk-000/file-000.parquet").column_names
+    assert "observation.image" not in columns
+    assert "**lossy**" in (out / "README.md").read_text()
+
+
+def test_what_can_t_be_video_is_refused(
+    dataset: Path, task: TaskConfig, episodes: list[Episode], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(ExportError, match="no video 'vp9'; there is h264, av1"):
+        export(dataset, out, "lerobot", video="vp9")
+    with pytest.raises(ExportError, match="AV1 needs an even number of at least 64 pixels"):
+        export(dataset, out, "lerobot", video="av1")
+    with pytest.raises(ExportError, match="format ogbench has no video, got 'h264'"):
+        export(dataset, out, "ogbench", video="h264")
+    with EpisodeWriter(tmp_path / "a.h5", replace(task, observation="state")) as writer:
+        writer.add(episodes[0])
+    with pytest.raises(ExportError, match="has no pictures to write as video"):
+        export(tmp_path / "a.h5", out, "lerobot", video="h264")
+    given = ("dataset", "export", dataset, "--to", "minari", "--video", "h264", "--out", out)
+    assert knotgym(*given) == 2 and not out.exists()
 
 
 def test_what_has_no_place_in_a_form_is_refused(

@@ -23,6 +23,7 @@ from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "examples"
 SCRIPTS = [
+    FOLDER / "learners" / "chunked.py",
     FOLDER / "learners" / "clone.py",
     FOLDER / "learners" / "goal_conditioned.py",
     FOLDER / "learners" / "offline_rl.py",
@@ -30,6 +31,7 @@ SCRIPTS = [
     FOLDER / "perception" / "trace.py",
 ]
 MODULES = [
+    FOLDER / "learners" / "decisions.py",
     FOLDER / "learners" / "protocol.py",
     FOLDER / "perception" / "misread.py",
 ]  # what the scripts share

@@ -1,4 +1,4 @@
-"""The configuration of `knotgym generate`."""
+"""The configuration of `knotgym generate`, and whether a knot allows it."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,8 @@ from knotgym.quality.measures import Limits
 from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.topology.diagrams import NotPlanar, is_planar
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import LISTED_NX
+from knotgym.topology.knot_table import UnknownKnot, diagram_of, type_of
+from knotgym.topology.knots import LISTED_NX, knot_type, shows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,3 +109,34 @@ class GenerateConfig:
     def parsed(self) -> list[GaussCode]:
         """The requested codes, parsed."""
         return [GaussCode.parse(text) for text in self.codes]
+
+
+def is_tabled(knot: str) -> bool:
+    """Whether the knot table has a knot of this name."""
+    try:
+        diagram_of(knot)
+    except UnknownKnot:
+        return False
+    return True
+
+
+def require_possible(config: GenerateConfig, knot: str) -> None:
+    """Require crossing numbers and codes that the knot can show, and sequences within reach."""
+    least = diagram_of(knot).nx
+    for nx in config.nx:
+        if nx < least:
+            raise InvalidConfig(
+                f"no diagram of {config.knot} has {nx} crossings; it has at least {least}"
+            )
+        if config.demonstrations and nx > max(LISTED_NX, least):
+            raise InvalidConfig(
+                f"action sequences are limited to {LISTED_NX} crossings, got nx {nx};"
+                " --no-demonstrations makes states without them"
+            )
+    for code in config.parsed:
+        if not shows(code, knot):
+            seen = knot_type(code)
+            other_hand = " (handedness differs)" if seen == type_of(knot) else ""
+            raise InvalidConfig(
+                f"the code {str(code)!r} shows the knot {seen}, not {config.knot}{other_hand}"
+            )

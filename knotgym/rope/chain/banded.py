@@ -21,10 +21,6 @@ rounds once on every processor, so results don't depend on how a compiler contra
 All arrays end with an axis of LANES ropes, see `simd`.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -33,17 +29,14 @@ from knotgym.rope.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array, Array]  # diag, near, far, arrow, corner
-Row = tuple[Any, Any, Any, Any]  # lanes
-Pivot = tuple[Any, ...]  # 10 lanes: a packed lower triangle with inverse pivots on its diagonal
 
 
 @njit(nogil=True)
 def factor(system: System) -> None:
     """Factor in place, right-looking: each column, once done, is subtracted from what follows.
 
-    Write S = l d l^T for the pivot block of column k, and M, M' for blocks below it. The rows
-    y = M l^-T and z = y d^-1 give M S^-1 M'^T = y z'^T, which is subtracted from the block that
-    has M's rows and the columns of M'; z is the block of L.
+    Write S = l d l^T for the pivot block, and M for a block below it. Then y = M l^-T are its rows
+    before they are scaled and z = y d^-1 is the block of L; M S^-1 M'^T = y z'^T.
     """
     diag, near, far, arrow, corner = system
     n = len(diag)
@@ -59,35 +52,94 @@ def factor(system: System) -> None:
         a32 = fma(-a31, l21, fma(-a30, l20, load(diag, (k, 8))))
         l32 = a32 * d2
         d3 = 1.0 / fma(-a32, l32, fma(-a31, l31, fma(-a30, l30, load(diag, (k, 9)))))
-        # by rows of the lower triangle, as `diag` is packed: element (i, j) is i (i + 1) / 2 + j
-        pivot = (d0, l10, d1, l20, l21, d2, l30, l31, l32, d3)
-        for item in range(10):
-            put(diag, (k, item), pivot[item])
+        put(diag, (k, 0), d0)
+        put(diag, (k, 1), l10)
+        put(diag, (k, 2), d1)
+        put(diag, (k, 3), l20)
+        put(diag, (k, 4), l21)
+        put(diag, (k, 5), d2)
+        put(diag, (k, 6), l30)
+        put(diag, (k, 7), l31)
+        put(diag, (k, 8), l32)
+        put(diag, (k, 9), d3)
         if k + 1 < n:
-            for r in range(4):
-                y = _divide(near, k, r, pivot)
-                # only the lower triangle of the symmetric D_(k + 1): rows of z up to r are done
+            for r in range(4):  # rows of block k + 1
+                y0 = load(near, (k, 4 * r))
+                y1 = fma(-l10, y0, load(near, (k, 4 * r + 1)))
+                y2 = fma(-l21, y1, fma(-l20, y0, load(near, (k, 4 * r + 2))))
+                y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(near, (k, 4 * r + 3)))))
+                put(near, (k, 4 * r), y0 * d0)
+                put(near, (k, 4 * r + 1), y1 * d1)
+                put(near, (k, 4 * r + 2), y2 * d2)
+                put(near, (k, 4 * r + 3), y3 * d3)
+                # D_(k + 1) -= y z^T, the lower triangle: rows of z up to r are done
+                at = r * (r + 1) // 2
                 for c in range(r + 1):
-                    _subtract(diag, (k + 1, r * (r + 1) // 2 + c), y, near, k, c)
+                    s = load(diag, (k + 1, at + c))
+                    s = fma(-y0, load(near, (k, 4 * c)), s)
+                    s = fma(-y1, load(near, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(near, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(near, (k, 4 * c + 3)), s)
+                    put(diag, (k + 1, at + c), s)
         if k + 2 < n:
-            for r in range(3):
-                y = _divide(far, k, r, pivot)
+            for r in range(3):  # rows of block k + 2
+                y0 = load(far, (k, 4 * r))
+                y1 = fma(-l10, y0, load(far, (k, 4 * r + 1)))
+                y2 = fma(-l21, y1, fma(-l20, y0, load(far, (k, 4 * r + 2))))
+                y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(far, (k, 4 * r + 3)))))
+                put(far, (k, 4 * r), y0 * d0)
+                put(far, (k, 4 * r + 1), y1 * d1)
+                put(far, (k, 4 * r + 2), y2 * d2)
+                put(far, (k, 4 * r + 3), y3 * d3)
+                at = r * (r + 1) // 2
                 for c in range(r + 1):
-                    _subtract(diag, (k + 2, r * (r + 1) // 2 + c), y, far, k, c)
+                    s = load(diag, (k + 2, at + c))
+                    s = fma(-y0, load(far, (k, 4 * c)), s)
+                    s = fma(-y1, load(far, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(far, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(far, (k, 4 * c + 3)), s)
+                    put(diag, (k + 2, at + c), s)
                 for c in range(4):
-                    _subtract(near, (k + 1, 4 * r + c), y, near, k, c)
-        for r in range(3):
-            y = _divide(arrow, k, r, pivot)
+                    s = load(near, (k + 1, 4 * r + c))
+                    s = fma(-y0, load(near, (k, 4 * c)), s)
+                    s = fma(-y1, load(near, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(near, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(near, (k, 4 * c + 3)), s)
+                    put(near, (k + 1, 4 * r + c), s)
+        for r in range(3):  # rows of the corner
+            y0 = load(arrow, (k, 4 * r))
+            y1 = fma(-l10, y0, load(arrow, (k, 4 * r + 1)))
+            y2 = fma(-l21, y1, fma(-l20, y0, load(arrow, (k, 4 * r + 2))))
+            y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(arrow, (k, 4 * r + 3)))))
+            put(arrow, (k, 4 * r), y0 * d0)
+            put(arrow, (k, 4 * r + 1), y1 * d1)
+            put(arrow, (k, 4 * r + 2), y2 * d2)
+            put(arrow, (k, 4 * r + 3), y3 * d3)
+            at = r * (r + 1) // 2
             for c in range(r + 1):
-                _subtract(corner, (r * (r + 1) // 2 + c,), y, arrow, k, c)
+                s = load(corner, (at + c,))
+                s = fma(-y0, load(arrow, (k, 4 * c)), s)
+                s = fma(-y1, load(arrow, (k, 4 * c + 1)), s)
+                s = fma(-y2, load(arrow, (k, 4 * c + 2)), s)
+                s = fma(-y3, load(arrow, (k, 4 * c + 3)), s)
+                put(corner, (at + c,), s)
             if k + 1 < n:
                 for c in range(4):
-                    _subtract(arrow, (k + 1, 4 * r + c), y, near, k, c)
+                    s = load(arrow, (k + 1, 4 * r + c))
+                    s = fma(-y0, load(near, (k, 4 * c)), s)
+                    s = fma(-y1, load(near, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(near, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(near, (k, 4 * c + 3)), s)
+                    put(arrow, (k + 1, 4 * r + c), s)
             if k + 2 < n:
-                # F_k has no row of spin, so the arrow's fourth column of k + 2 stays as it is
                 for c in range(3):
-                    _subtract(arrow, (k + 2, 4 * r + c), y, far, k, c)
-    # what is left in the corner is its Schur complement, 3 x 3
+                    s = load(arrow, (k + 2, 4 * r + c))
+                    s = fma(-y0, load(far, (k, 4 * c)), s)
+                    s = fma(-y1, load(far, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(far, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(far, (k, 4 * c + 3)), s)
+                    put(arrow, (k + 2, 4 * r + c), s)
+    # the corner, 3 x 3
     d0 = 1.0 / load(corner, (0,))
     a10, a20 = load(corner, (1,)), load(corner, (3,))
     l10, l20 = a10 * d0, a20 * d0
@@ -95,37 +147,12 @@ def factor(system: System) -> None:
     a21 = fma(-a20, l10, load(corner, (4,)))
     l21 = a21 * d1
     d2 = 1.0 / fma(-a21, l21, fma(-a20, l20, load(corner, (5,))))
-    last = (d0, l10, d1, l20, l21, d2)
-    for item in range(6):
-        put(corner, (item,), last[item])
-
-
-@njit(nogil=True)
-def _divide(block: Array, k: int, r: int, pivot: Pivot) -> Row:
-    """Replace row r of a block below pivot k by its row of L, z = y d^-1; return y."""
-    d0, l10, d1, l20, l21, d2, l30, l31, l32, d3 = pivot
-    y0 = load(block, (k, 4 * r))
-    y1 = fma(-l10, y0, load(block, (k, 4 * r + 1)))
-    y2 = fma(-l21, y1, fma(-l20, y0, load(block, (k, 4 * r + 2))))
-    y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(block, (k, 4 * r + 3)))))
-    put(block, (k, 4 * r), y0 * d0)
-    put(block, (k, 4 * r + 1), y1 * d1)
-    put(block, (k, 4 * r + 2), y2 * d2)
-    put(block, (k, 4 * r + 3), y3 * d3)
-    return y0, y1, y2, y3
-
-
-@njit(nogil=True)
-def _subtract(
-    target: Array, position: tuple[int, ...], y: Row, block: Array, k: int, c: int
-) -> None:
-    """Subtract y z^T from an element, z being row c of a block of L in column k."""
-    s = load(target, position)
-    s = fma(-y[0], load(block, (k, 4 * c)), s)
-    s = fma(-y[1], load(block, (k, 4 * c + 1)), s)
-    s = fma(-y[2], load(block, (k, 4 * c + 2)), s)
-    s = fma(-y[3], load(block, (k, 4 * c + 3)), s)
-    put(target, position, s)
+    put(corner, (0,), d0)
+    put(corner, (1,), l10)
+    put(corner, (2,), d1)
+    put(corner, (3,), l20)
+    put(corner, (4,), l21)
+    put(corner, (5,), d2)
 
 
 @njit(nogil=True)
