@@ -71,6 +71,7 @@ class Stream(IntEnum):
     LEARN_COPIES = 57  # episode: the first beads of its copies
     DEMONSTRATION = 58  # task, episode: its start, its goal, and the passes before it
     DEMONSTRATION_STARTS = 59  # task: the starts of demonstrations
+    DEMONSTRATION_GOALS = 71  # task, episode: goals for which its passes were right
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play
     SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
