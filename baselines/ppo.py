@@ -52,6 +52,7 @@ from knotgym.common.errors import MissingExtra, one_line
 from knotgym.control.learned_policies import ModelPolicy
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
+from knotgym.rope.engines import ENGINES, MUJOCO
 
 REQUEST, MODEL = "ppo.json", "model.zip"
 POLICIES = {"pixels": "CnnPolicy", "state": "MlpPolicy"}
@@ -105,6 +106,8 @@ def options() -> argparse.ArgumentParser:
     usual = PpoConfig()
     found = parser(__doc__ or "", "environment steps, rounded up to whole rollouts")
     found.add_argument("--observation", default="pixels", choices=tuple(POLICIES))
+    found.add_argument("--engine", default=MUJOCO, choices=ENGINES)
+    found.add_argument("--tow-limit", type=float, help="see the environment's tow_limit")
     found.add_argument("--every", type=int, default=250_000, help="steps between checkpoints")
     found.add_argument("--device", default="auto", help="cpu, cuda, ...")
     found.add_argument(
@@ -127,6 +130,8 @@ def train(given: argparse.Namespace) -> None:
         states=given.states,
         observation=given.observation,
         image_size=given.image_size,
+        engine=given.engine,
+        tow_limit=given.tow_limit,
     )
     evaluation = evaluation_settings(given, task)
     check_numbers(given, counts=("steps", "every"), whole=("threads",), error=InvalidBaseline)
@@ -172,7 +177,8 @@ def _require_device(device: str) -> None:
 def _envs(task: TaskConfig, config: PpoConfig, threads: int) -> Any:
     from stable_baselines3.common.vec_env import VecMonitor
 
-    settings = {name: getattr(task, name) for name in ("nx", "states", "observation", "image_size")}
+    names = ("nx", "states", "observation", "image_size", "engine", "tow_limit")
+    settings = {name: getattr(task, name) for name in names}
     return VecMonitor(sb3_vec_env(task.task, config.envs, threads=threads, **settings))
 
 

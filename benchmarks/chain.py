@@ -1,28 +1,27 @@
-"""The chain engine beside MuJoCo's: how fast, how near, alike in random play, and safe.
+"""The chain engine beside MuJoCo's: how fast, how near, and alike in random play.
 
     python benchmarks/chain.py speed [--out chain.json]
 
-Commands: speed, distance, frontier, converge, play, adversarial.
+Commands: speed, distance, sequences, frontier, converge, play, policy.
 
 `speed`: CPU milliseconds an action of either engine on one pinned core, the same ropes and pulls,
 in turn. `distance`: how far beads end from where MuJoCo puts them after 1, 2 and 4 random actions
 of full force, from shipped states of 0 to 4 crossings, mean over beads and states; and how often
-both show the same Gauss code. `frontier`: both for other schedules of substeps. `converge`: the
-distance with ever more substeps, from MuJoCo as it is and from MuJoCo with 16 times the steps and
-stiff closures. `play`: crossings and radius of gyration after random actions on either engine.
-`adversarial`: full force on one bead again and again, neighbours pulled apart, a strand pulled
-through the one it crosses, and a bead towed; counts changes of knot type (by `is_unknot`), of ropes
-that are not finite, the largest error of an edge's length and actions taken back. The certificate
-looks from a random direction.
+both show the same Gauss code. `sequences`: how often the pulls of the expert's recorded episodes
+end in the same code on either engine. `frontier`: speed and distance for other schedules of
+substeps. `converge`: the distance with ever more substeps, from MuJoCo as it is and from MuJoCo
+with 16 times the steps and stiff closures. `play`: crossings and radius of gyration after random
+actions on either engine. `policy`: success of random actions in the nine set-ups of both state
+sets, test split, with the same starts and goals on either engine, and Newcombe's 95 % interval of
+the difference on these states. Parts that --out holds are not played again. `long_play.py` is about
+safety.
 """
 
 import argparse
 import json
 import os
-import resource
 import statistics
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,17 +30,27 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from knotgym.common.configuration import from_json
+from knotgym.control.rollouts import rollout
+from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes.collect import CollectConfig
+from knotgym.generate.episodes.evaluate import EvaluateConfig, evaluate
+from knotgym.generate.episodes.recordings import PulledPolicy, read_recording, recorded_ids
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.chain.solver import SCHEDULE
+from knotgym.rope.engines import CHAIN, MUJOCO
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
+from knotgym.runs.executors import executor
+from knotgym.runs.intervals import wilson
 from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.crossings import find_crossings, label_many
-from knotgym.topology.knots import UndecidedKnot, is_unknot
+from knotgym.topology.crossings import label_many
 
 Array = NDArray[np.float64]
 SETS = ("readable", "random-walk")
+TASKS = ("unknot", "tie", "convert")
+PART = 256  # episodes of one seed
 FORCE = RopeConfig().max_force
 SCHEDULES = ((1, 2, 4, 5, 6, 6), (1, 2, 3, 4, 4, 5, 5), (1, 1, 2, 2, 4, 4, 5, 5), (1,) * 24)
 FINE = replace(
@@ -141,6 +150,34 @@ def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, An
     }
 
 
+def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    told: dict[str, Any] = {}
+    for name in recorded_ids():
+        recording = read_recording(name)
+        config = from_json(CollectConfig, recording.config)
+        if config.policy.policy != "expert":
+            continue
+        numbers = range(min(args.ropes, len(recording)))
+        recorded, ends = [recording.episode(number) for number in numbers], []
+        longest = int(recording.lengths.max())
+        for engine in (MUJOCO, CHAIN):
+            task = replace(config.seen_task, engine=engine, horizon=longest, hold=longest)
+            played = rollout(task, PulledPolicy("expert", recorded), numbers, config.seed)
+            ends.append(
+                label_many(
+                    np.stack(
+                        [
+                            one.episode.points[len(own.pulls)]
+                            for one, own in zip(played, recorded, strict=True)
+                        ]
+                    )
+                )
+            )
+        same = sum(one.matches(other) for one, other in zip(*ends, strict=True))
+        told[name] = {"episodes": len(numbers), "same code": same / len(numbers)}
+    return told
+
+
 def laid(qpos: Array) -> ChainSimulation:
     simulation = ChainSimulation(len(qpos))
     simulation.lay(qpos)
@@ -204,90 +241,56 @@ def interval(values: NDArray[Any]) -> list[float]:
     return [round(float(x), 4) for x in (values.mean(), 1.96 * values.std() / len(values) ** 0.5)]
 
 
-def through(points: Array, rng: np.random.Generator) -> tuple[int, Array]:
-    """The bead of a crossing's upper strand, and full force towards the lower one."""
-    crossings = find_crossings(points)
-    if not crossings.nx:
-        return int(rng.integers(len(points))), FORCE * rng.choice([-1.0, 1.0], 3)
-    at = int(rng.integers(crossings.nx))
-    down = np.array([*rng.uniform(-0.3, 0.3, 2), -1.0])
-    if rng.random() < 0.5:
-        return int(crossings.over_place[at]) % len(points), FORCE * down
-    return int(crossings.under_place[at]) % len(points), -FORCE * down
+def policy(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    cells = [(name, task, nx) for name in SETS for task in TASKS for nx in (2, 3, 4)]
+    found: dict[str, dict[str, list[int]]] = {}
+    if args.out.is_file():
+        found = json.loads(args.out.read_text(encoding="utf-8"))["results"]["successes"]
+    parts = range(args.episodes // PART)
+    # the chain first, then a part of every cell in turn: what takes long is MuJoCo
+    order = [(CHAIN, part, cell) for cell in cells for part in parts]
+    order += [(MUJOCO, part, cell) for part in parts for cell in cells]
+    with executor(1) as pool:
+        for engine, part, (name, task, nx) in order:
+            key = f"{name} {task} {nx}"
+            done = found.setdefault(key, {}).setdefault(engine, [])
+            if part < len(done):
+                continue
+            config = EvaluateConfig(
+                tasks=(task,),
+                nx=(nx,),
+                episodes=PART,
+                seed=part,
+                task=TaskConfig(task=task, observation="state", states=name, engine=engine),
+            )
+            done.append(evaluate(config, pool)[0][0].successes)
+            told = {"part": PART, "successes": found, "table": compared(found)}
+            args.out.write_text(json.dumps({"results": told}, indent=1) + "\n", encoding="utf-8")
+    return {"part": PART, "successes": found, "table": compared(found)}
 
 
-def turned(rng: np.random.Generator) -> Array:
-    """A random rotation."""
-    matrix: Array = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    return matrix * np.sign(np.linalg.det(matrix))
+def compared(found: dict[str, dict[str, list[int]]]) -> list[str]:
+    """Rows of a table: success on either engine, and the interval of the difference."""
+    rows, within = [], 0
+    for key, parts in found.items():
+        if len(parts) < 2 or not all(parts.values()):
+            continue
+        ends = [
+            (sum(one) / (PART * len(one)), *wilson(sum(one), PART * len(one)), PART * len(one))
+            for one in (parts[CHAIN], parts[MUJOCO])
+        ]
+        (p, p_low, p_high, n), (q, q_low, q_high, m) = ends
+        low = p - q - float(np.hypot(p - p_low, q_high - q))
+        high = p - q + float(np.hypot(p_high - p, q - q_low))
+        within += low <= 0 <= high
+        interval = f"{100 * low:+.1f} to {100 * high:+.1f}"
+        rows.append(f"| {key} | {100 * p:.1f} ({n}) | {100 * q:.1f} ({m}) | {interval} |")
+    return [*rows, f"{within} of {len(rows)} hold 0"]
 
 
-Adversary = Callable[[Array, int, NDArray[np.int64], Array, np.random.Generator], Any]
-
-
-def adversaries() -> dict[str, Adversary]:
-    """What pulls: functions of the points, the step, a bead and a direction of each rope."""
-
-    def full(points: Array, step: int, beads: Any, ways: Array, rng: Any) -> Any:
-        return beads, FORCE * np.sign(ways)
-
-    def neighbours(points: Array, step: int, beads: Any, ways: Array, rng: Any) -> Any:
-        return (beads + step % 2 * 2) % 100, FORCE * np.sign(ways) * (-1) ** step
-
-    def crossing(points: Array, step: int, beads: Any, ways: Array, rng: Any) -> Any:
-        found = [through(rope, rng) for rope in points]
-        return np.array([bead for bead, _ in found]), np.stack([force for _, force in found])
-
-    def tow(points: Array, step: int, beads: Any, ways: Array, rng: Any) -> Any:
-        # towards the other side of the rope, so that it is drawn through itself
-        rows = np.arange(len(points))
-        way = points[rows, (beads + 50) % 100] - points[rows, beads]
-        return beads, FORCE * way / np.abs(way).max(axis=1, keepdims=True)
-
-    return {"full": full, "neighbours": neighbours, "crossing": crossing, "tow": tow}
-
-
-def adversarial(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
-    told: dict[str, Any] = {}
-    length = RopeConfig().bead_length
-    for name, adversary in adversaries().items():
-        counted = dict.fromkeys(("actions", "knotted", "undecided", "not finite"), 0)
-        simulation, worst, most = ChainSimulation(args.ropes), 0.0, 0
-        while counted["actions"] < args.actions:
-            qpos = starts(args.ropes // 10, rng)
-            simulation.lay(qpos[rng.integers(len(qpos), size=args.ropes)])
-            beads = rng.integers(100, size=args.ropes)
-            ways = rng.normal(size=(args.ropes, 3))
-            for step in range(args.steps):
-                if step % args.hold == 0:
-                    beads = rng.integers(100, size=args.ropes)
-                    ways = rng.normal(size=(args.ropes, 3))
-                simulation.step(*adversary(simulation.points, step, beads, ways, rng))
-                counted["actions"] += args.ropes
-                edges = np.roll(simulation.points, -1, axis=1) - simulation.points
-                off = np.abs(np.linalg.norm(edges, axis=2) / length - 1).max()
-                worst = max(worst, float(off))
-                counted["not finite"] += int(
-                    (~np.isfinite(simulation.points)).any(axis=(1, 2)).sum()
-                )
-                if (step + 1) % args.certify == 0:
-                    for code in label_many(simulation.points @ turned(rng)):
-                        most = max(most, code.nx)
-                        try:
-                            counted["knotted"] += not is_unknot(code)
-                        except UndecidedKnot:
-                            counted["undecided"] += 1
-        told[name] = counted | {
-            "taken back": simulation.steps_reduced,
-            "edge length off at most": worst,
-            "crossings at most": most,
-            "memory at most, MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
-        }
-        Console().print(name, told[name])
-    return told
-
-
-COMMANDS = {run.__name__: run for run in (speed, distance, frontier, converge, play, adversarial)}
+COMMANDS = {
+    run.__name__: run for run in (speed, distance, sequences, frontier, converge, play, policy)
+}
 
 
 def main() -> None:
@@ -299,10 +302,7 @@ def main() -> None:
     parser.add_argument("--ropes", type=int, default=64)
     parser.add_argument("--states", type=int, default=20, help="of each crossing number and set")
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--actions", type=int, default=250_000, help="of each adversary")
-    parser.add_argument("--steps", type=int, default=60, help="actions from one start")
-    parser.add_argument("--hold", type=int, default=20, help="actions on one bead")
-    parser.add_argument("--certify", type=int, default=10, help="actions between two certificates")
+    parser.add_argument("--episodes", type=int, default=1024, help="of `policy`, of each cell")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     if hasattr(os, "sched_setaffinity") and args.command in ("speed", "frontier"):

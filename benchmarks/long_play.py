@@ -1,15 +1,20 @@
-"""What hard play does to the rope: NaN, gaps, knot type, memory, over many actions.
+"""What hard play does to the rope in either engine: NaN, gaps, knot type, memory.
 
-    python benchmarks/long_play.py --actions 1000000 --out long_play.json
+    python benchmarks/long_play.py --engine chain --actions 10000000 --ropes 512 --out chain.json
 
-Ropes are played side by side in slices, half of each slice set out from plain loops and half from
-the states that ship, by ways of playing in turn: "random" actions; "one bead", full force always on
-one bead, in one direction; "neighbours", two beads side by side pulled apart in turn; "through", a
-bead beside a crossing pulled straight at the strand that it crosses, as hard as can be; "tow", the
-same action always. After every action the points are looked at for NaN and the closures for their
-gap; every --every actions, and at a slice's end, the rope's diagram is reduced, and its knot type
-has to be the one it had (knotgym.topology.knots: Reidemeister moves, then Alexander and Jones).
-Slices that --out already tells are not played again, so that a run that was ended goes on.
+Ropes are played side by side in slices. Half of each slice starts from plain loops and half from
+the states that ship. The slices take these ways of playing in turn: "random" actions; "one bead",
+full force on one bead in one direction; "neighbours", two neighbouring beads pulled apart in turn;
+"through", a bead at a crossing pulled with full force at the strand that it crosses; "tow", the
+same action; "across", a bead pulled towards the one halfway round the rope. A bead and a direction
+are kept for 20 actions.
+
+Every action is checked for NaN and for gaps (in the chain: for edges that aren't as long as a
+bead). Whenever the Gauss code changes, the new one must still be of the unknot
+(knotgym.topology.knots: Reidemeister moves, then Alexander and Jones). By Reidemeister's theorem
+his moves then lead from the old code to the new one; "flips" counts changes of one crossing alone,
+not a kink, from over to under, which is what a strand that slips through another looks like.
+Slices that --out holds are not played again, so an interrupted run can be resumed.
 """
 
 from __future__ import annotations
@@ -20,21 +25,24 @@ import json
 import resource
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.rope.engines import ENGINES, MUJOCO
+from knotgym.rope.engines import simulation as simulation_of
 from knotgym.rope.model import Array
-from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
 from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.crossings import find_crossings
+from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.diagrams import NotPlanar
-from knotgym.topology.knots import knot_type
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import UndecidedKnot, is_unknot
 
+HOLD = 20  # actions with the same bead and direction
 Random = np.random.Generator
 Pull = tuple[NDArray[np.int64], Array]  # beads and forces, newtons, of all ropes
 Way = Callable[[Simulation, Random, int], Pull]
@@ -45,9 +53,10 @@ def _directions(rng: Random, count: int) -> Array:
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
 
 
-def _fixed(seeds: Random) -> Random:
-    """A generator that draws the same at every action of a slice."""
-    return np.random.default_rng(seeds.bit_generator.seed_seq.entropy)  # type: ignore[attr-defined]
+def _fixed(seeds: Random, step: int) -> Random:
+    """A generator that draws the same at HOLD actions of a slice, one after the other."""
+    entropy = seeds.bit_generator.seed_seq.entropy  # type: ignore[attr-defined]
+    return np.random.default_rng((entropy, step // HOLD))
 
 
 def random_actions(simulation: Simulation, rng: Random, step: int) -> Pull:
@@ -57,8 +66,8 @@ def random_actions(simulation: Simulation, rng: Random, step: int) -> Pull:
 
 
 def one_bead(simulation: Simulation, rng: Random, step: int) -> Pull:
-    """Full force on one bead, in one direction, both kept for a whole slice."""
-    fixed = _fixed(rng)
+    """Full force on one bead, in one direction."""
+    fixed = _fixed(rng, step)
     beads = fixed.integers(simulation.rope.config.beads, size=simulation.count)
     return beads, simulation.max_force * _directions(fixed, simulation.count)
 
@@ -89,10 +98,19 @@ def through(simulation: Simulation, rng: Random, step: int) -> Pull:
 
 
 def tow(simulation: Simulation, rng: Random, step: int) -> Pull:
-    """The constant action, (-1, -1, -1, -1, -1, -1) and its like."""
-    fixed = _fixed(rng)
+    """The same action, (-1, -1, -1, -1, -1, -1) and its like."""
+    fixed = _fixed(rng, step)
     actions = fixed.choice([-1.0, 1.0], size=(simulation.count, 6))
     return simulation.read_actions(actions)
+
+
+def across(simulation: Simulation, rng: Random, step: int) -> Pull:
+    """A bead pulled towards the one halfway round the rope, which draws the rope through itself."""
+    beads, count = one_bead(simulation, rng, step)[0], simulation.rope.config.beads
+    points, rows = simulation.points, np.arange(simulation.count)
+    toward = points[rows, (beads + count // 2) % count] - points[rows, beads]
+    lengths = np.maximum(1e-9, np.linalg.norm(toward, axis=1, keepdims=True))
+    return beads, simulation.max_force * toward / lengths
 
 
 WAYS: dict[str, Way] = {
@@ -101,18 +119,48 @@ WAYS: dict[str, Way] = {
     "neighbours": neighbours,
     "through": through,
     "tow": tow,
+    "across": across,
 }
 
 
-def types(simulation: Simulation) -> list[str]:
-    """The knot type of every rope; "" where its diagram is none, beads being on one another."""
-    found = []
-    for points in simulation.points:
+def turned(rng: Random) -> Array:
+    """A random rotation."""
+    matrix: Array = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return matrix * np.sign(np.linalg.det(matrix))
+
+
+def verdict(points: Array, code: GaussCode, rng: Random) -> str:
+    """Whether the rope is "unknotted" or "knotted", seen from other sides where one can't tell."""
+    for _ in range(8):
         try:
-            found.append(knot_type(find_crossings(points).code))
-        except NotPlanar:
-            found.append("")
+            return "unknotted" if is_unknot(code) else "knotted"
+        except NotPlanar:  # beads on one another
+            found = "no diagram"
+        except UndecidedKnot:
+            found = "undecided"
+        code = label(points @ turned(rng))
     return found
+
+
+def is_flip(before: GaussCode, after: GaussCode) -> bool:
+    """Whether one crossing that isn't a kink went from over to under, and nothing else changed."""
+    if before.nx != after.nx:
+        return False
+    changed = {abs(a) for a, b in zip(before.visits, after.visits, strict=True) if a != b}
+    signs = enumerate(zip(before.signs, after.signs, strict=True), 1)
+    if len(changed) != 1 or {crossing for crossing, (a, b) in signs if a != b} != changed:
+        return False
+    one, other = (k for k, visit in enumerate(after.visits) if abs(visit) in changed)
+    return other - one not in (1, 2 * after.nx - 1)
+
+
+def gaps(simulation: Simulation) -> Array:
+    """The widest gap of each rope, in the chain the largest error of an edge's length, metres."""
+    if simulation.engine == MUJOCO:
+        return simulation.rope.points_and_gaps(simulation.qpos())[1]
+    edges = np.roll(simulation.points, -1, axis=1) - simulation.points
+    off = np.linalg.norm(edges, axis=2) - simulation.rope.config.bead_length
+    return np.asarray(np.abs(off).max(axis=1))
 
 
 @functools.cache
@@ -120,43 +168,49 @@ def _starts() -> Array:
     return read_states(shipped(), images=False).qpos
 
 
-def play(way: str, seed: int, ropes: int, length: int, every: int) -> dict[str, Any]:
+def play(engine: str, way: str, seed: int, ropes: int, length: int) -> dict[str, Any]:
     """One slice: so many actions of each rope, all in one way."""
     began = time.process_time()
-    simulation, starts = MujocoSimulation(ropes), _starts()
+    simulation, starts = simulation_of(engine, ropes), _starts()
     rng = np.random.default_rng(seed)
     rows = rng.integers(len(starts), size=ropes // 2)
     simulation.lay(starts[rows], np.arange(len(rows)))
-    before = types(simulation)
+    codes: Sequence[GaussCode] = label_many(simulation.points)
     counts: Counter[str] = Counter()
     breaks: list[str] = []
-    gap = 0.0
+    widest, most = 0.0, 0
     bead = 2 * simulation.rope.config.radius
     for step in range(length):
         whole = simulation.step(*WAYS[way](simulation, rng, step))
-        gaps = simulation.rope.points_and_gaps(simulation.qpos())[1]
-        gap = max(gap, float(gaps.max()))
+        wide = gaps(simulation)
+        widest = max(widest, float(wide.max()))
         counts["blew up"] += int((~whole).sum())
         nan = ~np.isfinite(simulation.points).all(axis=(1, 2))
-        for name, wrong in (("NaN", nan), ("wide gap", ~(gaps < bead))):
+        for name, wrong in (("NaN", nan), ("wide gap", ~(wide < bead))):
             counts[name] += int(wrong.sum())
             breaks += [
                 _named(way, seed, step, rope, name) for rope in np.flatnonzero(wrong).tolist()
             ]
-        if step % every == every - 1 or step == length - 1:
-            now = types(simulation)
-            counts["certified"] += sum(1 for one in now if one)
-            counts["no diagram"] += now.count("")
-            for rope, (was, is_) in enumerate(zip(before, now, strict=True)):
-                if was and is_ and was != is_:
-                    counts["changed knot type"] += 1
-                    breaks.append(_named(way, seed, step, rope, f"{was} became {is_}"))
-            before = [is_ or was for was, is_ in zip(before, now, strict=True)]
+        now = label_many(simulation.points)
+        for rope, (before, after) in enumerate(zip(codes, now, strict=True)):
+            if before == after:
+                continue
+            most = max(most, after.nx)
+            found = verdict(simulation.points[rope], after, rng)
+            counts["changes"] += 1
+            counts[found] += 1
+            counts["flips"] += is_flip(before, after)
+            if found == "knotted":
+                text = f"{before.chiral} became {after.chiral}"
+                breaks.append(_named(way, seed, step, rope, text))
+        codes = now
+    counts["held back"] = simulation.steps_reduced
     return {
         "way": way,
         "actions": ropes * length,
         "counts": dict(counts),
-        "largest_gap_mm": 1000 * gap,
+        "largest_gap_mm": 1000 * widest,
+        "most_crossings": most,
         "breaks": breaks,
         "cpu_seconds": time.process_time() - began,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
@@ -169,20 +223,30 @@ def _named(way: str, seed: int, step: int, rope: int, what: str) -> str:
 
 def table(slices: list[dict[str, Any]]) -> str:
     """The slices of each way of playing, summed up."""
+    columns = (
+        "NaN",
+        "blew up",
+        "held back",
+        "changes",
+        "knotted",
+        "undecided",
+        "no diagram",
+        "flips",
+    )
     lines = [
-        "| way | actions | NaN | blew up | largest gap, mm | certified | no diagram |"
-        " changed knot type | CPU s |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+        f"| way | actions | {' | '.join(columns)} | largest gap, mm | most crossings | CPU s |",
+        f"| --- |{' ---: |' * (len(columns) + 4)}",
     ]
     for way in WAYS:
         own = [one for one in slices if one["way"] == way]
         if own:
             counts: Counter[str] = sum((Counter(one["counts"]) for one in own), Counter())
             lines.append(
-                f"| {way} | {sum(one['actions'] for one in own)} | {counts['NaN']}"
-                f" | {counts['blew up']} | {max(one['largest_gap_mm'] for one in own):.1f}"
-                f" | {counts['certified']} | {counts['no diagram']}"
-                f" | {counts['changed knot type']} | {sum(one['cpu_seconds'] for one in own):.0f} |"
+                f"| {way} | {sum(one['actions'] for one in own)}"
+                f" | {' | '.join(str(counts[name]) for name in columns)}"
+                f" | {max(one['largest_gap_mm'] for one in own):.3g}"
+                f" | {max(one['most_crossings'] for one in own)}"
+                f" | {sum(one['cpu_seconds'] for one in own):.0f} |"
             )
     return "\n".join(lines)
 
@@ -191,14 +255,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("--engine", choices=ENGINES, default=MUJOCO)
     parser.add_argument("--actions", type=int, default=1_000_000, help="all ropes together")
     parser.add_argument("--ropes", type=int, default=32)
     parser.add_argument("--length", type=int, default=250, help="actions of a rope in a slice")
-    parser.add_argument("--every", type=int, default=10, help="actions between two looks")
     parser.add_argument("--seed", type=int, default=0, help="of the first slice")
     parser.add_argument("--out", type=Path, default=Path("long_play.json"))
     given = parser.parse_args()
-    sizes = {"ropes": given.ropes, "length": given.length, "every": given.every}
+    sizes = {"engine": given.engine, "ropes": given.ropes, "length": given.length}
     told: dict[str, Any] = {"sizes": {**sizes, "seed": given.seed}, "slices": []}
     if given.out.is_file():
         before = json.loads(given.out.read_text(encoding="utf-8"))
@@ -206,7 +270,7 @@ def main() -> None:
     slices = told["slices"]
     while sum(one["actions"] for one in slices) < given.actions:
         way = [*WAYS][len(slices) % len(WAYS)]
-        slices.append(play(way, given.seed + len(slices), **sizes))
+        slices.append(play(way=way, seed=given.seed + len(slices), **sizes))
         print(*slices[-1]["breaks"], sep="\n", end="" if not slices[-1]["breaks"] else "\n")
         given.out.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     print(table(slices))

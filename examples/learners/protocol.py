@@ -6,6 +6,8 @@ Results are written in its format, which `benchmarks/results.py` reads.
 from __future__ import annotations
 
 import argparse
+import shlex
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -34,6 +36,7 @@ def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:
     options.add_argument("--split", default="test")
     options.add_argument("--states", default=None, help="readable or random-walk")
     options.add_argument("--episodes", type=int, default=256, help="evaluated per setting")
+    options.add_argument("--engine", default="mujoco", help="to evaluate in: mujoco or chain")
     return options
 
 
@@ -52,6 +55,9 @@ class Training:
             "steps": given.steps,
             "batch": given.batch,
             "seed": given.seed,
+            "command": shlex.join(
+                ["python", f"examples/learners/{Path(sys.argv[0]).name}", *sys.argv[1:]]
+            ),
         }
         for reader in readers:
             reader.close()
@@ -72,7 +78,7 @@ def _dataset_id(source: str) -> str:
 
 
 def measure(
-    name: str, policy: Policy, given: argparse.Namespace, training: dict[str, Any], model: str
+    name: str, policy: Policy, given: argparse.Namespace, training: dict[str, Any], *models: str
 ) -> dict[str, Any]:
     """Evaluate a policy in every chosen setting, in episodes 0 to N - 1 of seed 0, on states.
 
@@ -81,7 +87,7 @@ def measure(
         policy: to evaluate.
         given: options of the command line.
         training: report on the training.
-        model: name of the weights' file in the output folder.
+        models: names of the weights' files in the output folder.
 
     Returns:
         The content of `evaluation.json`: as from `knotgym evaluate --out`, and `training`.
@@ -91,10 +97,10 @@ def measure(
         policy,
         given.out,
         training,
-        files=[given.out / model],
+        files=[given.out / model for model in models],
         tasks=words(given.task),
         nx=numbers(given.nx),
         splits=words(given.split),
         episodes=given.episodes,
-        task=TaskConfig(task="tie", states=given.states, observation="state"),
+        task=TaskConfig(task="tie", states=given.states, observation="state", engine=given.engine),
     )

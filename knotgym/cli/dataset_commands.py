@@ -1,7 +1,5 @@
 """The commands `knotgym dataset ...`, which inspect, check and convert datasets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -53,8 +51,8 @@ def gallery(
     red for failure. For a perception table it shows the first 64 pictures.
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.dataset_paths import folder_of
         from knotgym.cli.inspection import gallery as draw
+        from knotgym.datasets.located import folder_of
 
         out = out or folder_of(path) / "gallery.png"
         progress.say(f"{out}: {draw(path, out, columns, overwrite)}")
@@ -163,8 +161,8 @@ def replay(
     "failed".
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.dataset_paths import folder_of
         from knotgym.cli.inspection import film
+        from knotgym.datasets.located import folder_of
 
         out = out or folder_of(path) / "replay.gif"
         progress.say(f"{out}: {film(path, row, out, overwrite, progress)}")
@@ -185,8 +183,8 @@ def page(
     most 10 MB.
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.dataset_paths import folder_of
         from knotgym.cli.inspection import page as write
+        from knotgym.datasets.located import folder_of
 
         out = out or folder_of(path) / "page.html"
         progress.stage("writing the page")
@@ -215,6 +213,15 @@ def export(
             )
         ),
     ] = "compact",
+    video: Annotated[
+        str,
+        typer.Option(
+            help=(
+                "With lerobot: pictures as video, h264 or av1, instead of PNG. Video is lossy, see"
+                " the card that is written. Needs the extra video."
+            )
+        ),
+    ] = "",
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -223,4 +230,4 @@ def export(
         from knotgym.cli.inspection import export as convert
 
         progress.stage("exporting")
-        progress.say(f"{out}: {convert(path, out, to, overwrite, progress.stage)}")
+        progress.say(f"{out}: {convert(path, out, to, overwrite, progress.stage, video)}")

@@ -1,7 +1,5 @@
 """The commands `knotgym demo` and `knotgym compile`."""
 
-from __future__ import annotations
-
 import importlib.util
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The work of the `knotgym dataset` commands on a dataset named by a path or an id."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,14 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.cli.dataset_paths import (
-    Dataset,
-    UnknownDataset,
-    episodes_at,
-    name_of,
-    resolve_dataset,
-    resolve_datasets,
-)
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
 from knotgym.common.atomic_files import (
     atomic_write,
@@ -30,6 +20,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import Count, EpisodeReader, episode_file, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
+from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.exports.forms import export as convert
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
@@ -40,6 +31,14 @@ from knotgym.datasets.gallery import (
     write_picture_gallery,
 )
 from knotgym.datasets.image_table import read_table, shards
+from knotgym.datasets.located import (
+    Dataset,
+    UnknownDataset,
+    episodes_at,
+    name_of,
+    resolve_dataset,
+    resolve_datasets,
+)
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, dataset_files, merge_datasets
 from knotgym.datasets.page.page_data import dataset_name, page_data
@@ -49,7 +48,7 @@ from knotgym.generate.states.imported_curves import write_curves
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Array, RopeConfig
+from knotgym.rope.model import Array, RopeConfig, rope_of
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
 from knotgym.states.state_file import (
@@ -151,6 +150,7 @@ def export(
     form: str = "compact",
     overwrite: bool = False,
     count: Count = uncounted,
+    video: str = "",
 ) -> str:
     """Export a dataset to another format; return a one-line summary.
 
@@ -158,9 +158,10 @@ def export(
         named: a path or an id.
         out: a file for one dataset in format compact; otherwise a folder.
         form: the format: compact, lerobot, ogbench, huggingface, minari or curves.
-        overwrite: replace `out`.
-        count: called before each episode.
+        video: "h264" or "av1" for the pictures of format lerobot as video.
     """
+    if video and form != "lerobot":
+        raise ExportError(f"--video is for --to lerobot, got {video!r} for {form}")
     require_writable(out)  # each exporter then checks what it would replace
     require_own_files(named)
     if form == "huggingface":
@@ -183,7 +184,7 @@ def export(
             raise UnknownDataset(
                 f"{named} has {len(found)} datasets; export them to {form} one by one"
             )
-        convert(found[0].path, out, form, count, overwrite=overwrite)
+        convert(found[0].path, out, form, count, overwrite=overwrite, video=video)
         return f"{len(EpisodeReader(found[0].path))} episodes for {form}"
     refuse_minaris_folder(out)
     if len(found) == 1:
@@ -357,7 +358,7 @@ def _state_scene(path: Path, row: int) -> _Scene:
     end = states.points[row]
     reached = np.arange(len(actions) + 1) == len(actions)
     start = states.source["start_qpos"][row]
-    return _Scene(states.engine, RopeConfig(), start, actions, end, end, reached)
+    return _Scene(states.engine, rope_of(len(end)), start, actions, end, end, reached)
 
 
 def _episode_scene(path: Path, row: int) -> _Scene:

@@ -1,7 +1,5 @@
 """The command `knotgym train`."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 
@@ -43,7 +41,7 @@ def _options() -> list[Option]:
         ),
         *_of_the_clone(),
         *run_options("settings"),
-        *options_of(TrainConfig(), "seed"),
+        *options_of(TrainConfig(), "engine seed"),
         *run_options(EXISTING),
     ]
 

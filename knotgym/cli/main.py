@@ -1,7 +1,5 @@
 """The entry points of the command line; a user's mistake prints one line, with exit status 2."""
 
-from __future__ import annotations
-
 import copy
 import errno
 import functools
@@ -201,7 +199,7 @@ def _interrupt(stopped: Callable[[], str], number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def _unraisable(stopped: Callable[[], str], error: sys.UnraisableHookArgs) -> None:
+def _unraisable(stopped: Callable[[], str], error: "sys.UnraisableHookArgs") -> None:
     """After an interruption, ignore errors in destructors, but act on a second interruption."""
     if issubclass(error.exc_type, KeyboardInterrupt):
         _end(stopped, 0, None)

@@ -5,8 +5,6 @@ its default the field's default, and its type the field's type. A configuration 
 values. Options are made when their command is typed, because configurations import the simulator.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 import tomllib
@@ -42,7 +40,7 @@ ENVIRONMENT, ACTING, RUN = "The environment", "Who acts", "How it is run"
 TASK = (
     "task.states task.observation task.action task.max_goals task.image_size task.views"
     " task.depth task.horizon task.hold task.endless task.tow_limit task.reset_noise task.engine"
-    " task.integrator_steps task.camera"
+    " task.beads task.integrator_steps task.camera"
 )  # what collect and evaluate let users set of the environment
 EXECUTION, EXISTING = "workers executor scheduler settings", "resume restart overwrite quiet"
 Config = TypeVar("Config", bound="DataclassInstance")

@@ -1,7 +1,5 @@
 """The commands `knotgym collect` and `knotgym evaluate`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -127,15 +127,14 @@ def prompt(given: Given) -> None:
         ask,
         len(rows) or config.episodes,
         folder,
+        given.run,
         side_by_side=given["side_by_side"],
-        existing=given.run,
         progress=given.progress,
     )
     if not given["quiet"]:
         from knotgym.cli.summaries import print_transcripts
 
         print_transcripts(folder, given.progress.console)
-        given.progress.say(f"{folder}: transcripts.jsonl, result.json")
 
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:

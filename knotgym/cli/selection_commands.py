@@ -1,7 +1,5 @@
 """The commands `knotgym dataset select`, `split`, `delete` and `import`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The command `knotgym suite`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

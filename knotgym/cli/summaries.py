@@ -1,7 +1,5 @@
 """Summaries that `knotgym dataset show` prints for states, pictures, episodes and transcripts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill, wrap
@@ -10,20 +8,10 @@ from typing import Any
 from rich.console import Console
 
 from knotgym.datasets.cards.image_card import summary as image_summary
-from knotgym.datasets.cards.state_card import (
-    OVERLAP_HEAD,
-    OVERLAP_SAYS,
-    SPREAD_HEAD,
-    SPREAD_SAYS,
-    growth,
-    known_and_accepted,
-    most_first,
-    overlap_rows,
-    spread_rows,
-)
 from knotgym.datasets.cards.state_card import summary as state_summary
+from knotgym.datasets.cards.tables import Table, image_tables, state_tables
 from knotgym.datasets.episode_verification import show_episodes
-from knotgym.datasets.image_table import GRADES, shards
+from knotgym.datasets.image_table import shards
 from knotgym.datasets.manifest_check import read_manifest, run_report
 from knotgym.prompting.reading_scores import HEAD, ReadingScores
 from knotgym.prompting.summary import summarize
@@ -35,62 +23,15 @@ _LISTED = 24  # entries of a mapping that are printed, at most
 
 
 def print_states(path: str, file: Path, console: Console) -> None:
-    """Print a summary of a state file and of the run in its folder's manifest.
-
-    Args:
-        path: as the user gave it.
-        file: the state file.
-        console: where to print.
-    """
+    """Print a summary of a state file and of the run in its folder's manifest."""
     states = read_states(file, images=False)
     facts = state_summary(states)
     report = run_report(read_manifest(file.parent)[0])
-    existing = report.get("existing_codes", {})
-    counts = narrow_table(
-        ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"),
-    )
     _say(console, f"{path}: {len(states)} states")
-    for nx, count in facts["nx"].items():
-        counts.add_row(
-            nx,
-            str(count["states"]),
-            str(count["codes"]),
-            str(existing.get(nx) or "?"),
-            str(count["codes_with_chirality"]),
-            str(count["train"]),
-            str(count["test"]),
-            str(count["codes_in_both_splits"]),
-            f"{count['positive_crossings']}/{count['negative_crossings']}",
-            "/".join(map(str, count["actions_to_reach"])),
-        )
-    console.print(counts)
     if facts["sources"]:
         made = ", ".join(f"{policy} {count}" for policy, count in facts["sources"].items())
         _say(console, f"sources: {made}")
-    _say(
-        console,
-        "of: existing Gauss codes; chiral: codes with chirality; both: codes in both splits;"
-        " actions: fewest/median/most to reach a state",
-    )
-    shared = narrow_table(OVERLAP_HEAD, title="train and test")
-    for row in overlap_rows(facts["nx"]):
-        shared.add_row(*row)
-    console.print(shared)
-    _say(console, OVERLAP_SAYS)
-    spread = narrow_table(SPREAD_HEAD, title="spread")
-    for row in spread_rows(facts["nx"]):
-        spread.add_row(*row)
-    console.print(spread)
-    _say(console, SPREAD_SAYS)
-    quality = narrow_table(
-        ("measure", "unit", "min", "median", "max"), title="quality", left=("measure", "unit")
-    )
-    for name, spread in facts["quality"].items():
-        numbers = (f"{spread[key]:.3g}" for key in ("min", "median", "max"))
-        quality.add_row(name, spread["unit"], *numbers)
-    console.print(quality)
-    _print_growth(report, console)
-    _print_rejected(report, console)
+    _print_tables(state_tables(facts, report), console)
 
 
 def print_images(path: str, console: Console) -> None:
@@ -100,30 +41,7 @@ def print_images(path: str, console: Console) -> None:
         console,
         f"{path}: {facts['pictures']} pictures, {size / facts['pictures']:.0f} bytes each",
     )
-    counts = narrow_table(("", "pictures", "codes", "chiral", "of a code", "accepted"), left=("",))
-    grades = narrow_table(("", *GRADES), left=("",))
-    own = {f"nx {nx}": count for nx, count in facts["nx"].items()}
-    for name, count in (own | facts["splits"]).items():
-        last_of_nx = name == [*own][-1]
-        counts.add_row(
-            name,
-            str(count["pictures"]),
-            str(count["codes"]),
-            str(count["codes_with_chirality"]),
-            "/".join(map(str, count["of_a_code"])),
-            str(count["accepted"]),
-            end_section=last_of_nx,
-        )
-        grades.add_row(name, *map(str, count["grade"].values()), end_section=last_of_nx)
-    console.print(counts)
-    _say(
-        console,
-        "chiral: codes with chirality; of a code: fewest/most pictures; accepted: within the"
-        " quality limits of generated states",
-    )
-    console.print(grades)
-    for name, (low, middle, high) in facts["quality"].items():
-        _say(console, f"{name:24} 5 % {low:<9.3g} median {middle:<9.3g} 95 % {high:.3g}")
+    _print_tables(image_tables(facts), console)
     _say(console, f"sizes {facts['sizes']}, colours {facts['colours']}")
 
 
@@ -177,28 +95,14 @@ def _in_words(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def _print_growth(report: Mapping[str, Any], console: Console) -> None:
-    rows = growth(report)
-    if not rows:
-        return
-    grown = narrow_table(("steps", *(f"nx {nx}" for nx in rows[-1]["known"])))
-    _say(console, "growth: codes with an action sequence / states accepted")
-    for row in rows:
-        grown.add_row(str(row["steps"]), *known_and_accepted(row))
-    console.print(grown)
-
-
-def _print_rejected(report: Mapping[str, Any], console: Console) -> None:
-    rejected = report.get("rejected", {})
-    if not rejected:
-        return
-    _say(
-        console,
-        f"{report['attempts']} drawings or walks; rejections by reason (one can have several):",
-    )
-    for nx, reasons in rejected.items():
-        counts = ", ".join(f"{reason} {count}" for reason, count in most_first(reasons))
-        _say(console, f"  nx {nx}: {counts}")
+def _print_tables(tables: Mapping[str, Table], console: Console) -> None:
+    for one in tables.values():
+        shown = narrow_table(one.head, title=one.title, left=one.left)
+        for row in one.rows:
+            shown.add_row(*map(str, row))
+        console.print(shown)
+        if one.says:
+            _say(console, one.says)
 
 
 def _say(console: Console, line: str) -> None:

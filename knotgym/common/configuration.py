@@ -45,7 +45,6 @@ def check_numbers(
     """Check the numbers of a configuration; NaN and infinity are never valid.
 
     Args:
-        config: a dataclass.
         counts, whole: names of fields that must be whole numbers of at least 1, at least 0.
         positive, non_negative: names of those that must be above 0, at least 0.
         shares: names of those that must be in [0, 1].

@@ -1,7 +1,5 @@
 """Policies that need neither a plan nor a model, and policies that combine others."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

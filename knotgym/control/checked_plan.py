@@ -5,8 +5,6 @@ in MuJoCo. Where the two part, the search goes on from the state nearest to the 
 came through, or begins again. Engines are deterministic, bit for bit, so what was checked holds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ end, the goal, or LONGEST pulls; then it looks again. So what it does is a funct
 the rope lies, which a network can learn; `planner` is a better player and a worse teacher.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ arc (R2), 4.5 % and 5.1 % for undoing them, 2.1 % for a third move (R3) and 2.2 
 base point.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import lru_cache
 from itertools import product

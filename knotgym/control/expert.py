@@ -4,8 +4,6 @@ Each episode has a budget of simulated actions for all its plans together. Once 
 expert goes on without looking ahead, with macro-actions chosen by guidance alone.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 
@@ -20,9 +18,8 @@ from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.rope.engines import CHAIN, simulation
+from knotgym.rope.engines import CHAIN, simulation_of
 from knotgym.rope.macro_actions import WaypointController
-from knotgym.rope.simulation import Simulation
 
 BLIND = "blind"  # first word of the reason for an action that no plan contains
 
@@ -57,8 +54,6 @@ class Expert(Policy):
         """Take the planner's settings, and the graph of distances; None for the one that ships."""
         self.config = config or PlannerConfig()
         self._graph = graph
-        self._chain: Simulation | None = None
-        self._check: Simulation | None = None
         self._progress: dict[int, _Progress] = {}
         self._controller = WaypointController(0, self.config.macro_actions)
 
@@ -115,15 +110,12 @@ class Expert(Policy):
         return Effort(progress.spent, progress.seconds)
 
     def _plan(self, episodes: EpisodeBatch, index: int, progress: _Progress, steps: int) -> Plan:
-        if self._chain is None or self._check is None:
-            acting = episodes.simulation
-            self._chain = simulation(CHAIN, self.config.batch_size, acting.rope)
-            self._check = simulation(acting.engine, 1, acting.rope)
+        engine, rope = episodes.simulation.engine, episodes.simulation.rope.config
         # where the rope shows the goal already, only the rest of the hold is still to be planned
         hold, held = episodes.config.hold, int(episodes.held[index])
         return plan_checked(
-            self._chain,
-            self._check,
+            simulation_of(self.config.batch_size, rope, CHAIN),
+            simulation_of(1, rope, engine),
             episodes.simulation.states([index])[0],
             episodes.goals[index],
             self._graph_used(),

@@ -4,8 +4,6 @@ Half of them, or so, are modelled on counted ones; the rest are random, which fi
 no template makes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from knotgym.control.planner_config import PlannerConfig

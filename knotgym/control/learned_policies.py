@@ -3,8 +3,6 @@
 Each format needs its own library, which is imported when such a file is loaded.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

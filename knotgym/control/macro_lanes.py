@@ -5,8 +5,6 @@ after another can't use that alone, so hundreds of searches run side by side: ea
 that yields a `Trial` and is sent its `Landing`. What a search finds doesn't depend on its company.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar

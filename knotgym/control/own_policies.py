@@ -13,8 +13,6 @@ arguments, to make the object to copy. Random draws should come from the episode
 run can't be repeated.
 """
 
-from __future__ import annotations
-
 import ast
 import copy
 import importlib

@@ -4,8 +4,6 @@ Starts and goals are those of a task's split, so nothing is learned from held-ou
 is a search of `MacroLanes`: a thousand run side by side.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Settings of the planner."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers

@@ -24,8 +24,6 @@ provided in this way by `knotgym.learn` and `knotgym.prompting`. Worker processe
 policies, so a name must be registered in every process that uses it.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

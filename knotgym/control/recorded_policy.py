@@ -5,8 +5,6 @@ recording is replayed in every command that resets to the same starts, such as `
 with the seed that the episodes were recorded with.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -6,8 +6,6 @@ streams (`DATASET`, `EVALUATION`), so no seed makes an evaluation play the episo
 Rollouts record the rope and no pictures; observations are rendered from it later.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple

@@ -10,8 +10,6 @@ single Reidemeister moves extend the graph, each at the average cost of its kind
 backwards from the goal during the search, and downwards from a code when it is looked up.
 """
 
-from __future__ import annotations
-
 import heapq
 import math
 from dataclasses import dataclass, field

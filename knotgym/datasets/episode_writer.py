@@ -145,7 +145,6 @@ def merge_episodes(
         task: task of the target, for episodes that are assigned to another split: `split` and
             `states` of the sources may then differ.
         attributes: further attributes of the target file.
-        count: progress callback.
 
     Raises:
         InvalidEpisodeFile: the sources can't be combined, two episodes have the same number, or two

@@ -50,7 +50,7 @@ from knotgym.topology.symmetry import Symmetry
 _HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m long
 _BATCH = 32  # walks simulated together
 _MOST_ROUNDS = 10_000  # of relaxation; a larger number is corrupted and would run for hours
-_COLOURS = ("published", "single", "gradient")
+_COLOURS = ("published", "single", "gradient", "lines")
 _RECOMPUTED = (
     *("gauss_code", "gauss_code_chiral", "pd_code", "dt_code", "nx", "knot"),
     *("crossings", "accepted", "grade"),
@@ -83,7 +83,6 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
     Args:
         path: a folder made by `knotgym images`, or a single shard, whose rows alone are checked.
         each: `map` or a pool's, for shards and batches of walks; results keep the order.
-        count: progress callback.
     """
     folder = Path(path)
     arrow()

@@ -103,7 +103,6 @@ def publish(
         store: observations, "pixels", "state", "both" or "symbolic"; None for the sources' (the
             task's, if the sources are compact).
         concatenate, distinct: as for `merge_episodes`.
-        overwrite: replace an existing dataset of this id.
         states: a state file to include; a task whose `states` is the dataset's id resets from it,
             even after the dataset is moved.
         task, attributes, count: as for `merge_episodes`.

@@ -10,8 +10,6 @@ parsed by Python's own parser, but only the nodes listed here are interpreted, b
 nothing is evaluated as Python.
 """
 
-from __future__ import annotations
-
 import ast
 import operator
 import warnings

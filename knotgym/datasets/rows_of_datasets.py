@@ -1,37 +1,30 @@
 """Datasets of the three kinds as rows with columns, for `subsets`: states, pictures, episodes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import require_output, sha256
-from knotgym.common.errors import MissingFile
-from knotgym.common.hdf5_files import hdf5_format
-from knotgym.datasets import image_folder
-from knotgym.datasets.cards.state_card import card, summary
+from knotgym.common.atomic_files import require_output
 from knotgym.datasets.episode_reader import Chosen, EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
-from knotgym.datasets.gallery import write_gallery
+from knotgym.datasets.finished_folders import finish_images, finish_states, write_used_walks
 from knotgym.datasets.image_table import (
     COLUMNS,
     arrow,
-    file_stem,
-    is_images,
     points_of,
     read_table,
-    shard_name,
     shards,
+    write_shards,
     write_table,
 )
+from knotgym.datasets.located import resolve_dataset
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
 from knotgym.datasets.selectable_rows import (
@@ -42,12 +35,11 @@ from knotgym.datasets.selectable_rows import (
     selection_sentence,
     with_selection,
 )
-from knotgym.datasets.walks_file import read_walks, write_walks
+from knotgym.datasets.walks_file import read_walks
 from knotgym.states.near_duplicates import families
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
-from knotgym.states.schema import FORMAT as STATES_FORMAT
 from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.states.state_file import SHIPPED, read_states, shipped, ships, states_at, write_states
+from knotgym.states.state_file import read_states, ships, states_at, write_states
 from knotgym.topology.gauss import GaussCode
 
 _REST = ("format", "format_version", "machines", "report", "summary", "splits", "files")
@@ -113,21 +105,7 @@ class _States(RowsOfDataset):
         for name in sorted(set(names.tolist()) - {""}):
             chosen = Chosen(self.path / "minari" / name, old[names == name].tolist())
             _publish(chosen, name, made, target / "minari", target / "states.h5")
-        write_gallery(target / "gallery.png", states)
-        text = card(states, manifest["report"], manifest["config"])
-        (target / "README.md").write_text(with_selection(text, made), encoding="utf-8")
-        manifest |= {
-            "selection": made,
-            "summary": summary(states),
-            "splits": states.split.tolist(),
-            "files": {
-                path.relative_to(target).as_posix(): sha256(path)
-                for path in sorted(target.rglob("*"))
-                if path.is_file()
-            },
-        }
-        text = json.dumps(manifest, indent=1, sort_keys=True)
-        (target / "manifest.json").write_text(text, encoding="utf-8")
+        finish_states(target, states, manifest["report"], *_made(manifest, made))
 
 
 class _Pictures(RowsOfDataset):
@@ -183,50 +161,19 @@ class _Pictures(RowsOfDataset):
         manifest, faults = read_manifest(self.path)
         if faults:
             raise InvalidSelection(f"{self.source}: {faults[0]}")
-        tables: dict[str, list[Any]] = {}
-        first = 0
-        for path in shards(self.path):
-            table = read_table(path)
-            own = table.filter(arrow().array(kept[first : first + len(table)]))
-            first += len(table)
-            tables.setdefault(path.name.partition("-")[0], []).append(own)
-        most, written = int(manifest["config"]["rows_per_file"]), list[Path]()
-        for name in IMAGE_SPLITS:
-            own = tables.get(file_stem(name), [])
-            whole: Any = arrow().concat_tables(own) if own else []
-            count = -(-len(whole) // most)
-            for index in range(count):
-                written.append(target / shard_name(name, index, count))
-                write_table(written[-1], whole.slice(index * most, most))
+        files = shards(self.path)
+        ends = np.cumsum([len(read_table(path, columns=["nx"])) for path in files])[:-1]
+        chosen = dict(zip(files, np.split(kept, ends), strict=True))
+        written = write_shards(target, chosen, int(manifest["config"]["rows_per_file"]))
         walks = read_walks(self.path / "walks.h5")
-        used = np.flatnonzero(np.isin(walks.number, self.columns["source.walk"][rows]))
-        starts, start = np.unique(walks.start[used], return_inverse=True)
-        write_walks(
-            target / "walks.h5",
-            replace(
-                walks,
-                state=walks.state[starts],
-                number=walks.number[used],
-                start=start.astype(np.int64),
-                beads=walks.beads[used],
-                forces=walks.forces[used],
-            ),
-        )
-        request = {name: value for name, value in manifest.items() if name not in _REST}
-        image_folder.write_card_and_manifest(
-            target,
-            written,
-            {**request, "selection": made},
-            manifest["report"],
-            manifest.get("machines"),
-            lambda text: with_selection(text, made),
-        )
+        write_used_walks(target, written, walks.state, [walks], walks.engine)
+        finish_images(target, written, manifest["report"], *_made(manifest, made))
 
 
 class _Episodes(RowsOfDataset):
     def __init__(self, source: str | Path, path: Path) -> None:
         super().__init__(source, path)
-        self.reader = EpisodeReader(source)
+        self.reader = EpisodeReader(path)
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -327,24 +274,23 @@ def opened(source: str | Path) -> RowsOfDataset:
     """Open a dataset by its path, name or id.
 
     Raises:
-        MissingFile: there is no such dataset.
+        MissingFile, UnknownDataset: as in `resolve_dataset`.
     """
-    given = Path(source)
-    if not given.exists() and str(source) in SHIPPED:
-        given = shipped(str(source))
-    if given.exists():
-        if is_images(given):
-            return _Pictures(source, given)
-        single = given.is_file() and hdf5_format(given) in (STATES_FORMAT, None)
-        if single or (given / "states.h5").is_file():
-            return _States(source, given)
-    try:
-        return _Episodes(source, given)
-    except MissingFile as error:
-        raise MissingFile(
-            f"no dataset at {source}: give a file or folder of states, episodes or pictures, the id"
-            f" of a Minari dataset, or {', '.join(SHIPPED)}"
-        ) from error
+    kind, path = resolve_dataset(str(source))
+    kinds = {"states": _States, "images": _Pictures, "episodes": _Episodes}
+    return kinds[kind](source, path)
+
+
+def _made(
+    manifest: Mapping[str, Any], selections: list[dict[str, Any]]
+) -> tuple[dict[str, Any], Any, Callable[[str], str]]:
+    """Return a selection's request, its machines, and a function that adds it to a card."""
+    request = {name: value for name, value in manifest.items() if name not in _REST}
+    return (
+        {**request, "selection": selections},
+        manifest.get("machines"),
+        partial(with_selection, made=selections),
+    )
 
 
 def _publish(

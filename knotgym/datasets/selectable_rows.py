@@ -1,7 +1,5 @@
 """What the three kinds of `rows_of_datasets` have in common: columns, ids, outputs, provenance."""
 
-from __future__ import annotations
-
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence

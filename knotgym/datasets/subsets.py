@@ -6,8 +6,6 @@ come from, each with a new card and new checksums. Manifests, state files and ep
 under "selection" the sources and the conditions. Pictures and actions are copied, not made again.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
@@ -47,7 +45,6 @@ def select(
         seed: of the draw.
         out: the new file or folder, whichever the source is; with `dataset_id` the Minari root.
         dataset_id: for episodes, the id of the new Minari dataset.
-        overwrite: replace an existing output.
 
     Returns:
         The new file or folder.
@@ -92,7 +89,6 @@ def split(
         seed: of the random assignment.
         out: as for `select`; "-NAME" is appended to it, before a suffix.
         dataset_id: as for `select`; "-NAME" is inserted before the version.
-        overwrite: replace existing outputs.
 
     Returns:
         The new files or folders, in the order of the parts.

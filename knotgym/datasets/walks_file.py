@@ -42,13 +42,13 @@ class InvalidWalks(KnotgymError, ValueError):
     """A file of walks that this version can't read or reproduce."""
 
 
-class WalksMade(Protocol):
-    """Walks as a worker returns them; see `generate.images.walks.Frames`."""
+class MadeWalks(Protocol):
+    """Walks with their columns in the file; `start` may index other states than the file's."""
 
     @property
-    def numbers(self) -> NDArray[np.int64]: ...
+    def number(self) -> NDArray[np.int64]: ...
     @property
-    def bases(self) -> NDArray[np.int64]: ...
+    def start(self) -> NDArray[np.int64]: ...
     @property
     def beads(self) -> NDArray[np.int16]: ...
     @property
@@ -68,21 +68,22 @@ class Walks:
 
 
 def walks_of(
-    states: Array, made: Sequence[WalksMade], used: set[int], engine: str = MUJOCO
+    states: Array, made: Sequence[MadeWalks], used: set[int], engine: str = MUJOCO
 ) -> Walks:
     """Select the walks that are used, and the states that they start from.
 
-    `states`, float64 (n, nstate), are those that `bases` index; `used` numbers the walks to keep,
+    `states`, float64 (n, nstate), are those that `start` indexes; `used` numbers the walks to keep,
     at least one.
     """
-    kept = [(piece, np.flatnonzero(np.isin(piece.numbers, [*used]))) for piece in made]
+    kept = [(piece, np.flatnonzero(np.isin(piece.number, [*used]))) for piece in made]
     kept = [(piece, rows) for piece, rows in kept if len(rows)]
-    bases = np.concatenate([piece.bases[rows] for piece, rows in kept])
-    # states shared by several walks are stored once; `start` indexes them
-    bases, start = np.unique(bases, return_inverse=True)
+    # states shared by several walks are stored once
+    shared, start = np.unique(
+        np.concatenate([piece.start[rows] for piece, rows in kept]), return_inverse=True
+    )
     return Walks(
-        state=states[bases],
-        number=np.concatenate([piece.numbers[rows] for piece, rows in kept]),
+        state=states[shared],
+        number=np.concatenate([piece.number[rows] for piece, rows in kept]),
         start=start.astype(np.int64),
         beads=_padded([piece.beads[rows] for piece, rows in kept]),
         forces=_padded([piece.forces[rows] for piece, rows in kept]),

@@ -4,8 +4,6 @@ Sampling of starts and goals, reset noise, stepping, Gauss codes, rewards and ob
 implemented here; `environment` wraps them in Gymnasium's two interfaces.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any

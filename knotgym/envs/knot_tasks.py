@@ -1,7 +1,5 @@
 """Tasks that fit the knot types of a state file; no action changes a rope's knot type."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from knotgym.envs.tasks import TaskConfig

@@ -13,8 +13,6 @@ Codes are compared without chirality (`GaussCode.matches`). A step in which the 
 never succeeds, and its reward is 0 even at the horizon.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -7,7 +7,7 @@ and states are split again into train and test so that the shares hold.
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby, product
 from pathlib import Path
@@ -20,17 +20,9 @@ from knotgym.common.atomic_files import atomic_write, require_no_links, require_
 from knotgym.common.configuration import from_json, read_json
 from knotgym.common.errors import KnotgymError, one_line
 from knotgym.common.streams import Stream, generator
-from knotgym.datasets import image_folder
 from knotgym.datasets.episode_reader import Chosen
-from knotgym.datasets.image_table import (
-    arrow,
-    file_stem,
-    points_of,
-    read_table,
-    shard_name,
-    shards,
-    write_table,
-)
+from knotgym.datasets.finished_folders import finish_images, finish_states
+from knotgym.datasets.image_table import points_of, read_table, shards, write_shards
 from knotgym.datasets.machine import distinct
 from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
 from knotgym.generate.episodes.collect import REPORT, CollectConfig, write_whole
@@ -44,7 +36,7 @@ from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import apart
 from knotgym.states.schema import STATE_SPLITS
-from knotgym.states.splits import IMAGE_SPLITS, kept_together, split
+from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import (
     States,
     leads_out,
@@ -224,7 +216,7 @@ def _states(whole: _Whole, folder: Path) -> Path:
         search = from_json(SearchSettings, config["search"])
         _joined_archive(archives, search).save(folder / "archive.h5")
     report = {**whole.report, _NEAR: len(every) - len(kept)}
-    state_folder.finish(folder, merged, report, whole.request, whole.machines)
+    finish_states(folder, merged, report, whole.request, whole.machines)
     return folder
 
 
@@ -308,21 +300,12 @@ def _episodes(whole: _Whole, folder: Path) -> Path:
 
 
 def _images(whole: _Whole, folder: Path) -> Path:
-    most = whole.request["config"]["rows_per_file"]
     kept = _kept_rows([path for shard in whole.shards for path in shards(shard.folder)])
-    written: list[Path] = []
-    for name in IMAGE_SPLITS:
-        stem = f"{file_stem(name)}-"
-        mine = {path: rows for path, rows in kept.items() if path.name.startswith(stem)}
-        count = -(-sum(int(rows.sum()) for rows in mine.values()) // most)
-        chosen = (read_table(path).filter(arrow().array(rows)) for path, rows in mine.items())
-        for index, table in enumerate(_cut(chosen, most)):
-            written.append(folder / shard_name(name, index, count))
-            write_table(written[-1], table)
+    written = write_shards(folder, kept, whole.request["config"]["rows_per_file"])
     walks = [read_walks(file) for file in whole.files("walks.h5")]
     write_walks(folder / "walks.h5", joined_walks(walks))
     report = {**whole.report, _NEAR: sum(int((~rows).sum()) for rows in kept.values())}
-    image_folder.write_card_and_manifest(folder, written, whole.request, report, whole.machines)
+    finish_images(folder, written, report, whole.request, whole.machines)
     return folder
 
 
@@ -332,15 +315,3 @@ def _kept_rows(tables: Sequence[Path]) -> dict[Path, NDArray[np.bool_]]:
     ends = np.cumsum([len(own) for own in points])
     kept = np.split(apart(np.concatenate(points)), ends[:-1])
     return dict(zip(tables, kept, strict=True))
-
-
-def _cut(tables: Iterable[Any], most: int) -> Iterator[Any]:
-    """Regroup the rows of tables into tables of `most` rows; the last may have fewer."""
-    rest: Any = None
-    for table in tables:
-        rest = table if rest is None else arrow().concat_tables([rest, table])
-        while len(rest) >= most:
-            yield rest.slice(0, most)
-            rest = rest.slice(most)
-    if rest is not None and len(rest):
-        yield rest

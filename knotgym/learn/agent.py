@@ -5,8 +5,6 @@ which bead its last action pulled, and either continues its plan or replans. Pla
 `control.planner`, in the chain engine.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """A convolutional network over the beads of a closed rope, with circular padding."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional

@@ -5,8 +5,6 @@ weights.safetensors     reader/*    float16, the networks' weights
                         places      float32 (n, 3), start positions of the training episodes, metres
 """
 
-from __future__ import annotations
-
 import json
 from importlib.resources import files
 from pathlib import Path

@@ -1,11 +1,10 @@
 """Settings of the clone's training; no torch here, because the command line reads them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
 from knotgym.learn.train_config import InvalidTraining
+from knotgym.rope.engines import MUJOCO, require_engine
 
 HEADS = ("macro", "bead")
 
@@ -23,7 +22,6 @@ class DemonstrationsConfig:
         wander: passes before a demonstration that weren't tried out, at most.
         budget: actions simulated for a demonstration, at most; what needs more is given up, and is
             no example of what is done at first sight.
-        others: whether passes that were tried are learned for goals that they are right for.
         lanes: demonstrations side by side; makes no difference to them.
     """
 
@@ -34,7 +32,6 @@ class DemonstrationsConfig:
     starts: int = 512
     wander: int = 3
     budget: int = 400
-    others: bool = False
     lanes: int = 128
 
     def __post_init__(self) -> None:
@@ -97,6 +94,7 @@ class CloneConfig:
         judge_every: steps between held-out losses and checkpoints.
         width: of the network.
         layers: of attention.
+        engine: engine that the episodes of datasets must be made with, mujoco or chain.
         seed: seed of all random draws.
         play: how the clone plays.
     """
@@ -118,6 +116,7 @@ class CloneConfig:
     judge_every: int = 250
     width: int = 96
     layers: int = 2
+    engine: str = MUJOCO
     seed: int = 0
     play: ImproveConfig = ImproveConfig()
 
@@ -130,6 +129,7 @@ class CloneConfig:
             non_negative=("decay", "average", "held_out"),
             error=InvalidTraining,
         )
+        require_engine(self.engine)
         if self.action not in HEADS:
             raise InvalidTraining(f"action must be {' or '.join(HEADS)}, got {self.action!r}")
         for name in ("average", "held_out"):

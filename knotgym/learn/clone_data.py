@@ -164,14 +164,14 @@ def read_decisions(datasets: Sequence[Any], config: CloneConfig) -> Decisions:
 
     Raises:
         InvalidTraining: a dataset is not of the train split, has no episodes, was made with another
-            rope, or holds no macro-actions.
+            rope or engine, or holds no macro-actions.
         InvalidEpisodeFile, MissingFile: a dataset is missing or not of this version.
     """
     parts = list[Decisions]()
     number = 0
     for dataset in datasets:
         reader = EpisodeReader(dataset)
-        require_trainable(reader, dataset)
+        require_trainable(reader, dataset, config.engine)
         if config.action == "macro" and not reader.has("macro_start"):
             raise InvalidTraining(
                 f"{dataset} doesn't say which macro-actions its policy chose, so the clone can't"
@@ -248,15 +248,6 @@ def gathered(
         for base in rng.choice(np.arange(1, BEADS), config.copies, replace=False).tolist():
             copied = [step.numbered_from(base) for step in asked]
             rows += [(step, copied[-1].after.plain, False) for step in copied]
-    return _decisions(rows, number)
-
-
-def as_if_asked(steps: Sequence[tuple[DecidedStep, GaussCode]], number: int) -> Decisions:
-    """Return steps of an episode as decisions for other goals than the episode's."""
-    return _decisions([(step, goal.plain, False) for step, goal in steps], number)
-
-
-def _decisions(rows: Sequence[tuple[DecidedStep, GaussCode, bool]], number: int) -> Decisions:
     count = len(rows)
     points = np.stack([step.points for step, *_ in rows]) if rows else np.zeros((0, BEADS, 3))
     return Decisions(

@@ -7,8 +7,6 @@ as bead, and the choices of its force given the bead. All is in the canonical fr
 `envs.marked`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -6,8 +6,6 @@ as a goal too, for the decisions shortly before it, as if it had been asked for 
 what is left out, and of what an episode did that missed its goal, is kept as tried in vain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

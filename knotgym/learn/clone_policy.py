@@ -5,8 +5,6 @@ carries them out itself. It sees the rope and the goal's code from vertices; if 
 "pixels" it sees nothing but the pictures, as the reader of `shape_hypotheses` reads them.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +30,7 @@ from knotgym.learn.checkpoint import (
     write_checkpoint,
 )
 from knotgym.learn.clone_network import CloneNetwork, inputs
+from knotgym.learn.imagination import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
 from knotgym.rope.action_views import ActionView
@@ -69,6 +68,8 @@ class ClonePolicy(UnplannedPolicy):
                 f"policy {CLONE} chooses by its {self._action} head, so it needs action"
                 f" {' or '.join(map(repr, _VIEWS[self._action]))}, got {task.action!r}"
             )
+        if task.beads != BEADS:
+            raise InvalidPolicy(f"policy {CLONE} needs a rope of {BEADS} beads, got {task.beads}")
         if task.observation != "pixels":
             return replace(task, observation="state")
         # a picture shows where to pull, but not where in the world that is

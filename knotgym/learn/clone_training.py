@@ -6,8 +6,6 @@ the tasks of its data in the chain engine, and goes on training on all decisions
 to a goal (`clone_play`): what a network did, a network can learn.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import time

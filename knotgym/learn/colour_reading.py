@@ -10,8 +10,6 @@ Coordinates are pixels from the picture's middle, x right, y up. Positions along
 beads: the middle of bead i is at i, and BEADS is 0 again.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

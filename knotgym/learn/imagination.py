@@ -3,8 +3,6 @@
 It is the engine of the house, `knotgym.rope.chain`, and gets nothing of the episode.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The learner as a policy: it gets nothing of an episode but its pictures."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -13,7 +11,7 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.agent import Agent, AgentConfig
 from knotgym.learn.checkpoint import PRETRAINED, load_policy
-from knotgym.learn.colour_reading import SIZE
+from knotgym.learn.colour_reading import BEADS, SIZE
 
 
 class PicturePolicy(Policy):
@@ -56,6 +54,7 @@ def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> Non
     differing = [
         f"{name} {given} instead of {needed}"
         for name, given, needed in (
+            ("beads", task.beads, BEADS),
             ("views", ",".join(task.views), "top"),
             ("depth", task.depth, False),
             ("camera", task.camera, "orthographic"),

@@ -4,8 +4,6 @@
 torch is imported when a policy is made or its files are read, not when a name is checked.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from typing import Any

@@ -6,8 +6,6 @@ must also know where the middle is. Each particle is one possible middle; observ
 action moved reweights them. Positions are in metres.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

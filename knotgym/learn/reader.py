@@ -11,8 +11,6 @@ Two bead networks work on what the colours tell (`colour_reading`).
 Positions are in metres, z up, the rope's middle at the origin.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ Each step draws from its own random stream, so a resumed training draws what an 
 would have drawn.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ filter. Which bead was pulled is not visible either: it is inferred along with t
 (`position_belief`). Lengths are in metres, z up.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

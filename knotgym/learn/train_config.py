@@ -1,11 +1,10 @@
 """The configuration of `knotgym train`, which can be read without torch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
 from knotgym.common.errors import KnotgymError
+from knotgym.rope.engines import MUJOCO, require_engine
 
 
 class InvalidTraining(KnotgymError, ValueError):
@@ -21,6 +20,7 @@ class TrainConfig:
         batch: pictures per step.
         places: start positions of episodes that are kept, at most.
         save_every: steps between checkpoints.
+        engine: engine that the episodes must be made with, mujoco or chain.
         seed: random seed; the same seed and data give the same weights.
     """
 
@@ -28,6 +28,7 @@ class TrainConfig:
     batch: int = 48
     places: int = 512
     save_every: int = 200
+    engine: str = MUJOCO
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -37,3 +38,4 @@ class TrainConfig:
             whole=("seed",),
             error=InvalidTraining,
         )
+        require_engine(self.engine)

@@ -1,7 +1,5 @@
 """Train a learner, that is its reader; resumable and reproducible to the bit."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -59,11 +57,7 @@ def train(
 
     Args:
         datasets: ids or folders.
-        out: folder to create.
-        config: settings.
-        existing: what to do with an earlier training in `out`.
         quiet: show no progress; ignored if `progress` is given.
-        progress: where to show it.
 
     Raises:
         InvalidTraining: the datasets are unsuitable, or the training to resume has other settings
@@ -79,7 +73,7 @@ def train(
     shown, made = progress, list[Learned]()
 
     def read() -> tuple[TrainingData, str]:
-        data = read_training_data(datasets)
+        data = read_training_data(datasets, config.engine)
         return data, data.digest
 
     def make(data: TrainingData, request: dict[str, Any], folder: Path) -> None:
@@ -262,7 +256,6 @@ def draw_curve(
     """Write `curve.csv` and `curve.png`: two losses, the first blue and the second orange.
 
     Args:
-        out: folder to write to.
         names: of the losses.
         curve: step and both losses, at least one row.
     """

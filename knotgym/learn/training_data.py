@@ -1,7 +1,5 @@
 """Training data: the states and actions of episode datasets of the train split."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -33,12 +31,12 @@ class TrainingData(NamedTuple):
     digest: str
 
 
-def read_training_data(datasets: Sequence[Any]) -> TrainingData:
-    """Read datasets, given as ids or folders.
+def read_training_data(datasets: Sequence[Any], engine: str) -> TrainingData:
+    """Read datasets of one engine, given as ids or folders.
 
     Raises:
         InvalidTraining: no dataset, or one that is not of the train split, has no episodes or
-            was made with another rope.
+            was made with another rope or engine.
         InvalidEpisodeFile, MissingFile: a dataset is missing or not of this version.
     """
     if not datasets:
@@ -49,7 +47,7 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
     digest = hashlib.sha256()
     for dataset in datasets:
         reader = EpisodeReader(dataset)
-        require_trainable(reader, dataset)
+        require_trainable(reader, dataset, engine)
         for index in range(len(reader)):
             episode = reader.episode(index)
             digest.update(episode.points.tobytes())
@@ -67,8 +65,8 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
     )
 
 
-def require_trainable(reader: EpisodeReader, dataset: Any) -> None:
-    """Require episodes of the train split with the rope that learners know.
+def require_trainable(reader: EpisodeReader, dataset: Any, engine: str) -> None:
+    """Require episodes of the train split, of an engine, with the rope that learners know.
 
     Raises:
         InvalidTraining: they are not.
@@ -80,6 +78,11 @@ def require_trainable(reader: EpisodeReader, dataset: Any) -> None:
         )
     if not len(reader):
         raise InvalidTraining(f"{dataset} has no episodes; collect some with knotgym collect")
+    if reader.task.engine != engine:
+        raise InvalidTraining(
+            f"{dataset} was made with engine {reader.task.engine}, and this training is for engine"
+            f" {engine}; give --engine {reader.task.engine} to train on it"
+        )
     if reader.rope != RopeConfig().fingerprint or reader.task.integrator_steps != 24:
         raise InvalidTraining(
             f"{dataset} was made with rope {reader.rope} and {reader.task.integrator_steps}"

@@ -190,7 +190,6 @@ def other_codes(codes: Integers, own: Integers, count: int, rng: np.random.Gener
         codes: (m,), the code of each state, as a number.
         own: (n,), the codes to avoid, each one of `codes`.
         count: states to draw for each.
-        rng: generator of the draws.
 
     Returns:
         (n, count), indices of states.

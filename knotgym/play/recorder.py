@@ -7,8 +7,6 @@ the rope alone until the horizon, and is stored as a failure (or a success, if t
 its goal).
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -6,8 +6,6 @@ its rope would not be the one that is recorded. The scene is in decimetres: vise
 and its controls are made for objects of that size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

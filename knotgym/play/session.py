@@ -4,8 +4,6 @@ Nothing here knows the page. An undone pull leaves no trace: the episode is rese
 and the pulls before it are repeated, which gives the same bytes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

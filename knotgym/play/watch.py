@@ -1,7 +1,5 @@
 """Watch the episodes of a dataset in the same scene, with a time line."""
 
-from __future__ import annotations
-
 import threading
 import time
 from typing import Any

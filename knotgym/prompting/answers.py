@@ -4,8 +4,6 @@ An answer must have one <answer> block that holds bracketed lists of six numbers
 Gauss code. Anything else gets one of FAULTS, which are counted apart from failures at the task.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from typing import NamedTuple

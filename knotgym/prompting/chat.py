@@ -5,8 +5,6 @@ everything that a server returns, however the server encodes it. Replies are bou
 MOST_BYTES each, and at most `timeout` seconds per attempt in total.
 """
 
-from __future__ import annotations
-
 import base64
 import html
 import json
@@ -144,7 +142,6 @@ class Chat:
     """A client of one server; several threads may use it at once.
 
     Args:
-        config: settings.
         stop: once it is set, requests raise Stopped.
 
     Raises:

@@ -4,8 +4,6 @@ It shows a plain loop before and after a unit pull along each axis, and a rope w
 Nothing in it comes from a state file, so it can't show a goal.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

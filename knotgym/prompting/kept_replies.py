@@ -5,8 +5,6 @@ digest of the request, the reply, and a digest of all these, which detects corru
 plays its episodes again from the start and takes known replies from here.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

@@ -1,38 +1,33 @@
-"""Run prompts: several requests at a time; an interrupted run can be resumed.
+"""The recipe of prompts: several requests at a time; an interrupted run can be resumed.
 
 Replies are logged in the staging folder as they arrive; `--resume` reuses them and requests only
 the rest.
 """
 
-from __future__ import annotations
-
 import json
-import queue
-import shutil
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.configuration import differences, read_json
+from knotgym.common.configuration import read_json
 from knotgym.prompting.chat import Chat, Stopped
 from knotgym.prompting.kept_replies import Asking, KeptReplies
 from knotgym.prompting.prompted_episodes import PromptConfig, flat
 from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.prompting.summary import summarize
 from knotgym.prompting.transcripts import FILE, line
-from knotgym.rope.engines import MUJOCO
-from knotgym.runs.progress import Progress, Status, compile_first
-from knotgym.runs.run_options import Existing, InvalidRun
-from knotgym.runs.staging import may_be_finished, require_no_interrupted_run, staging
+from knotgym.runs.engine import LISTED, Batch, Recipe
+from knotgym.runs.engine import run as run_recipe
+from knotgym.runs.pools import AHEAD, Pool, ordered
+from knotgym.runs.progress import Progress, Status
+from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.states.state_file import read_states, ships, states_file
 
-# settings that may differ when a run is resumed, because they don't change any request
-_FLEXIBLE = ("timeout", "attempts", "backoff")
-_REPLIES, _REQUEST = "replies.jsonl", "request.json"
-_RESULT = "result.json"
+_REPLIES, _RESULT = "replies.jsonl", "result.json"
 
 Transcript = dict[str, Any]
 Ask = Callable[[int, Asking], Transcript]  # from a number and the function that sends requests
@@ -43,169 +38,129 @@ def run(
     ask: Ask,
     count: int,
     out: Path,
+    options: RunOptions,
     *,
     side_by_side: int,
-    existing: Existing,
     progress: Progress,
-) -> dict[str, Any]:
-    """Make transcripts 0 to count - 1, write them to the new folder `out`, and return the result.
+) -> Path:
+    """Make transcripts 0 to count - 1 and write them to the new folder `out`.
 
     Args:
         config: settings, which are written to `out`.
         ask: makes one transcript, in one of several threads.
-        count: number of transcripts.
-        out: folder to create.
         side_by_side: transcripts made at a time, at least 1.
-        existing: what to do with an earlier run in `out`.
-        progress: where to show progress.
 
     Raises:
-        Occupied: `out` exists, holds an interrupted run, or is used by another process.
-        InvalidRun: the run to resume has other settings, or `side_by_side` is less than 1.
+        Occupied, InvalidRun: as in `runs.engine.run`; or `side_by_side` is less than 1.
         InvalidPrompting, Unanswered: as raised by `Chat`; replies are kept for `--resume`.
     """
-    if side_by_side < 1:
-        raise InvalidRun(f"side_by_side must be at least 1, got {side_by_side}")
-    settings = json.loads(json.dumps(flat(config)))
-    done_already = _finished(out, settings, existing, progress)
-    if done_already is not None:
-        return done_already
-    require_output(out, folder=True, overwrite=existing.overwrite)
-    require_no_interrupted_run(out, existing)
-    if config.task is not None and not ships(config.task.states):
-        read_states(states_file(config.task.states), images=False)
-    compile_first(progress, config.task.engine if config.task else MUJOCO)
-    with staging(out, existing) as folder:
-        if (folder / _REQUEST).is_file():
-            _refuse_other(read_json(folder / _REQUEST), settings)
-        stop = threading.Event()
-        chat = Chat(config.chat, stop)
-        with atomic_write(folder / _REQUEST) as temporary:
-            temporary.write_text(json.dumps(settings), encoding="utf-8")
-        kept, done = KeptReplies(folder / _REPLIES), {}
-        if existing.resume:
-            progress.say(f"{out}: {len(kept)} replies are already there")
-        progress.stage("asking the model")
+    recipe = PromptRecipe(config, ask, count, side_by_side)
+    return run_recipe(recipe, out, options, progress, made_by=_request_in)
+
+
+class PromptRecipe(Recipe):
+    """Recipe for transcripts, see `runs.engine.Recipe`. The replies are the checkpoint."""
+
+    flexible = "chat.timeout", "chat.attempts", "chat.backoff"  # they don't change any request
+
+    def __init__(self, config: PromptConfig, ask: Ask, count: int, side_by_side: int) -> None:
+        if side_by_side < 1:
+            raise InvalidRun(f"side_by_side must be at least 1, got {side_by_side}")
+        if not ships(config.task.states):
+            read_states(states_file(config.task.states), images=False)
+        self.config, self.engine = config, config.task.engine
+        self._ask, self._count, self._side_by_side = ask, count, side_by_side
+        self._stop = threading.Event()
+        self._chat = Chat(config.chat, self._stop)
+        self._done: list[Transcript] = []
+
+    def request(self) -> dict[str, Any]:
+        return {"config": flat(self.config), "source": None}
+
+    @contextmanager
+    def pool(self, options: RunOptions) -> Iterator[Pool]:
         try:
-            for one in _transcripts(ask, count, chat, kept, side_by_side, stop):
-                done[one["number"]] = one
-                progress.show(lambda: _status(done, count), last=len(done) == count)
+            yield _Threads(self._side_by_side, self._stop)
         finally:
-            stop.set()
+            self._stop.set()
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        kept = KeptReplies(folder / _REPLIES)
+        before = f", {len(kept)} replies are already there" if len(kept) else ""
+
+        def work(number: int) -> Transcript:
+            return self._ask(number, kept.asking(number, self._chat))
+
+        def absorb(number: int, made: Transcript) -> None:
+            self._done.append(made)
+
+        try:
+            yield Batch(work, range(self._count), absorb, f"asking the model{before}")
+        finally:
             kept.close()
-        transcripts = [done[number] for number in range(count)]
-        result = _finish(out, settings, transcripts, existing.overwrite)
-        shutil.rmtree(folder, ignore_errors=True)
-    return result
 
+    def status(self) -> Status:
+        facts = summarize(self._done) if self._done else {"retries": {}}
+        shown = {"successes": str(facts["successes"])} if "successes" in facts else {}
+        shown["retries"] = str(sum(facts["retries"].values()))
+        counted = "pictures" if "pictures" in facts else "episodes"
+        return Status(len(self._done), self._count, counted, shown, even=True)
 
-def _finished(
-    out: Path, settings: dict[str, Any], existing: Existing, progress: Progress
-) -> dict[str, Any] | None:
-    """Return the result of a run that is finished already, or None.
-
-    Raises:
-        InvalidRun: it has other settings, and `existing` doesn't allow overwriting it.
-    """
-    if not may_be_finished(out, existing) or not (out / _RESULT).is_file():
-        return None
-    made = read_json(out / _RESULT)
-    try:
-        _refuse_other(made.get("settings") if isinstance(made, dict) else None, settings)
-    except InvalidRun:
-        if existing.overwrite:
-            return None
-        raise
-    progress.say(f"{out} is finished already")
-    return dict(made)
-
-
-def _refuse_other(there: Any, here: dict[str, Any]) -> None:
-    """Raise InvalidRun if two runs' settings differ in more than _FLEXIBLE."""
-    if not isinstance(there, dict) or not isinstance(there.get("chat"), dict):
-        raise InvalidRun("the run can't be resumed: its settings are missing or corrupted")
-    fixed = [
-        {**one, "chat": {name: one["chat"][name] for name in one["chat"] if name not in _FLEXIBLE}}
-        for one in (there, here)
-    ]
-    apart = list(differences(fixed[0], fixed[1]))
-    if apart:
-        raise InvalidRun(f"the run to resume has other settings: {'; '.join(apart)}")
-
-
-def _transcripts(
-    ask: Ask,
-    count: int,
-    chat: Chat,
-    kept: KeptReplies,
-    side_by_side: int,
-    stop: threading.Event,
-) -> Iterable[Transcript]:
-    """Yield transcripts as they are finished, made by threads that mostly wait for the server."""
-    pending: queue.SimpleQueue[int] = queue.SimpleQueue()
-    finished: queue.SimpleQueue[Transcript | Exception] = queue.SimpleQueue()
-    waiting = count
-    for number in range(count):
-        pending.put(number)
-
-    def work() -> None:
-        while not stop.is_set():
-            try:
-                number = pending.get_nowait()
-            except queue.Empty:
-                return
-            try:
-                finished.put(ask(number, kept.asking(number, chat)))
-            except Stopped:
-                return
-            except Exception as error:
-                finished.put(error)
-                return
-
-    for _ in range(min(side_by_side, count)):
-        # daemons, so that one that waits for a server doesn't keep an interrupted run alive
-        threading.Thread(target=work, daemon=True).start()
-    failure: Exception | None = None
-    # after a failure, transcripts that are finished already are still yielded
-    while waiting and not (failure and finished.empty()):
-        found = finished.get()
-        waiting -= 1
-        if isinstance(found, Exception):
-            failure = failure or found
-            stop.set()
-        else:
-            yield found
-    if failure is not None:
-        raise failure
-
-
-def _finish(
-    out: Path, settings: dict[str, Any], transcripts: list[Transcript], overwrite: bool
-) -> dict[str, Any]:
-    """Write the folder, with transcripts in order and the result; return the result."""
-    result: dict[str, Any] = {
-        "version": knotgym.__version__,
-        **summarize(transcripts),
-        "settings": settings,
-    }
-    if "read" in transcripts[0]:
-        result["scores"] = ReadingScores.of(transcripts).as_json()
-    with atomic_write(out, overwrite=overwrite) as folder:
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        result: dict[str, Any] = {
+            "version": knotgym.__version__,
+            **summarize(self._done),
+            "settings": request["config"],
+            "request": {name: request[name] for name in LISTED if name != "config"},
+        }
+        if "read" in self._done[0]:
+            result["scores"] = ReadingScores.of(self._done).as_json()
         folder.mkdir()
-        (folder / FILE).write_text("".join(map(line, transcripts)), encoding="utf-8")
-        text = json.dumps(result, indent=1) + "\n"
-        (folder / _RESULT).write_text(text, encoding="utf-8")
-    return result
+        (folder / FILE).write_text("".join(map(line, self._done)), encoding="utf-8")
+        (folder / _RESULT).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        return folder
+
+    def summary(self) -> str:
+        return f"{FILE}, {_RESULT}"
 
 
-def _status(done: dict[int, Transcript], count: int) -> Status:
-    facts = summarize(list(done.values()))
-    successes = {"successes": str(facts["successes"])} if "successes" in facts else {}
-    retried = sum(facts["retries"].values())
-    return Status(
-        len(done),
-        count,
-        "pictures" if "pictures" in facts else "episodes",
-        {**successes, "retries": str(retried)},
-        even=True,
-    )
+def _request_in(out: Path) -> dict[str, Any] | None:
+    """Return the request of the run that made a folder; None if none did."""
+    try:
+        result = read_json(out / _RESULT)
+        return {"config": result["settings"], **result["request"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+class _Threads:
+    """A pool of threads that mostly wait for the server; the first error stops all of them.
+
+    They are daemons, so that one that waits doesn't keep an interrupted run alive.
+    """
+
+    def __init__(self, count: int, stop: threading.Event) -> None:
+        self._count, self._slots, self._stop = count, threading.Semaphore(count), stop
+        self._failure: Exception | None = None
+
+    def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterator[Any]:
+        def submit(piece: Any) -> Future[Any]:
+            promise: Future[Any] = Future()
+            arguments = function, piece, promise
+            threading.Thread(target=self._work, args=arguments, daemon=True).start()
+            return promise
+
+        try:
+            yield from ordered(submit, work, AHEAD * self._count)
+        except Stopped as error:
+            raise self._failure or error from None
+
+    def _work(self, function: Callable[[Any], Any], piece: Any, promise: Future[Any]) -> None:
+        with self._slots:
+            try:
+                promise.set_result(function(piece))
+            except Exception as error:
+                if not isinstance(error, Stopped):
+                    self._failure = self._failure or error
+                self._stop.set()
+                promise.set_exception(error)

@@ -6,8 +6,6 @@ always has a full sequence of actions, which `knotgym evaluate --policy prompt:F
 same codes.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -123,13 +121,7 @@ def current_picture(episodes: EpisodeBatch, config: PromptConfig) -> Picture:
 
 
 def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
-    """Play episode `number` of a run; return its transcript.
-
-    Args:
-        config: settings of the run.
-        number: index of the episode.
-        ask: sends a request to the model.
-    """
+    """Play episode `number` of a run; return its transcript."""
     episodes, most = begin_episode(config, number), config.task.horizon
     replies: list[Reply] = []
     goal = goal_picture(episodes)
@@ -189,10 +181,8 @@ def read(config: PromptConfig, number: int, row: Mapping[str, Any], ask: Asking)
     """Ask for the Gauss code of one picture; return the transcript.
 
     Args:
-        config: settings of the run.
         number: index of the picture in its split.
         row: the picture's row of a perception table.
-        ask: sends a request to the model.
     """
     picture = Picture(row["image"], "picture")
     parts = reading(picture)

@@ -12,8 +12,6 @@ In mode stateful, the last two are repeated for each turn of the window, followe
 answer, and then for the current turn. Source of the order: arXiv 2505.18028.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Build a sample prompt for inspection, without sending it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -37,7 +35,6 @@ def sample_prompt(
     In mode stateful it is the second request, after a made-up first answer.
 
     Args:
-        config: settings of the run.
         rows: rows of a perception table, for mode read.
     """
     if config.mode == READ:

@@ -1,7 +1,5 @@
 """Summarize the transcripts of a run."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

@@ -3,8 +3,6 @@
 `knotgym.control.policies` finds the names `prompt:FILE` through the entry point `prompt`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

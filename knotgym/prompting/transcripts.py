@@ -4,8 +4,6 @@ Each line is self-contained: it has the format, the settings, the answers and th
 are given by the SHA-256 of their PNG. docs/prompting.md lists the fields.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

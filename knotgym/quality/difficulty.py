@@ -6,8 +6,6 @@ up, "hard" from 0.5 up, "extreme" below. The other limits (margin, clearance, tw
 noise) concern the rope rather than the reading and affect `accepted` only.
 """
 
-from __future__ import annotations
-
 from knotgym.quality.limits import Limits, Quality
 
 READING = (

@@ -1,7 +1,5 @@
 """Margins that make the Gauss code of a configuration unambiguous and its picture true."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Lengths are in pixels of the 128 x 128 picture, 5.2 mm each; the rope is two pix
 `knotgym.quality.measures` computes the measures.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields
 
 # Area of a face whose region, inside the drawn rope, shows some background, square pixels. The

@@ -1,15 +1,13 @@
 """Videos of a rope beside its goal, with their codes below, as mp4, webm or gif.
 
 All of them play in a browser: .mp4 files hold H.264 and .webm files VP9, both encoded by PyAV
-(extra `video`).
+(extra `video`). `Encoder` also writes pictures of datasets as video.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -29,10 +27,20 @@ _TEXT = 18  # height of a line of the caption, pixels
 _FONT, _LETTERS, _WHITE = cv2.FONT_HERSHEY_SIMPLEX, 0.45, (225, 225, 225)
 _WIDTH = 384  # width of each half, pixels
 OUTCOMES = {"reached": (52, 211, 153), "failed": (251, 113, 133)}  # RGB
-# suffix -> encoder and its options
-_CODECS: dict[str, tuple[str, dict[str, str]]] = {
-    ".mp4": ("libx264", {"crf": "18"}),
-    ".webm": ("libvpx-vp9", {"crf": "18", "b": "0"}),
+
+
+class Codec(NamedTuple):
+    """An encoder of FFmpeg, its pixel format and its options."""
+
+    encoder: str
+    pixels: str
+    options: dict[str, str]
+
+
+# suffix -> codec; yuv420p is the only pixel format that all browsers play
+_CODECS = {
+    ".mp4": Codec("libx264", "yuv420p", {"crf": "18"}),
+    ".webm": Codec("libvpx-vp9", "yuv420p", {"crf": "18", "b": "0"}),
 }
 
 
@@ -151,7 +159,7 @@ def require_film(path: str | os.PathLike[str]) -> None:
     if kind not in (".gif", *_CODECS):
         raise PictureError(f"a video must end in .gif, .mp4 or .webm, got {os.fspath(path)!r}")
     if kind in _CODECS:
-        _pyav(kind)
+        pyav("write a .gif")
 
 
 def write_film(path: str | os.PathLike[str], frames: Sequence[NDArray[np.uint8]]) -> None:
@@ -178,23 +186,63 @@ def _gif(path: Path, frames: Sequence[NDArray[np.uint8]]) -> None:
 
 
 def _encoded(path: Path, frames: Sequence[NDArray[np.uint8]]) -> None:
-    av = _pyav(path.suffix)
-    codec, options = _CODECS[path.suffix.lower()]
-    with av.open(str(path), "w") as film:
-        stream = film.add_stream(codec, rate=FRAMES_PER_SECOND, options=options)
-        stream.height, stream.width = frames[0].shape[:2]
-        stream.pix_fmt = "yuv420p"  # the only one that all browsers play
-        for frame in frames:
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
-        film.mux(stream.encode())
+    film = Encoder(path, _CODECS[path.suffix.lower()], frames[0].shape)
+    for frame in frames:
+        film.add(frame)
+    film.close()
 
 
-def _pyav(kind: str) -> Any:
+class Encoder:
+    """Write frames to a video file one by one, at `FRAMES_PER_SECOND`.
+
+    Attributes:
+        size: bytes encoded so far.
+    """
+
+    def __init__(self, path: Path, codec: Codec, shape: tuple[int, ...]) -> None:
+        """Open the file for frames of this shape, (height, width, 3).
+
+        Raises:
+            PictureError: PyAV isn't installed.
+        """
+        av = pyav()
+        # SVT-AV1 reports its settings on standard error for every file; 1 keeps errors only
+        os.environ.setdefault("SVT_LOG", "1")
+        self.size = 0
+        self._frame = av.VideoFrame.from_ndarray
+        self._film = av.open(str(path), "w")
+        self._stream = self._film.add_stream(
+            codec.encoder, rate=FRAMES_PER_SECOND, options=codec.options
+        )
+        self._stream.height, self._stream.width = shape[:2]
+        self._stream.pix_fmt = codec.pixels
+
+    def add(self, frame: NDArray[np.uint8]) -> None:
+        """Encode a frame, uint8 (height, width, 3), RGB."""
+        self._mux(self._frame(frame, format="rgb24"))
+
+    def close(self) -> None:
+        """Write what the encoder still holds, and close the file."""
+        self._mux(None)
+        self._film.close()
+
+    def _mux(self, frame: Any) -> None:
+        for packet in self._stream.encode(frame):
+            self.size += packet.size
+            self._film.mux(packet)
+
+
+def pyav(instead: str = "") -> Any:
+    """Import PyAV.
+
+    Raises:
+        PictureError: it isn't installed; the message offers what to do `instead`.
+    """
     try:
         import av
     except ModuleNotFoundError as error:
         raise PictureError(
-            f"a {kind} video needs PyAV, which isn't installed; install it:"
-            f" {install_command('video')}, or write a .gif"
+            f"a video needs PyAV, which isn't installed; install it: {install_command('video')}"
+            + (f", or {instead}" if instead else "")
         ) from error
     return av

@@ -1,7 +1,5 @@
 """Validation of the settings `views` and `depth`, shared by pictures and tasks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from knotgym.common.errors import KnotgymError

@@ -1,7 +1,5 @@
 """Window of `render_mode="human"`: the rope beside its goal, as in videos, shown by pygame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

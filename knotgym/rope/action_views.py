@@ -10,8 +10,6 @@ bead has reached its last waypoint, the episode has ended, or LONGEST pulls were
 code doesn't end it: a crossing that has only just been made comes undone in the next one.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -5,8 +5,6 @@ lists parents before their children; `parent` is -1 at a root; `at` is the index
 bead's numbers begin; `rest` is its orientation relative to its parent at zero joint angle.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from numpy.typing import NDArray

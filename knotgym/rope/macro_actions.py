@@ -8,8 +8,6 @@ A haul pulls two beads apart with full force, one in even and one in odd steps. 
 and codes, and undoes tangles in which every small change makes things worse.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -11,8 +11,6 @@ lead to it, at a thousandth of the cost of simulation. Each iteration
 Source of step 4: position-based dynamics, Müller et al., 2007.
 """
 
-from __future__ import annotations
-
 from dataclasses import astuple, dataclass
 
 import numba

@@ -3,8 +3,6 @@
 The noise keeps the rope closed; at reset it also keeps the Gauss code, chirality included.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ threads and beside any other ropes. Its *qpos* are MuJoCo's generalized position
 engine. Actions follow the published interface, see `actions`; `engines` makes simulations by name.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar

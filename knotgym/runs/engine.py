@@ -12,7 +12,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -100,6 +100,10 @@ class Recipe(Protocol):
         """Write a checkpoint to the staging folder."""
         return
 
+    def pool(self, options: RunOptions) -> AbstractContextManager[Pool]:
+        """Return the pool that runs the work."""
+        return executor(options.workers, options.scheduler)
+
     def batches(self, folder: Path) -> Iterator[Batch]:
         """Yield the remaining work, chosen as results come in; `folder` is the staging folder."""
 
@@ -126,9 +130,6 @@ def run(
 
     Args:
         recipe: what to make.
-        out: folder or file to make.
-        options: how to execute it.
-        progress: where to show progress; a new display by default.
         is_folder: whether `out` is a folder.
         made_by: path of an output -> the request of its run, or None; by default `request_of`.
 
@@ -154,7 +155,7 @@ def run(
         recipe.begin()
     with _staging(out, options, request) as folder:
         lock = os.stat(folder / "lock")
-        with executor(options.workers, options.scheduler) as pool:
+        with recipe.pool(options) as pool:
             for batch in recipe.batches(folder):
                 progress.stage(batch.name, 0, len(batch.units))
                 progress.show(recipe.status)

@@ -13,8 +13,6 @@ Coordinates are in metres. A place along the rope is a fractional bead index: 2.
 the way from bead 2 to bead 3.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any

@@ -16,8 +16,6 @@ Edge k runs from visit k to visit k + 1 (cyclic). Dart 2 k is edge k walked forw
 is edge k walked backwards.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 

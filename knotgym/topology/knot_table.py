@@ -9,8 +9,6 @@ right-handed trefoil and m3_1 the left-handed one.
 A knot type is a name regardless of handedness.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections import defaultdict

@@ -13,8 +13,6 @@ Types are named as in KnotInfo's table (`knot_table`), regardless of handedness:
 identified by its polynomials, or because it is in the table.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 from knotgym.common.errors import KnotgymError

@@ -8,8 +8,6 @@ Conventions: the Alexander polynomial is symmetric and 1 at t = 1. The Jones pol
 that of the right-handed trefoil is t + t^3 - t^4.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 from knotgym.topology.diagrams import with_chirality

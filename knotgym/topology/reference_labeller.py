@@ -9,8 +9,6 @@ still misses a crossing that falls exactly on a bead.
 Source: A. J. Taylor, "pyknotid knot identification toolkit", https://github.com/SPOCKnots/pyknotid
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections.abc import Iterator

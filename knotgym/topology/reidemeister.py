@@ -11,8 +11,6 @@ bounded effort, so the result may have more crossings than the knot needs. The s
 deterministic.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator
 

@@ -6,8 +6,6 @@ finger of one arc over another. Arc 0 runs from the base point to the first visi
 the k-th visit to the next.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

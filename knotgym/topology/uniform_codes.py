@@ -7,8 +7,6 @@ are equally likely, and so are the 2 ** n choices of upper strands. Rejecting co
 keeps the distribution uniform.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from knotgym.topology.diagrams import is_planar

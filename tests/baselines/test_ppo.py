@@ -50,6 +50,8 @@ def test_it_says_how_to_use_it(capsys: pytest.CaptureFixture[str]) -> None:
         (("--nx", "two"), "argument --nx: invalid int value: 'two'; see --help"),
         (("--states", "none.h5"), "none.h5"),
         (("--observation", "symbolic"), "invalid choice: 'symbolic'"),
+        (("--engine", "x"), "argument --engine: invalid choice: 'x'"),
+        (("--tow-limit", 0), "tow_limit must be a number of metres above 0"),
         (("--steps", 0), "steps must be a whole number of at least 1, got 0"),
         (("--every", 0), "every must be a whole number of at least 1, got 0"),
         (("--episodes", -1), "episodes must be a whole number of at least 1"),
@@ -102,7 +104,9 @@ def test_a_training_on_states_goes_on_for_as_many_steps_as_an_unbroken_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    words = (*SMALL, "--observation", "state", "--every", 128, "--episodes", 0, "--out", out)
+    chain = ("--engine", "chain", "--tow-limit", 0.04)
+    words = (*SMALL, *chain, "--observation", "state", "--every", 128, "--episodes", 0)
+    words = (*words, "--out", out)
     run_script(SCRIPT, *words, "--steps", 128)
     held = "isn't empty; name a new folder, or --resume the training in it"
     assert held in refused(capsys, *words)

@@ -220,7 +220,7 @@ def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:
     assert (
         text.startswith("---\nlicense: cc-by-4.0\n") and "# Rope states with 0, 1 crossings" in text
     )
-    assert "| 1 | 4 | 2 of 2 |" in text and "with engine mujoco and seed 0" in text
+    assert "| 1 | 4 | 2 | 2 |" in text and "with engine mujoco and seed 0" in text
     assert not re.search(r"^\|.*(\{|\d\.\d{5})", text, re.M)  # nothing dumped into a cell
     for part in (
         "![every state with its code](gallery.png)",
@@ -537,6 +537,10 @@ def mistaken(tmp_path: Path) -> Path:
         ("--nx -1", "--nx takes whole numbers such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx=-1", "--nx takes whole numbers such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx 12", "from 0 to 11, got 12"),
+        ("--beads 40 --no-demonstrations", "beads must be from 50 to 1000, got 40"),
+        ("--beads 200", "demonstrations are for a rope of 100 beads, got 200; leave them out"),
+        ("--beads 200 --source random-walk", "--beads needs --source drawing"),
+        ("--codes hard-unknots --nx 4", "hard-unknots.txt contains no code with nx 4"),
         (
             "--nx 7",
             "limited to 6 crossings, got nx 7; --no-demonstrations makes states without them",

@@ -21,8 +21,9 @@ from knotgym.common.atomic_files import Occupied
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
+from knotgym.datasets.exports import lerobot_export
 from knotgym.datasets.exports.forms import ExportError, export
-from knotgym.datasets.exports.lerobot_export import task_text
+from knotgym.datasets.exports.lerobot_export import LEAST_PSNR, task_text
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.trajectory import Episode
@@ -110,6 +111,7 @@ def test_lerobot_rows_are_the_episodes_steps(dataset: Path, tmp_path: Path) -> N
             assert np.array_equal(picture, seen["pixels"][step])
             assert row["observation.environment_state"] == seen["state"][step].tolist()
             assert row["action"] == episode.actions[step].tolist()
+            assert np.allclose(row["observation.state"], episode.points[step].mean(axis=0))
             assert row["next.reward"] == episode.rewards[step]
             assert row["next.done"] is (step == len(episode) - 1)
             assert row["gauss_code"] == episode.gauss_code[step]
@@ -121,7 +123,104 @@ def test_lerobot_rows_are_the_episodes_steps(dataset: Path, tmp_path: Path) -> N
     actions = np.array([row["action"] for row in rows])
     assert np.allclose(stats["action"]["mean"], actions.mean(axis=0))
     assert np.allclose(stats["action"]["std"], actions.std(axis=0))
+    assert stats["action"]["count"] == [len(rows)] and info["video_path"] is None
+    episodes = parquet.read_table(
+        tmp_path / "a/meta/episodes/chunk-000/file-000.parquet"
+    ).to_pylist()
+    for k, row in enumerate(episodes):
+        own = reader.column(k, "actions")
+        assert np.allclose(row["stats/action/q10"], np.quantile(own, 0.1, axis=0))
+        seen = reader.observations(k, slice(0, len(own)), observation="pixels") / 255
+        assert np.allclose(np.ravel(row["stats/observation.image/mean"]), seen.mean((0, 1, 2)))
+    weights = [row["length"] / len(rows) for row in episodes]
+    of_all = np.average([row["stats/action/q90"] for row in episodes], axis=0, weights=weights)
+    assert np.allclose(stats["action"]["q90"], of_all)
     assert np.shape(stats["observation.image"]["mean"]) == (3, 1, 1)
+    assert "lossless PNG" in (tmp_path / "a/README.md").read_text()
+
+
+@pytest.mark.parametrize("video", ["h264", "av1"])
+def test_lerobot_s_video_shows_the_pictures(states_path: str, tmp_path: Path, video: str) -> None:
+    av, parquet = pytest.importorskip("av"), pytest.importorskip("pyarrow.parquet")
+    task = TaskConfig(task="tie", states=states_path, horizon=3)
+    env = KnotEnv(**vars(task))
+    with EpisodeWriter(tmp_path / "a.h5", task) as writer:
+        for seed in range(2):
+            writer.add(record(env, seed)[0])
+    out = tmp_path / "a"
+    assert (
+        knotgym("dataset", "export", tmp_path / "a.h5", "--to", "lerobot", "--video", video,
+                "--out", out) == 0
+    )  # fmt: skip
+    reader = EpisodeReader(tmp_path / "a.h5")
+    shown = np.concatenate(
+        [reader.observations(k, slice(0, int(reader.lengths[k]))) for k in range(2)]
+    )
+    with av.open(str(out / "videos/observation.image/chunk-000/file-000.mp4")) as film:
+        frames = [*film.decode(video=0)]
+    decoded = np.array([frame.to_ndarray(format="rgb24") for frame in frames], dtype=np.float64)
+    assert decoded.shape == shown.shape
+    errors = ((decoded - shown) ** 2).mean(axis=(1, 2, 3))
+    assert 10 * np.log10(255**2 / errors.max()) >= LEAST_PSNR[video]
+    assert np.allclose([frame.time for frame in frames], np.arange(len(shown)) / 5)
+    episodes = parquet.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    begins = [row["videos/observation.image/from_timestamp"] for row in episodes]
+    ends = [row["videos/observation.image/to_timestamp"] for row in episodes]
+    assert begins == [0, ends[0]] and ends[1] == len(shown) / 5
+    info = json.loads((out / "meta/info.json").read_text())
+    assert info["features"]["observation.image"]["dtype"] == "video"
+    columns = parquet.read_table(out / "data/chunk-000/file-000.parquet").column_names
+    assert "observation.image" not in columns
+    assert "**lossy**" in (out / "README.md").read_text()
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize(("video", "most"), [("h264", 1), ("av1", 2**20)])
+def test_lerobot_reads_the_frames_of_video(
+    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, video: str, most: int
+) -> None:
+    library = pytest.importorskip("lerobot.datasets.lerobot_dataset")
+    monkeypatch.setattr(
+        lerobot_export, "_VIDEO_BYTES", most
+    )  # one file per episode, or one for all
+    task = TaskConfig(task="tie", states=states_path, horizon=4)
+    env = KnotEnv(**vars(task))
+    with EpisodeWriter(tmp_path / "a.h5", task) as writer:
+        for seed in range(3):
+            writer.add(record(env, seed)[0])
+    export(tmp_path / "a.h5", tmp_path / "a", "lerobot", video=video)
+    given: dict[str, Any] = {"root": tmp_path / "a", "video_backend": "pyav"}
+    held = library.LeRobotDataset("knotgym/tie-nx2", **given)
+    reader, at = EpisodeReader(tmp_path / "a.h5"), 0
+    assert len([*(tmp_path / "a/videos").rglob("*.mp4")]) == (3 if most == 1 else 1)
+    for k, length in enumerate(reader.lengths.tolist()):
+        for picture in reader.observations(k, slice(0, length)):
+            seen = np.moveaxis(held[at]["observation.image"].numpy(), 0, -1) * 255
+            assert 10 * np.log10(255**2 / ((seen - picture) ** 2).mean()) >= LEAST_PSNR[video]
+            at += 1
+    windowed = library.LeRobotDataset(
+        "knotgym/tie-nx2", **given, delta_timestamps={"observation.image": [-0.2, 0.0]}
+    )
+    assert windowed[2]["observation.image"].shape == (2, 3, 128, 256)
+    assert set(held.meta.stats["observation.image"]) >= {"mean", "std", "q01", "q99", "count"}
+
+
+def test_what_can_t_be_video_is_refused(
+    dataset: Path, task: TaskConfig, episodes: list[Episode], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(ExportError, match="no video 'vp9'; there is h264, av1"):
+        export(dataset, out, "lerobot", video="vp9")
+    with pytest.raises(ExportError, match="AV1 needs an even number of at least 64 pixels"):
+        export(dataset, out, "lerobot", video="av1")
+    with pytest.raises(ExportError, match="format ogbench has no video, got 'h264'"):
+        export(dataset, out, "ogbench", video="h264")
+    with EpisodeWriter(tmp_path / "a.h5", replace(task, observation="state")) as writer:
+        writer.add(episodes[0])
+    with pytest.raises(ExportError, match="has no pictures to write as video"):
+        export(tmp_path / "a.h5", out, "lerobot", video="h264")
+    given = ("dataset", "export", dataset, "--to", "minari", "--video", "h264", "--out", out)
+    assert knotgym(*given) == 2 and not out.exists()
 
 
 def test_what_has_no_place_in_a_form_is_refused(

@@ -27,8 +27,8 @@ from knotgym.rope.mujoco_simulation import MujocoSimulation
 class Made:
     """Some walks as a unit of work leaves them."""
 
-    numbers: NDArray[np.int64]
-    bases: NDArray[np.int64]
+    number: NDArray[np.int64]
+    start: NDArray[np.int64]
     beads: NDArray[np.int16]
     forces: NDArray[np.float32]
 

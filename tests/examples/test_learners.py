@@ -6,10 +6,13 @@ import importlib.util
 import json
 import os
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.rollouts import rollout
+from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.generate.episodes.suite_scores import read_scores
 
 from ..scripts import ROOT, run_script
@@ -23,6 +26,9 @@ pytestmark = pytest.mark.clients
 no_d3rlpy = pytest.mark.skipif(
     importlib.util.find_spec("d3rlpy") is None, reason="d3rlpy isn't installed"
 )
+no_torch = pytest.mark.skipif(
+    importlib.util.find_spec("torch") is None, reason="torch isn't installed"
+)
 no_ogbench = pytest.mark.skipif(
     not CHECKOUT or importlib.util.find_spec("jax") is None,
     reason="jax isn't installed, or KNOTGYM_OGBENCH names no checkout",
@@ -32,9 +38,9 @@ no_ogbench = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("played")
-    words = ("--task", "unknot", "--nx", 2, "--policy", "scripted", "--observation", "state")
+    words = ("--task", "tie", "--nx", 2, "--policy", "expert", "--observation", "state")
     assert knotgym("collect", *words, "--episodes", 3, "--workers", 1, "--quiet", "--out", out) == 0
-    return out / "knotgym/unknot-nx2/scripted-state-v0"
+    return out / "knotgym/tie-nx2/expert-state-v0"
 
 
 def check_scores(folder: Path, name: str) -> None:
@@ -45,28 +51,56 @@ def check_scores(folder: Path, name: str) -> None:
     assert row["training"]["cpu_seconds"] > 0
 
 
+def test_ppo_in_one_file_trains_and_acts(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    model, task = tmp_path / "ppo.pt", ("--task", "unknot", "--nx", 2, "--tow-limit", 0.04)
+    few = ("--envs", 2, "--rollout", 4, "--batch", 4, "--epochs", 1, "--steps", 16)
+    run_script(FOLDER / "online_ppo.py", *task, *few, "--out", model)
+    words = ("--policy", model, "--engine", "chain", "--episodes", 1, "--horizon", 3)
+    assert knotgym("evaluate", *task, *words, "--workers", 1, "--quiet") == 0
+
+
 @no_d3rlpy
-@pytest.mark.parametrize("learner", ["bc", "iql", "td3bc", "cql", "dt"])
+@pytest.mark.parametrize(
+    "learner", ["discrete-bc", "discrete-cql", "bc", "td3bc", "iql", "cql", "dt"]
+)
 def test_a_learner_of_d3rlpy_is_trained_and_measured(
     learner: str, dataset: Path, tmp_path: Path
 ) -> None:
-    words = (learner, dataset, dataset, *TINY, "--out", tmp_path / "out")
+    words = (learner, dataset, dataset, *TINY, "--copies", 1, "--out", tmp_path / "out")
     run_script(FOLDER / "offline_rl.py", *words)
     check_scores(tmp_path / "out", f"d3rlpy-{learner}")
-    assert (tmp_path / "out" / "model.d3").is_file()
-    if learner != "dt":
-        make_policy(PolicyConfig(policy=str(tmp_path / "out" / "policy.pt")))
+    assert (tmp_path / "out" / "model.pt").is_file()
 
 
-@no_d3rlpy
-def test_a_learner_of_d3rlpy_learns_an_experts_labels(dataset: Path, tmp_path: Path) -> None:
-    words = ("--task", "unknot", "--nx", 2, "--policy", "random", "--observation", "state")
-    labels = ("--labels", "expert", "--budget", 8, "--episodes", 1, "--workers", 1, "--quiet")
-    assert knotgym("collect", *words, *labels, "--out", tmp_path / "visited") == 0
-    visited = ("--labelled", *(tmp_path / "visited" / "knotgym" / "unknot-nx2").iterdir())
-    run_script(FOLDER / "offline_rl.py", "bc", dataset, *TINY, "--out", tmp_path / "out", *visited)
-    (row,) = read_scores([tmp_path / "out" / "evaluation.json"])
-    assert row["policy"] == "d3rlpy-bc-dagger" and row["training"]["episodes"] == 4
+@no_torch
+def test_chunked_learners_are_trained_and_measured(dataset: Path, tmp_path: Path) -> None:
+    for learner in ("flow", "qc"):
+        words = (learner, dataset, dataset, *TINY, "--copies", 1, "--out", tmp_path / learner)
+        flow = () if learner == "flow" else ("--flow", tmp_path / "flow" / "flow.pt")
+        run_script(FOLDER / "chunked.py", *words, *flow)
+        check_scores(tmp_path / learner, f"torch-{learner}")
+
+
+@no_torch
+def test_decisions_read_from_an_expert_and_acted_out_are_its_pulls(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(FOLDER))
+    from decisions import CHUNK, ChunkPolicy, nearest, read
+
+    rows = read([str(dataset)], CHUNK, copies=0, seed=0)
+
+    class Remembering(ChunkPolicy):
+        def choose(self, indices: list[int], seen: Any, points: Any) -> tuple[Any, Any]:
+            offsets = np.abs(seen[:, None] - rows.observations).max(axis=2)
+            chunks = rows.chunks[offsets.argmin(axis=1)]
+            return nearest(chunks, points)
+
+    reader = EpisodeReader(dataset)
+    played = rollout(reader.task, Remembering("remembering"), range(len(reader)), 0)
+    for own, other in zip(reader, played, strict=True):
+        assert np.array_equal(own.actions, other.episode.actions)
 
 
 @no_ogbench

@@ -245,7 +245,7 @@ def test_play_finds_states_of_its_engine_and_pictures_start_from_no_others(tmp_p
     unit = Unit(walks, start.states[[0, 0]], 0, 4, 2, 3, "chain", WalkConfig(relaxations=()))
     frames = make_walks(unit)
     again = retrace(unit.states, frames.beads, frames.forces, "chain")
-    rows = [frames.numbers.tolist().index(walk) for walk in frames.walk.tolist()]
+    rows = [frames.number.tolist().index(walk) for walk in frames.walk.tolist()]
     assert len(rows) and np.array_equal(again[rows, frames.steps], frames.points)
 
 

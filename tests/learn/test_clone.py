@@ -241,38 +241,14 @@ def test_copies_lead_to_the_goal_as_their_own_first_bead_reads_it(states: States
         assert (macro[1] - macro[0]) % 100 == 50
 
 
-def test_what_was_tried_for_one_goal_is_learned_for_the_goals_that_it_led_nearer_to(
-    states: States,
-) -> None:
-    from knotgym.control.pass_counts import DiagramValues, PassCounts
-    from knotgym.learn.clone_data import DecidedStep
-    from knotgym.learn.clone_demonstrations import OtherGoals
-
-    class Values(DiagramValues):
-        def reach(self, goal: GaussCode, diagram: Any) -> float:
-            return 1.0 if diagram.code.matches(goal) else 0.1
-
-    loop, landed = (states.points[states.nx == nx][0].astype(np.float32) for nx in (0, 2))
-    codes = [label(one.astype(float)) for one in (loop, landed)]
-    other = codes[1].plain.rebased(1)
-    goals = OtherGoals(Values(PassCounts()), [other, GaussCode.parse("1+,2-,3+,1-,2+,3-")])
-    tried = DecidedStep(loop, landed, codes[0], codes[1], (10, 60, 1))
-    nothing = DecidedStep(loop, loop, codes[0], codes[0], (10, 60, 1))
-    drawn = goals.draw([nothing, tried], np.random.default_rng(0))
-    assert [(step.macro, goal) for step, goal in drawn] == [((10, 60, 1), codes[1].plain)]
-
-
 def test_demonstrations_are_made_on_the_way(tmp_path: Path, task: TaskConfig) -> None:
     for name, lanes in (("one", 4), ("other", 2)):
-        demonstrations = DemonstrationsConfig(
-            episodes=3, lanes=lanes, starts=4, nx=(2,), wander=0, others=True
-        )
+        demonstrations = DemonstrationsConfig(episodes=3, lanes=lanes, starts=4, nx=(2,), wander=0)
         train_tiny(None, tmp_path / name, demonstrations=demonstrations, failed=False)
     cards = [json.loads((tmp_path / name / "policy.json").read_text()) for name in ("one", "other")]
     assert cards[0]["demonstrations_sha256"] == cards[1]["demonstrations_sha256"]
     assert cards[0]["demonstrations"]["tie 2"]["reached"] == 1
     assert cards[0]["decisions"] >= 3
-    assert cards[0]["decisions_in_hindsight_and_of_copies"] > 3 * cards[0]["decisions"]
     assert weights(tmp_path / "one") == weights(tmp_path / "other")
 
 

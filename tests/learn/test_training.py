@@ -121,7 +121,7 @@ def test_a_prediction_is_of_the_forces_that_were_applied(episodes: Path, tmp_pat
         group = file[min(name for name in file if "actions" in file[name])]["infos"]
         group["force"][1], group["applied_share"][1] = group["force"][1] / 2, 0.5
         force = group["force"][1]
-    data = read_training_data([copy])
+    data = read_training_data([copy], "mujoco")
     assert (data.forces == force).all(axis=1).any()
 
 
@@ -154,6 +154,19 @@ def test_a_set_of_another_rope_is_refused(
     with h5py.File(path, "a") as file:
         file.attrs["rope"] = "another"
     assert "made with rope another" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
+
+
+@pytest.mark.parametrize("learner", ["pictures", "clone"])
+def test_a_set_of_another_engine_is_refused_unless_it_is_asked_for(
+    learner: str, episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, path = copied(episodes, tmp_path)
+    with h5py.File(path, "a") as file:
+        file.attrs["task"] = json.dumps({**json.loads(file.attrs["task"]), "engine": "chain"})
+    words = ("--learner", learner, "--out", tmp_path / "new", "--data")
+    assert "made with engine chain" in refused(capsys, *words, copy)
+    assert "made with engine mujoco" in refused(capsys, *words, episodes, "--engine", "chain")
+    assert "no engine 'x'" in refused(capsys, *words, episodes, "--engine", "x")
 
 
 def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:

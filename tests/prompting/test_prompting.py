@@ -38,7 +38,7 @@ from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope.model import Rope
 from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import Existing, InvalidRun
+from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
@@ -306,13 +306,16 @@ def test_half_a_surrogate_pair_doesn_t_end_a_run(states_path: str, tmp_path: Pat
     with server.serving():
         own = config(server.url, states_path, "stateful")
         for resume in (False, True):
-            arguments: dict[str, Any] = {
-                "side_by_side": 1,
-                "existing": Existing(resume=resume),
-                "progress": Progress(quiet=True),
-            }
             try:
-                run(own, lambda number, ask: play(own, number, ask), 2, tmp_path / "r", **arguments)
+                run(
+                    own,
+                    lambda number, ask: play(own, number, ask),
+                    2,
+                    tmp_path / "r",
+                    RunOptions(resume=resume, quiet=True),
+                    side_by_side=1,
+                    progress=Progress(quiet=True),
+                )
             except Unanswered:
                 broken[0] = False
     (_, told) = read_transcripts(tmp_path / "r" / "transcripts.jsonl")
@@ -458,8 +461,8 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
                 lambda number, ask: play(own, number, ask),
                 3,
                 out,
+                RunOptions(quiet=True),
                 side_by_side=count,
-                existing=Existing(),
                 progress=Progress(quiet=True),
             )
             texts.append((out / "transcripts.jsonl").read_text())
@@ -469,8 +472,8 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
                 lambda number, ask: play(own, number, ask),
                 1,
                 out,
+                RunOptions(quiet=True),
                 side_by_side=0,
-                existing=Existing(),
                 progress=Progress(True),
             )
     assert texts[0] == texts[1]

@@ -11,17 +11,12 @@ import numpy as np
 
 import knotgym
 from knotgym.datasets.cards.citation import filled, plain
-from knotgym.datasets.cards.state_card import table
+from knotgym.datasets.cards.tables import image_tables
 from knotgym.datasets.image_table import GRADES, file_stem, read_table
 from knotgym.states.splits import IMAGE_SPLITS
 
 _TEXT = ("gauss_code", "gauss_code_chiral", "split", "grade")
 _COUNTED = (*_TEXT, "nx", "accepted")
-
-_COUNTS_HEAD = (
-    *("pictures", "codes", "with chirality", "fewest / most per code"),
-    *(*IMAGE_SPLITS, "accepted", *GRADES),
-)
 
 
 def summary(path: str | Path) -> dict[str, Any]:
@@ -65,10 +60,6 @@ def card(
     not used, by reason; `size` is that of the shards in bytes.
     """
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in facts["splits"]]
-    quality = [
-        (plain(name), *(f"{value:.3g}" for value in spread))
-        for name, spread in facts["quality"].items()
-    ]
     return filled(
         "image_card.md",
         data_files=[f"  - split: {split}\n    path: {path}" for split, path in paths],
@@ -81,9 +72,7 @@ def card(
         seed=config["seed"],
         code_share=f"{config['code_share']:g}",
         test_nx=", ".join(map(str, config["test_nx"])) or "none",
-        by_nx=table(("nx", *_COUNTS_HEAD), _counts_rows(facts["nx"])),
-        by_split=table(("split", *_COUNTS_HEAD), _counts_rows(facts["splits"])),
-        quality=table(("measure", "5 %", "median", "95 %"), quality),
+        **{name: one.markdown() for name, one in image_tables(facts).items()},
         walks=report["walks"],
         frames=report["frames"],
         not_used=plain(json.dumps({**report["dropped"], **report["refused"]})),
@@ -102,17 +91,6 @@ def _counts(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
         "accepted": int(columns["accepted"].sum()),
         "grade": {grade: int((columns["grade"] == grade).sum()) for grade in GRADES},
     }
-
-
-def _counts_rows(counts: Mapping[str, Mapping[str, Any]]) -> list[list[object]]:
-    """Rows of a table for each nx or split, in the order of _COUNTS_HEAD."""
-    rows = []
-    for name, count in counts.items():
-        whole = (count[key] for key in ("pictures", "codes", "codes_with_chirality"))
-        each = " / ".join(map(str, count["of_a_code"]))
-        grades = count["accepted"], *count["grade"].values()
-        rows.append([name, *whole, each, *count["split"].values(), *grades])
-    return rows
 
 
 def _spread(values: list[float]) -> list[float]:

@@ -27,6 +27,7 @@ def export(
     count: Count = uncounted,
     *,
     overwrite: bool = False,
+    video: str = "",
 ) -> None:
     """Write a dataset of episodes in another format.
 
@@ -34,8 +35,7 @@ def export(
         source: what `EpisodeReader` takes.
         out: a file for "compact", a folder for the others.
         form: the format, one of FORMS.
-        count: progress callback, called before each episode.
-        overwrite: replace what exists.
+        video: "h264" or "av1" for the pictures of format lerobot as video; PNG by default.
 
     Raises:
         ExportError: there is no such format, or the dataset can't be stored in it.
@@ -44,5 +44,9 @@ def export(
     if form not in FORMS:
         formats = ", ".join((*FORMS, *UPLOADS))
         raise ExportError(f"no format {form!r}; formats are {formats}")
+    if video and form != "lerobot":
+        raise ExportError(f"format {form} has no video, got {video!r}; lerobot has")
     module, _, function = FORMS[form].partition(":")
-    getattr(importlib.import_module(module), function)(source, out, count, overwrite=overwrite)
+    options = {"video": video} if video else {}
+    to = getattr(importlib.import_module(module), function)
+    to(source, out, count, overwrite=overwrite, **options)

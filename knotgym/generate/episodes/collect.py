@@ -5,8 +5,6 @@ at the end. An episode depends only on the seed and its number, so the dataset's
 on the processes. A resumed run keeps the files that are finished.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -181,11 +179,9 @@ def collect(
     """Collect a dataset and return its folder.
 
     Args:
-        config: which episodes to collect.
         out: Minari root to write to; None for Minari's own.
         options: how to execute the run. A shard writes main_data.hdf5 and collection.json to a
             folder NAME-shard-2-of-8, which Minari doesn't list.
-        progress: where to show progress; a new display by default.
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
@@ -305,7 +301,6 @@ def write_whole(
     """Write a run's dataset below `root` from files of episodes, and return its folder.
 
     Args:
-        config: of the run.
         files: files of episodes.
         tally: totals of the episodes.
         root: Minari root to write to.

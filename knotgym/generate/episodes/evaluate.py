@@ -4,8 +4,6 @@ Confidence intervals are over states, see `cluster_interval`. With several cross
 splits, the results are a generalization matrix for policies trained on one of them.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator, Sequence
@@ -264,11 +262,9 @@ def run(
     """Evaluate, print the results, and write the requested files.
 
     Args:
-        config: what to evaluate.
         options: how to execute the run; with `resume`, a finished evaluation is only printed.
         out: JSON file to write, see `report`.
         video: film to write, of `config.filmed` episodes per setup, or 2.
-        progress: where to show progress; none by default.
 
     Raises:
         InvalidConfig: resume or restart is requested without `out`.

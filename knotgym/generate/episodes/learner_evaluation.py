@@ -34,7 +34,6 @@ def evaluate_learner(
         folder: where to write.
         training: JSON, how the learner was trained.
         files: the learner's weights, already written; the result has their digests.
-        quiet: don't print the table.
         settings: fields of `EvaluateConfig` other than its policies.
 
     Returns:

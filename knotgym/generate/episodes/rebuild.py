@@ -1,7 +1,5 @@
 """Rebuild a recorded dataset by stepping alone: no demonstrator looks, no planner searches."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

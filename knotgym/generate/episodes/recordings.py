@@ -7,8 +7,6 @@ planning are recorded too. The first bytes of each episode's digest show whether
 gets the same episode. docs/formats/recordings.md has the layout.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

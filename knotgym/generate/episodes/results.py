@@ -1,7 +1,5 @@
 """Results of an evaluation: one per policy and setup, printed beside reference scores."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass

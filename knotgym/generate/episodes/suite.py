@@ -24,7 +24,7 @@ from knotgym.common.atomic_files import Occupied, atomic_write, require_output
 from knotgym.common.configuration import InvalidConfig, read_json
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
-from knotgym.datasets.cards.state_card import table
+from knotgym.datasets.cards.tables import table
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, EpisodeRecipe, plain_id
 from knotgym.generate.episodes.rebuild import RebuildRecipe
@@ -157,14 +157,12 @@ def make_suite(
     """Make the missing datasets and a card for all existing ones; return the card's folder.
 
     Args:
-        config: which datasets to make.
         out: Minari root to write to; None for Minari's own.
         options: how to execute the runs. With `resume`, finished datasets are kept and interrupted
             ones continued; with `overwrite`, each is replaced once the new one is complete.
         scores: files of `knotgym evaluate --out` for the card's table of results, besides those in
             the folder `evaluations` next to the card.
         recordings: file of recordings; the one that is included by default.
-        progress: where to show progress; a new display by default.
 
     Raises:
         Occupied: a dataset, a card or an interrupted run is in the way.

@@ -1,7 +1,5 @@
 """What the benchmark's card says of a dataset: its size, its policy's play, and how it was made."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import replace

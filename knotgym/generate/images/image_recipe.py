@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import InvalidConfig, as_json
 from knotgym.common.streams import Stream, generator
-from knotgym.datasets.image_folder import finish
+from knotgym.datasets.finished_folders import finish_images, write_used_walks
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
 from knotgym.datasets.image_table import arrow, shard_name
 from knotgym.generate.images.images_config import (
@@ -52,12 +52,8 @@ def make_images(
     """Make labelled pictures and return the new folder, which for a shard is the shard's own.
 
     Args:
-        config: which pictures to make.
-        out: the folder of the whole run.
-        options: how to execute the run.
         archive: archive of a run whose states walks start from.
         states: state file to start from instead; by default the included states.
-        progress: where to show progress; a new display by default.
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
@@ -163,7 +159,7 @@ class ImageRecipe(Recipe):
         most, total = self.config.wave * WALKS, sum(wanted.values())
         if total > most:
             wanted = {key: max(1, count * most // total) for key, count in wanted.items()}
-        number = self.shard.first + sum(len(frames.numbers) for frames in self.walked)
+        number = self.shard.first + sum(len(frames.number) for frames in self.walked)
         walks: list[Walk] = []
         quota_of: dict[int, Quota] = {}
         for key, count in wanted.items():
@@ -222,9 +218,9 @@ class ImageRecipe(Recipe):
         config = self.config
         columns = {
             name: np.concatenate([getattr(frames, name) for frames in self.walked]).tolist()
-            for name in ("walk", "steps", "rounds", "numbers", "bases")
+            for name in ("walk", "steps", "rounds", "number", "start")
         }
-        base_of = dict(zip(columns["numbers"], columns["bases"], strict=True))
+        base_of = dict(zip(columns["number"], columns["start"], strict=True))
         files: list[TableFile] = []
         number = self.shard.first
         for place, split in enumerate(IMAGE_SPLITS):
@@ -272,12 +268,14 @@ class ImageRecipe(Recipe):
         for frames in self.walked:
             dropped.update(frames.dropped)
         report = {
-            "walks": sum(len(frames.numbers) for frames in self.walked),
+            "walks": sum(len(frames.number) for frames in self.walked),
             "frames": sum(len(frames.walk) for frames in self.walked),
             "dropped": dict(sorted(dropped.items())),
             "refused": dict(sorted(self.chooser.refused.items())),
         }
-        finish(self.table, self.written, request, report, self.start.states, self.walked)
+        start, engine = self.start.states, self.config.engine
+        write_used_walks(self.table, self.written, start, self.walked, engine)
+        finish_images(self.table, self.written, report, request)
         return self.table
 
     def summary(self) -> str:

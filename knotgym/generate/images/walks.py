@@ -95,8 +95,8 @@ class WalkFrames:
     # int64 (m,), rounds of `relaxation.relaxed`; 0 for an unrelaxed frame.
     rounds: NDArray[np.int64]
     ease: Array  # float64 (m,), see `difficulty.ease`, without the base bead.
-    numbers: NDArray[np.int64]  # int64 (w,), fields of the unit's walks
-    bases: NDArray[np.int64]
+    number: NDArray[np.int64]  # int64 (w,), fields of the unit's walks
+    start: NDArray[np.int64]
     beads: NDArray[np.int16]  # int16 (w, steps), bead pulled at each step
     forces: NDArray[np.float32]  # float32 (w, steps, 3), relative to the largest force
     dropped: dict[str, int]  # reason -> number of dropped frames
@@ -158,8 +158,8 @@ def make_walks(unit: Unit) -> WalkFrames:
         steps=np.array([frame.steps for frame in met], dtype=np.int64),
         rounds=np.array([frame.rounds for frame in met], dtype=np.int64),
         ease=np.array([frame.ease for frame in met]),
-        numbers=np.array([walk.number for walk in unit.walks], dtype=np.int64),
-        bases=np.array([walk.base for walk in unit.walks], dtype=np.int64),
+        number=np.array([walk.number for walk in unit.walks], dtype=np.int64),
+        start=np.array([walk.base for walk in unit.walks], dtype=np.int64),
         beads=beads,
         forces=forces,
         dropped=dict(sorted(dropped.items())),

@@ -9,26 +9,21 @@ It keeps the Gauss code that it shows from +z, and its knot must be certified.
     .npz    arrays (n, 3), one curve each
 """
 
-from __future__ import annotations
-
-import json
 import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
-import knotgym
 from knotgym.common.errors import KnotgymError, one_line
 from knotgym.common.hdf5_files import require_regular
 from knotgym.common.streams import Stream, generator_of, key
-from knotgym.generate.states.drawn_states import ONE, judged
+from knotgym.generate.states.drawn_states import ONE, MadeState, judged
+from knotgym.generate.states.state_folder import rows_of, source_of
 from knotgym.quality.limits import UNITS, Limits, Quality
-from knotgym.rendering.picture import draw_many
 from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array, InvalidCurve, Rope, RopeConfig
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
@@ -100,7 +95,6 @@ def import_curves(
     """Lay the curves of files as states, in order of crossings.
 
     Args:
-        paths: files of curves.
         split: "train" or "test", the split of all states.
         limits: that a state must keep; those of drawn states by default.
         seed: of the noise that measures noise survival.
@@ -108,52 +102,33 @@ def import_curves(
     Raises:
         InvalidImport: a curve can't be laid; the line says why.
     """
-    limits = limits or Limits()
-    simulation = simulation_of(1, RopeConfig())
-    made = []
-    for number, curve in enumerate(one for path in paths for one in read_curves(path)):
-        made.append(_laid(curve, number, seed, limits, simulation))
-    made.sort(key=lambda one: one["nx"])
-    names = [name for name in made[0] if name not in ("quality", "start_qpos", "seed", "name")]
-    columns = {name: np.array([one[name] for one in made]) for name in names}
-    rest = np.zeros((len(made), _REST, 6), dtype=np.float32)
-    return States(
-        qpos=columns["qpos"],
-        points=columns["points"],
-        gauss_code=columns["gauss_code"],
-        gauss_code_chiral=columns["gauss_code_chiral"],
-        knot=columns["knot"],
-        nx=columns["nx"],
-        image=draw_many(columns["points"]),
-        split=np.full(len(made), split),
-        quality={name: np.array([one["quality"][name] for one in made]) for name in UNITS},
-        units=dict(UNITS),
+    limits, simulation = limits or Limits(), simulation_of(1, RopeConfig())
+    curves = [curve for path in paths for curve in read_curves(path)]
+    made = [_laid(one, number, seed, limits, simulation) for number, one in enumerate(curves)]
+    made.sort(key=lambda one: one.code.nx)
+    source, count = source_of(made), len(made)
+    return rows_of(
+        made,
+        split=[split] * count,
         source={
-            "start_qpos": np.array([one["start_qpos"] for one in made]),
-            "actions": rest,
-            "steps": np.full(len(made), _REST),
-            "seed": np.array([one["seed"] for one in made], dtype=np.int64),
-            "policy": np.full(len(made), IMPORT),
-            "dataset": np.full(len(made), ""),
-            "trajectory": np.full(len(made), -1),
-            "step": np.full(len(made), _REST),
+            **source,
+            "dataset": np.full(count, ""),
+            "trajectory": np.full(count, -1),
+            "step": source["steps"],
         },
-        attributes={
-            "knotgym": knotgym.__version__,
-            "mujoco": mujoco.__version__,
-            "rope": RopeConfig().fingerprint,
-            "config": json.dumps(
-                {"curves": [one["name"] for one in made], "limits": asdict(limits), "seed": seed},
-                sort_keys=True,
-            ),
+        config={
+            "curves": [curves[one.index].name for one in made],
+            "limits": asdict(limits),
+            "seed": seed,
+            "engine": simulation.engine,
         },
     )
 
 
 def _laid(
     curve: Curve, number: int, seed: int, limits: Limits, simulation: Simulation
-) -> dict[str, Any]:
-    """Return the columns of a curve's state; raise InvalidImport if it can't be laid."""
+) -> MadeState:
+    """Lay a curve as a state; raise InvalidImport if that isn't possible."""
     rope = simulation.rope
     try:
         code = label(rope.from_curve(curve.points, max_overlap=np.inf))
@@ -164,10 +139,9 @@ def _laid(
             f"{curve.name}: with {rope.config.beads} beads it shows another Gauss code; it is too"
             " intricate for this rope"
         )
-    knot = knot_type(code)
-    if knot == UNKNOWN:
+    if knot_type(code) == UNKNOWN:
         raise InvalidImport(f"{curve.name}: its knot, of {code.nx} crossings, can't be certified")
-    stream = key(Stream.IMPORT, seed, code.nx, number)
+    stream, rest = key(Stream.IMPORT, seed, code.nx, number), np.zeros((_REST, 6), dtype=np.float32)
     why = "its strands can't be moved apart"
     for height, rounds in product(_HEIGHTS, _ROUNDS):
         points = _candidate(curve.points * (1, 1, height), rounds, code, rope)
@@ -175,23 +149,12 @@ def _laid(
             continue
         start = rope.qpos(points)
         simulation.lay(start[None], ONE)
-        for _ in range(_REST):
-            simulation.act(np.zeros((1, 6), dtype=np.float32))
+        for action in rest:
+            simulation.act(action[None])
         points, qpos = simulation.points[0].copy(), simulation.qpos(ONE)[0]
         quality, faults = judged(points, code, limits, generator_of(stream))
         if not faults:
-            return {
-                "name": curve.name,
-                "qpos": qpos,
-                "points": points,
-                "gauss_code": str(code),
-                "gauss_code_chiral": code.chiral,
-                "knot": knot,
-                "nx": code.nx,
-                "quality": asdict(quality),
-                "start_qpos": start,
-                "seed": stream,
-            }
+            return MadeState(IMPORT, code, number, stream, start, rest, qpos, points, quality)
         why = ", ".join(_missed(fault, quality, limits) for fault in faults)
     raise InvalidImport(f"{curve.name}: refused, relaxed and flattened too: {why}")
 

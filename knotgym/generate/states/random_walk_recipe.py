@@ -17,6 +17,7 @@ import numpy as np
 
 import knotgym
 from knotgym.common.configuration import as_json
+from knotgym.datasets.finished_folders import finish_states
 from knotgym.generate.packed_records import (
     read_records,
     reading_checkpoint,
@@ -123,7 +124,7 @@ class RandomWalkRecipe(Recipe):
         folder.mkdir(parents=True)
         states = states_of(self.config, self.accepted)
         write_states(folder / "states.h5", states)
-        state_folder.finish(folder, states, self.report(), request)
+        finish_states(folder, states, self.report(), request)
         return folder
 
     def summary(self) -> str:

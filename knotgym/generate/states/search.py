@@ -155,7 +155,6 @@ def search_round(
 
     Args:
         archive: changed in place.
-        config: the same for every round of an archive.
         chunk: ropes per unit of work; doesn't change the result.
         wanted: as for `replays`.
     """
@@ -210,7 +209,6 @@ def replays(
 
     Args:
         archive: changed as the work is absorbed.
-        config: settings of play.
         round, wave: keys of the random draws.
         chunk: ropes per unit of work; doesn't change the result.
         wanted: codes, without chirality, whose sequences to replay; None for all.

@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
-from knotgym.datasets.cards.state_card import card, summary
 from knotgym.datasets.episode_writer import EpisodeWriter
-from knotgym.datasets.gallery import write_gallery
-from knotgym.datasets.manifest_check import write_manifest
+from knotgym.datasets.finished_folders import finish_states
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.demonstrations import POLICY
 from knotgym.quality.measures import UNITS, Quality
-from knotgym.rendering.picture import draw_many
-from knotgym.rope.model import RopeConfig
+from knotgym.rendering.picture import draw_many, picture_of
+from knotgym.rope.model import rope_of
 from knotgym.states.schema import DRAWING, STATE_SPLITS
 from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import States, demonstrations_id, write_states
@@ -44,7 +42,7 @@ HORIZON = 200  # actions, longer than any demonstration
 def states_of(recipe: StateRecipe) -> States:
     """Return the accepted states as rows, sorted by nx and code."""
     config = recipe.config
-    slots = [slot for nx in config.nx for slot in sorted(recipe.states) if slot[0] == nx]
+    slots = [slot for nx in config.nx for slot in recipe.made(nx)]
     made = [recipe.states[slot] for slot in slots]
     splits: list[str] = []
     for nx in config.nx:
@@ -54,31 +52,40 @@ def states_of(recipe: StateRecipe) -> States:
     crossings = np.array([one.code.nx for one in made], dtype=np.int64)
     points = np.stack([one.points for one in made])
     dealt = kept_together(np.array(splits), points, [one.code for one in made])
-    longest = max(len(one.actions) for one in made)
-    actions = [np.pad(one.actions, ((0, longest - len(one.actions)), (0, 0))) for one in made]
-    steps = np.array([len(one.actions) for one in made], dtype=np.int64)
     demonstrated = [recipe.demonstration(slot) for slot in slots]
-    drawing = json.dumps(as_json(config.drawing))
+    drawing, source = json.dumps(as_json(config.drawing)), source_of(made)
     return rows_of(
         made,
         split=dealt.tolist(),
         source={
-            "start_qpos": np.stack([one.start_qpos for one in made]),
-            "actions": np.stack(actions),
-            "steps": steps,
-            "seed": np.array([one.seed for one in made], dtype=np.int64),
-            "policy": np.array([one.policy for one in made]),
+            **source,
             **demonstrations_of(
                 crossings, dealt, type_of(recipe.knot), [one is not None for one in demonstrated]
             ),
             "step": np.array(
-                [steps[row] if one is None else len(one) for row, one in enumerate(demonstrated)],
+                [
+                    steps if one is None else len(one)
+                    for steps, one in zip(source["steps"], demonstrated, strict=True)
+                ],
                 dtype=np.int64,
             ),
             "drawing": np.array([drawing if one.policy == DRAWING else "" for one in made]),
         },
         config=as_json(config),
     )
+
+
+def source_of(made: Sequence[MadeState]) -> dict[str, NDArray[Any]]:
+    """Return the columns from which the states can be made again."""
+    longest = max(len(one.actions) for one in made)
+    actions = [np.pad(one.actions, ((0, longest - len(one.actions)), (0, 0))) for one in made]
+    return {
+        "start_qpos": np.stack([one.start_qpos for one in made]),
+        "actions": np.stack(actions),
+        "steps": np.array([len(one.actions) for one in made], dtype=np.int64),
+        "seed": np.array([one.seed for one in made], dtype=np.int64),
+        "policy": np.array([one.policy for one in made]),
+    }
 
 
 def rows_of(
@@ -92,7 +99,7 @@ def rows_of(
     return States(
         qpos=np.stack([one.qpos for one in made]),
         points=points,
-        image=draw_many(points),
+        image=draw_many(points, picture_of(points.shape[1])),
         gauss_code=np.array([str(one.code) for one in made]),
         gauss_code_chiral=np.array([one.code.chiral for one in made]),
         knot=np.array([knot_type(one.code) for one in made]),
@@ -107,7 +114,7 @@ def rows_of(
         attributes={
             "knotgym": knotgym.__version__,
             "mujoco": mujoco.__version__,
-            "rope": RopeConfig().fingerprint,
+            "rope": rope_of(points.shape[1]).fingerprint,
             "engine": config["engine"],
             "config": json.dumps(config, sort_keys=True),
         },
@@ -144,25 +151,7 @@ def write(recipe: StateRecipe, folder: Path, request: dict[str, Any]) -> None:
         recipe.archive.save(folder / "archive.h5")
     if states.source["dataset"].any():
         write_demonstrations(recipe, states, folder / "minari", folder / "states.h5")
-    finish(folder, states, recipe.report(), request)
-
-
-def finish(
-    folder: Path,
-    states: States,
-    report: dict[str, Any],
-    request: dict[str, Any],
-    machines: Sequence[dict[str, str]] | None = None,
-) -> None:
-    """Write gallery, card and manifest into a folder that has the states and demonstrations.
-
-    `machines` made the data; this one by default.
-    """
-    write_gallery(folder / "gallery.png", states)
-    (folder / "README.md").write_text(card(states, report, request["config"]), encoding="utf-8")
-    splits = states.split.tolist()
-    entries = {"report": report, "summary": summary(states), "splits": splits}
-    write_manifest(folder, "knotgym-manifest", request, machines, **entries)
+    finish_states(folder, states, recipe.report(), request)
 
 
 def write_demonstrations(recipe: StateRecipe, states: States, folder: Path, carried: Path) -> None:
@@ -170,7 +159,7 @@ def write_demonstrations(recipe: StateRecipe, states: States, folder: Path, carr
 
     It has one episode for each state with a demonstration, in the order of the states.
     """
-    slots = [slot for nx in recipe.config.nx for slot in sorted(recipe.states) if slot[0] == nx]
+    slots = [slot for nx in recipe.config.nx for slot in recipe.made(nx)]
     for nx, name in product(recipe.config.nx, STATE_SPLITS):
         rows = [row for row in states.rows(nx, name).tolist() if states.source["dataset"][row]]
         if not rows:

@@ -9,11 +9,7 @@ A run is a series of waves. Each wave does the first of these that has work left
 4. Drawings of the other states from their codes (`drawn_states`).
 
 A code with no sequence found or no drawing accepted is skipped in favour of the next code. Until
-the run is finished, the staging folder contains
-
-    run.json            counters, and the names of the files below; written last
-    archive-{cycle}.h5  the archive of play
-    wave-{cycle}.npz    the states and demonstrations made since the previous wave
+the run is finished, `made_states` keeps what it has in the staging folder.
 """
 
 import json
@@ -30,12 +26,6 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import InvalidConfig, as_json
 from knotgym.common.errors import MissingFile
 from knotgym.common.streams import Stream, derived_seed, key
-from knotgym.generate.packed_records import (
-    read_records,
-    reading_checkpoint,
-    require_digest,
-    write_records,
-)
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.code_order import CodeOrder
@@ -48,30 +38,25 @@ from knotgym.generate.states.demonstrations import (
     carried_over,
     demonstrate,
 )
-from knotgym.generate.states.drawn_states import DrawnOnes, DrawnUnit, MadeState, draw_states
-from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.generate.states.drawn_states import DrawnOnes, DrawnUnit, draw_states
+from knotgym.generate.states.generate_config import GenerateConfig, is_tabled, require_possible
+from knotgym.generate.states.made_states import MadeStates, Slot
 from knotgym.generate.states.planned_sequences import Found, Target, reach
 from knotgym.generate.states.search import SearchConfig, new_archive, replays, search_round
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.model import Rope
 from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
-from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.shards import Shard
-from knotgym.states.near_duplicates import NEAR, distances, pairs_within
 from knotgym.states.schema import DRAWING
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT, UnknownKnot, diagram_of, type_of
-from knotgym.topology.knots import LISTED_NX, knot_type, shows
+from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
 from knotgym.topology.symmetry import mirror_images
 
-_RUN = "run.json"
 FIRST_ROUNDS = 3  # minimum rounds of play: early rounds find the states that later ones start from
 CORE_SECONDS = (0.3, 3.0)  # per state without and with a demonstration, up to nx 4
 SEQUENCE_WORTH = 6  # cost of finding and replaying one action sequence, in drawn states
-
-Slot = tuple[int, int, int]  # nx, index of the code, copy
 
 # The first drawings of a code must differ from all other states under every symmetry. Codes that a
 # symmetry maps to each other have similar drawings, so later ones need only differ as they lie;
@@ -90,11 +75,7 @@ def generate(
     """Make states and return the new folder, which for a shard is not `out` but the shard's own.
 
     Args:
-        config: which states to make.
-        out: the folder of the whole run.
-        options: how to execute the run.
         archive: archive of another run, whose action sequences this one starts with.
-        progress: where to show progress; a new display by default.
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
@@ -108,11 +89,8 @@ def generate(
     return run(recipe, options.shard.folder(out), options, progress)
 
 
-class StateRecipe(Recipe):
-    """Recipe for states with demonstrations, see `runs.engine.Recipe`.
-
-    A slot (nx, index, copy) stands for one requested state: copy `copy` of code `index`.
-    """
+class StateRecipe(MadeStates, Recipe):
+    """Recipe for states with demonstrations, see `runs.engine.Recipe`."""
 
     flexible = "attempts", "cycles", "searches"
 
@@ -121,34 +99,21 @@ class StateRecipe(Recipe):
     ) -> None:
         if archive is not None and not archive.is_file():
             raise MissingFile(f"no archive at {archive}")
+        super().__init__(config.nx)
         self.config, self.shard, self.given = config, shard or Shard(), archive
         self.engine = config.engine
         self._start: Start | None = None
-        self.knot = config.knot if _is_tabled(config.knot) else self.start.knot
+        self.knot = config.knot if is_tabled(config.knot) else self.start.knot
         if type_of(self.knot) == UNKNOT:
             self.knot = UNKNOT
         self.least = diagram_of(self.knot).nx
-        _require_possible(config, self.knot)
+        require_possible(config, self.knot)
         self.codes = {nx: CodeOrder(config, self.knot, self.shard, nx) for nx in config.nx}
         self.wanted = sum(codes.wanted for codes in self.codes.values())
         if not self.wanted:
             raise InvalidConfig(
                 f"shard {self.shard} has no state to make: split the run into fewer shards"
             )
-        self.archive = Archive()  # states and sequences found by play and by the planner
-        self.states: dict[Slot, MadeState] = {}  # accepted
-        self.demonstrations: dict[Slot, Demonstration] = {}  # each ends in the code of its slot
-        self.drawings = Counter[tuple[int, int]]()  # (nx, index) -> drawings made
-        self.searches = Counter[tuple[int, int]]()  # (nx, index) -> failed planner searches
-        self.missed = set[tuple[int, int]]()  # codes that no sequence reaches when replayed
-        self.rejected = {nx: Counter[str]() for nx in config.nx}  # reason -> drawings
-        self.actions = 0  # of the planner and of demonstrations; the archive counts those of play
-        self.cycle = 0  # finished waves
-        self.play_over = False  # play has added too few codes
-        self.growth: list[dict[str, Any]] = []
-        self._waves: dict[str, Any] = {}  # file -> its SHA-256 and slots
-        self._saved: set[Slot] = set()  # slots whose state is saved
-        self._tied: set[Slot] = set()  # slots whose demonstration is saved
 
     @property
     def start(self) -> Start:
@@ -205,7 +170,7 @@ class StateRecipe(Recipe):
             self.cycle += 1
             self._note_growth()
             yield CHECKPOINT
-        lacking = {nx: self.codes[nx].wanted - len(self._made(nx)) for nx in self.config.nx}
+        lacking = {nx: self.codes[nx].wanted - len(self.made(nx)) for nx in self.config.nx}
         if any(lacking.values()) and not self.config.cycles:
             missing = ", ".join(f"{count} with nx = {nx}" for nx, count in lacking.items() if count)
             raise NotEnough(
@@ -363,7 +328,7 @@ class StateRecipe(Recipe):
                 self.searches[slot[:2]] += 1
                 return
             self.demonstrations[slot] = made.demonstration
-            if made.state is not None and not self._is_near(made.state):
+            if made.state is not None and not self.is_near(made.state):
                 self.states[slot] = made.state
 
         yield Batch(demonstrate, tasks, absorb, "replaying action sequences")
@@ -385,41 +350,20 @@ class StateRecipe(Recipe):
             self.rejected[nx].update(made.rejected)
             open_slots = (slot for slot in lacking if slot[:2] == (nx, index))
             for one in made.states:
-                if self._is_near(one, early):
+                if self.is_near(one, early):
                     self.rejected[nx]["near-duplicate"] += 1
                 else:
                     self.states[next(open_slots)] = one
 
         yield Batch(draw_states, units[: config.wave], absorb, "drawing")
 
-    def _is_near(self, state: MadeState, early: bool = False) -> bool:
-        """Return whether a state is a near-duplicate of an accepted one.
-
-        Under all symmetries it is compared with states of its code and, if it is early, with all
-        of as many crossings; with the others only as they lie.
-        """
-        made = self._made(state.code.nx).values()
-        like = [one.points for one in made if early or one.code.matches(state.code)]
-        others = [one.points for one in made]
-        if like and pairs_within(state.points[None], np.stack(like)):
-            return True
-        return bool(others) and bool((distances(state.points, np.stack(others)) < NEAR).any())
-
-    def _made(self, nx: int) -> dict[Slot, MadeState]:
-        """Return the accepted states with nx crossings, in the order of their slots."""
-        return {slot: self.states[slot] for slot in sorted(self.states) if slot[0] == nx}
-
     def demonstration(self, slot: Slot) -> Demonstration | None:
         """Return the demonstration of a slot with a state; for a plain loop, its own actions."""
         if slot[0] == 0 and self.config.demonstrations:
             state = self.states[slot]
-            simulation = simulation_of(1, RopeConfig(), self.config.engine)
+            simulation = simulation_of(1, self.config.rope, self.config.engine)
             return acted_out(simulation, state.start_qpos, state.actions)
         return self.demonstrations.get(slot)
-
-    def steps(self) -> int:
-        """Return the number of actions simulated so far to find and replay action sequences."""
-        return self.actions + (self.archive.growth[-1]["actions"] if self.archive.growth else 0)
 
     def _note_growth(self) -> None:
         if not self.config.demonstrations:
@@ -429,67 +373,9 @@ class StateRecipe(Recipe):
             {
                 "steps": self.steps(),
                 "known": {str(nx): sum(c.nx == nx for c in known) for nx in self.config.nx},
-                "accepted": {str(nx): len(self._made(nx)) for nx in self.config.nx},
+                "accepted": {str(nx): len(self.made(nx)) for nx in self.config.nx},
             }
         )
-
-    def save(self, folder: Path) -> None:
-        fresh = {slot: one for slot, one in self.states.items() if slot not in self._saved}
-        ways = {slot: one for slot, one in self.demonstrations.items() if slot not in self._tied}
-        if fresh or ways:
-            name = f"wave-{self.cycle:06d}.npz"
-            made: dict[str, list[Any]] = {"states": [*fresh.values()]}
-            made["demonstrations"] = [*ways.values()]
-            slots = {"states": list(fresh), "demonstrations": list(ways)}
-            self._waves[name] = {"sha256": write_records(folder / name, made), **slots}
-            self._saved |= fresh.keys()
-            self._tied |= ways.keys()
-        archive = folder / f"archive-{self.cycle:06d}.h5"
-        kept = {}
-        if self.archive.niches:
-            self.archive.save(archive, compress=False)
-            kept = {archive.name: sha256(archive)}
-        counters = {
-            "cycle": self.cycle,
-            "actions": self.actions,
-            "play_over": self.play_over,
-            "growth": self.growth,
-            "drawings": [[*code, count] for code, count in self.drawings.items()],
-            "searches": [[*code, count] for code, count in self.searches.items()],
-            "missed": sorted(self.missed),
-            "rejected": {str(nx): dict(reasons) for nx, reasons in self.rejected.items()},
-            "archive": kept,
-            "waves": self._waves,
-        }
-        write_sealed(folder / _RUN, counters)
-        for old in folder.glob("archive-*.h5"):
-            if old != archive:
-                old.unlink()
-
-    def load(self, folder: Path) -> bool:
-        if not (folder / _RUN).is_file():
-            return False
-        with reading_checkpoint(folder):
-            stored = read_sealed(folder / _RUN)
-            for name, digest in stored["archive"].items():
-                require_digest(folder / name, digest)
-                self.archive = Archive.load(folder / name)
-            for name, wave in stored["waves"].items():
-                require_digest(folder / name, wave["sha256"])
-                states = read_records(folder / name, "states", MadeState)
-                self.states.update(zip(map(_slot, wave["states"]), states, strict=True))
-                ways = read_records(folder / name, "demonstrations", Demonstration)
-                slots = map(_slot, wave["demonstrations"])
-                self.demonstrations.update(zip(slots, ways, strict=True))
-            self._waves = stored["waves"]
-            self._saved, self._tied = set(self.states), set(self.demonstrations)
-            self.cycle, self.actions = int(stored["cycle"]), int(stored["actions"])
-            self.play_over, self.growth = bool(stored["play_over"]), stored["growth"]
-            for counts, name in ((self.drawings, "drawings"), (self.searches, "searches")):
-                counts.update({(nx, index): count for nx, index, count in stored[name]})
-            self.missed = {(nx, index) for nx, index in stored["missed"]}
-            self.rejected = {nx: Counter(stored["rejected"][str(nx)]) for nx in self.config.nx}
-        return True
 
     def status(self) -> Status:
         rejected: Counter[str] = sum(self.rejected.values(), Counter())
@@ -537,37 +423,6 @@ class StateRecipe(Recipe):
         }
 
 
-def _is_tabled(knot: str) -> bool:
-    """Whether the knot table has a knot of this name."""
-    try:
-        diagram_of(knot)
-    except UnknownKnot:
-        return False
-    return True
-
-
-def _require_possible(config: GenerateConfig, knot: str) -> None:
-    """Require crossing numbers and codes that the knot can show, and sequences within reach."""
-    least = diagram_of(knot).nx
-    for nx in config.nx:
-        if nx < least:
-            raise InvalidConfig(
-                f"no diagram of {config.knot} has {nx} crossings; it has at least {least}"
-            )
-        if config.demonstrations and nx > max(LISTED_NX, least):
-            raise InvalidConfig(
-                f"action sequences are limited to {LISTED_NX} crossings, got nx {nx};"
-                " --no-demonstrations makes states without them"
-            )
-    for code in config.parsed:
-        if not shows(code, knot):
-            seen = knot_type(code)
-            other_hand = " (handedness differs)" if seen == type_of(knot) else ""
-            raise InvalidConfig(
-                f"the code {str(code)!r} shows the knot {seen}, not {config.knot}{other_hand}"
-            )
-
-
 def _origin(archive: Archive) -> str:
     """Return the start, the rope and the engine of an archive's sequences as JSON.
 
@@ -575,8 +430,3 @@ def _origin(archive: Archive) -> str:
     """
     known = [archive.settings.get(name) for name in ("start", "rope", "engine")]
     return json.dumps(known, sort_keys=True)
-
-
-def _slot(numbers: list[int]) -> Slot:
-    nx, index, copy = numbers
-    return nx, index, copy

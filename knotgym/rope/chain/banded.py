@@ -21,8 +21,6 @@ rounds once on every processor, so results don't depend on how a compiler contra
 All arrays end with an axis of LANES ropes, see `simd`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

@@ -5,8 +5,6 @@ that begins there (`dynamics`). MuJoCo's qpos become states and states qpos, the
 included; velocities don't.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from os import cpu_count
 from typing import Any

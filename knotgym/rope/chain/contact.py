@@ -30,8 +30,6 @@ listed; the list is made again when a vertex has moved by DRIFT. Which pairs are
 matters to a lane's result: those that aren't are too far apart to matter.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -33,8 +33,6 @@ step and that softness go to zero, MuJoCo comes to this model: `benchmarks/chain
 arrays end with an axis of LANES ropes, see `simd`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

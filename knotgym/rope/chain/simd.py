@@ -6,8 +6,6 @@ products, quotients, `math.sqrt`, `abs`, `min` and `max` go lane by lane, with p
 no lane can tell what the others hold.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Callable

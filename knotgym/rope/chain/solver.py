@@ -12,8 +12,6 @@ LANES ropes are moved at once. Each has its own time and substep, and none can t
 do: a rope moves as it does alone, to the bit. A lane whose action is over takes the next rope.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 It may name a run's folder, a `minari` folder, a file, a folder of pictures, or a Minari dataset.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

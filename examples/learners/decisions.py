@@ -1,0 +1,274 @@
+"""Decisions to learn from, and the policy that acts them out: shared by the scripts of this folder.
+
+A demonstrator leads one bead for up to ten pulls, then decides anew. The pulls in between depend on
+what it holds and where it is heading, which a single state doesn't show. So one row of the data is
+a decision: the observation where a macro-action began, the bead that it pulls, and the forces until
+it ended. A policy decides, pulls as it decided, and decides again; the environment gets six numbers
+at every step, as always.
+
+Everything is in the canonical frame of the marked observation. Of every successful episode, copies
+are learned from too, whose beads are numbered from other ones; the goal of a copy is the code that
+the rope shows at the end, read from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from knotgym.control.demonstrator import RANDOM
+from knotgym.control.policy import Choice, UnplannedPolicy
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.trajectory import Episode
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.marked import Frames, mark
+from knotgym.learn.clone_network import CloneNetwork, Inputs, MarkedInputs, inputs
+from knotgym.rope.actions import quantized
+from knotgym.rope.model import RopeConfig
+from knotgym.topology.crossings import find_crossings
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import shifted_base
+
+BEADS = RopeConfig().beads
+BEAD_WIDTH = 32  # of `MarkedInputs.beads`
+CHUNK = 10  # pulls of a macro-action, at most
+HINDSIGHT = 2  # decisions whose outcome may be taken for their goal
+MOST_CROSSINGS = 4  # of such a goal
+REACH = 3.0  # scales positions to [-1, 1]
+Floats = NDArray[np.float32]
+
+
+class Decisions(NamedTuple):
+    """N decisions, in the order of their episodes.
+
+    Attributes:
+        observations: float32 (N, size), see `observe`.
+        beads: int64 (N,), the bead to pull.
+        chunks: float32 (N, 3 + 4 chunk): where that bead lies, times REACH; the forces; and for
+            each pull 1, or -1 from the macro-action's end on.
+        rewards: float32 (N,), sum until the next decision.
+        terminals, ends: bool (N,), whether the episode terminated there; whether it ended.
+        chosen: bool (N,), whether it is worth imitating: chosen by the demonstrator, on a way that
+            led to the goal.
+        whole: bool (N,), whether the macro-action was carried out to its end.
+        hindsight: bool (N,), whether its goal is a code that was reached instead, or on the way.
+    """
+
+    observations: Floats
+    beads: NDArray[np.int64]
+    chunks: Floats
+    rewards: Floats
+    terminals: NDArray[np.bool_]
+    ends: NDArray[np.bool_]
+    chosen: NDArray[np.bool_]
+    whole: NDArray[np.bool_]
+    hindsight: NDArray[np.bool_]
+
+    def rows(self, index: NDArray[Any]) -> Decisions:
+        """Return some of the decisions."""
+        return Decisions(*(column[index] for column in self))
+
+
+def decision_options(options: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    """Add the options of learning from decisions."""
+    options.add_argument("--chunk", type=int, default=CHUNK, help="pulls that a decision covers")
+    options.add_argument("--copies", type=int, default=0, help="per successful episode")
+    options.add_argument("--rate", type=float, default=1e-3, help="learning rate")
+    options.set_defaults(steps=3000, batch=64)
+    return options
+
+
+def observe(points: NDArray[np.floating], goals: list[GaussCode]) -> tuple[Floats, Frames]:
+    """Return observations float32 (n, size) of ropes (n, beads, 3), and their frames."""
+    seen = mark(points, goals)
+    flat = [part.flatten(1).float() for part in inputs(seen)]
+    return torch.cat(flat, dim=1).numpy(), seen.frames
+
+
+def parts(observations: Tensor) -> Inputs:
+    """Return the network inputs that `observe` made flat."""
+    beads, arcs, codes = observations.split(
+        [8 * BEADS, BEADS, observations.shape[1] - 9 * BEADS], 1
+    )
+    count = len(observations)
+    return Inputs(beads.reshape(count, BEADS, 8), arcs.long(), codes.reshape(count, 2, -1, 14))
+
+
+def read(datasets: list[str], chunk: int, copies: int, seed: int) -> Decisions:
+    """Read the decisions of datasets; with `chunk` 1, each pull of a macro-action is one."""
+    rng, rows = np.random.default_rng(seed), list[_Row]()
+    for dataset in datasets:
+        reader = EpisodeReader(dataset)
+        if not reader.has("macro_start"):
+            raise SystemExit(f"{dataset} records no macro-actions; use a demonstrator's set")
+        for episode in reader:
+            count = copies * bool(episode.terminations[-1])
+            others = rng.choice(np.arange(1, BEADS), count, replace=False)
+            for base in (0, *others.tolist()):
+                own = _decided(episode, base, chunk)
+                rows += own + _in_hindsight(own)
+        reader.close()
+    columns = _Row(*zip(*rows, strict=True))
+    points = np.stack(columns.points)
+    observations, frames = observe(points, list(columns.goal))
+    own = frames.renumber(columns.bead)
+    chunks = [
+        REACH * frames.points(points)[np.arange(len(own)), own],
+        frames.vectors(columns.forces).reshape(len(own), -1),
+        np.stack(columns.going),
+    ]
+    return Decisions(
+        observations,
+        own,
+        np.concatenate(chunks, axis=1).clip(-1, 1).astype(np.float32),
+        np.array(columns.reward, dtype=np.float32),
+        *(np.array(column) for column in columns[8:]),
+    )
+
+
+class _Row(NamedTuple):
+    """A decision in the world; the last five are those of `Decisions`."""
+
+    points: Any
+    goal: Any
+    bead: Any
+    forces: Any
+    going: Any
+    before: Any
+    after: Any
+    reward: Any
+    terminal: Any
+    end: Any
+    chosen: Any
+    whole: Any
+    hindsight: Any
+
+
+def _decided(episode: Episode, base: int, chunk: int) -> list[_Row]:
+    """Return the decisions of an episode whose beads are numbered from bead `base`."""
+    assert episode.macro_start is not None and episode.macro_bead is not None
+    start, led = episode.macro_start[1:], episode.macro_bead[1:] >= 0
+    count, won = len(episode), bool(episode.terminations[-1])
+    begun = np.flatnonzero(led if chunk == 1 else start).tolist()
+    shown = [shifted_base(find_crossings(episode.points[at]), base).plain for at in (*begun, count)]
+    goal = shown[-1] if base else GaussCode.parse(episode.goal_gauss_code)
+    ends = [*begun[1:], count][: len(begun)]  # none if the planner led from the start
+    rows = []
+    for number, (at, after) in enumerate(zip(begun, ends, strict=True)):
+        # the macro-action ends where the next begins, or before a pull that is part of none
+        stop = at + int(np.append(~led[at:after], True).argmax())
+        pulls = min(stop - at, chunk)
+        forces = np.zeros((chunk, 3))
+        forces[:pulls] = episode.force[1 + at : 1 + at + pulls] / RopeConfig().max_force
+        rows.append(
+            _Row(
+                points=np.roll(episode.points[at], -base, axis=0),
+                goal=goal,
+                bead=(episode.bead[1 + at] - base) % BEADS,
+                forces=forces,
+                going=np.where(np.arange(chunk) < pulls, 1.0, -1.0),
+                before=shown[number],
+                after=shown[number + 1],
+                reward=episode.rewards[at:after].sum(),
+                terminal=won and after == count,
+                end=after == count,
+                chosen=won and (episode.move is None or episode.move[1 + at] != RANDOM),
+                whole=stop == after or pulls == chunk,
+                hindsight=False,
+            )
+        )
+    return rows
+
+
+def _in_hindsight(rows: list[_Row]) -> list[_Row]:
+    """Return decisions as if the code that they, or the next ones, led to had been the goal."""
+    found = []
+    for first, row in enumerate(rows):
+        left = {row.goal}
+        for last in rows[first : first + HINDSIGHT]:
+            left.add(last.before)
+            if not last.whole:  # a random pull came between
+                break
+            if last.after not in left and last.after.nx <= MOST_CROSSINGS:
+                ended = {"chosen": True, "hindsight": True, "terminal": True, "end": True}
+                found.append(row._replace(goal=last.after, **ended))
+    return found
+
+
+class Eyes(nn.Module):
+    """Looks at observations by attention over the beads, and points at one of them.
+
+    Attributes:
+        size: of the vectors that `look` returns.
+    """
+
+    def __init__(self, width: int = 64) -> None:
+        super().__init__()
+        self._network = CloneNetwork(width)
+        self.size = width + BEAD_WIDTH + 3
+
+    def forward(self, observations: Tensor) -> MarkedInputs:
+        """Return what is seen of observations (n, size): beads, the whole, and bead logits."""
+        seen: MarkedInputs = self._network(parts(observations))
+        return seen
+
+    def look(self, observations: Tensor, shares: Tensor | None = None) -> Tensor:
+        """Return the whole and one bead (n, size): that of one-hot `shares` (n, beads), or a mean
+        by the softmax of the logits."""
+        seen = self(observations)
+        weights = seen.logits.softmax(1) if shares is None else shares
+        beads = torch.cat([seen.beads, parts(observations).beads[..., :3]], dim=2)
+        return torch.cat([seen.whole, (weights[:, None] @ beads)[:, 0]], dim=1)
+
+
+class ChunkPolicy(UnplannedPolicy, ABC):
+    """Decides, pulls the bead as decided, and decides anew when the chunk is over."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._left: dict[int, list[tuple[int, Any]]] = {}
+
+    @abstractmethod
+    def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
+        """Decide for episodes, given their observations and ropes (n, beads, 3) in the frame.
+
+        Returns:
+            beads (n,), and the forces and signs of `Decisions.chunks`, (n, 4 chunk).
+        """
+
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
+        super().begin(episodes, index, rng)
+        self._left[index] = []
+
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
+        simulation, indices = episodes.simulation, ids.tolist()
+        if deciding := [index for index in indices if not self._left[index]]:
+            self._decide(episodes, deciding)
+        beads, forces = zip(*(self._left[index].pop(0) for index in indices), strict=True)
+        newtons = quantized(np.clip(forces, -1, 1)) * simulation.max_force
+        return Choice(simulation.actions(beads, newtons, ids), [""] * len(ids))
+
+    def _decide(self, episodes: EpisodeBatch, indices: list[int]) -> None:
+        points = episodes.simulation.points[indices]
+        observations, frames = observe(points, [episodes.goals[index] for index in indices])
+        seen = frames.points(points).astype(np.float32)
+        beads, chunks = self.choose(indices, observations, seen)
+        count, pulls = len(indices), chunks.shape[1] // 4
+        forces = chunks[:, : 3 * pulls].reshape(count, pulls, 3)
+        # at least one pull, and those before the first that isn't to be made any more
+        length = 1 + (chunks[:, 3 * pulls + 1 :] > 0).cumprod(1).sum(1)
+        own, pulled = frames.renumber(beads), frames.world_vectors(forces)
+        for row, index in enumerate(indices):
+            self._left[index] = [(own[row], pulled[row, step]) for step in range(length[row])]
+
+
+def nearest(chunks: Floats, points: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return the bead of `points` that each of `Decisions.chunks` pulls, and the rest of it."""
+    offsets = points - chunks[:, None, :3] / REACH
+    return (offsets**2).sum(2).argmin(1), chunks[:, 3:]

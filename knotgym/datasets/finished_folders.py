@@ -1,0 +1,71 @@
+"""Finish the folder of a run: what goes beside its rows, the card, and last the manifest."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from knotgym.common.atomic_files import atomic_write
+from knotgym.datasets.cards import image_card, state_card
+from knotgym.datasets.gallery import write_gallery
+from knotgym.datasets.image_table import read_table
+from knotgym.datasets.manifest_check import write_manifest
+from knotgym.datasets.walks_file import MadeWalks, walks_of, write_walks
+from knotgym.rope.model import Array
+from knotgym.states.state_file import States
+
+
+def finish_states(
+    folder: Path,
+    states: States,
+    report: Mapping[str, Any],
+    request: Mapping[str, Any],
+    machines: Sequence[dict[str, str]] | None = None,
+    edit_card: Callable[[str], str] = str,
+) -> None:
+    """Write gallery, card and manifest into a folder that has the states and demonstrations.
+
+    Args:
+        report: the run's counts.
+        request: what was asked for: configuration, sources, versions.
+        machines: made the data; this one by default.
+        edit_card: changes the card.
+    """
+    write_gallery(folder / "gallery.png", states)
+    _write_card(folder, edit_card(state_card.card(states, report, request["config"])))
+    facts = {"summary": state_card.summary(states), "splits": states.split.tolist()}
+    write_manifest(folder, "knotgym-manifest", request, machines, report=report, **facts)
+
+
+def finish_images(
+    folder: Path,
+    shards: Sequence[Path],
+    report: Mapping[str, Any],
+    request: Mapping[str, Any],
+    machines: Sequence[dict[str, str]] | None = None,
+    edit_card: Callable[[str], str] = str,
+) -> None:
+    """Write card and manifest into a folder that has its Parquet files and walks.
+
+    Arguments are those of `finish_states`; for `report` see `image_card.card`.
+    """
+    facts, size = image_card.summary(folder), sum(path.stat().st_size for path in shards)
+    _write_card(folder, edit_card(image_card.card(facts, request["config"], report, size)))
+    name = "knotgym-images-manifest"
+    write_manifest(folder, name, request, machines, report=report, summary=facts)
+
+
+def write_used_walks(
+    folder: Path, shards: Sequence[Path], states: Array, walks: Sequence[MadeWalks], engine: str
+) -> None:
+    """Write the walks that rows of `shards` come from; for the others see `walks_of`."""
+    used = {
+        source["walk"]
+        for path in shards
+        for source in read_table(path, columns=["source"])["source"].to_pylist()
+    }
+    write_walks(folder / "walks.h5", walks_of(states, walks, used, engine))
+
+
+def _write_card(folder: Path, text: str) -> None:
+    with atomic_write(folder / "README.md") as temporary:
+        temporary.write_text(text, encoding="utf-8")
