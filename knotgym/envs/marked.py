@@ -104,6 +104,14 @@ class Marked(NamedTuple):
             Frames(*(column[index] for column in self.frames)),
         )
 
+    def plus(self, other: Marked) -> Marked:
+        """Return these observations and others."""
+        points, marks, code, goal = (
+            np.concatenate(both) for both in zip(self[:4], other[:4], strict=True)
+        )
+        frames = (np.concatenate(both) for both in zip(self.frames, other.frames, strict=True))
+        return Marked(points, marks, code, goal, Frames(*frames))
+
 
 def size(beads: int) -> int:
     """Return the length of an observation."""
