@@ -7,9 +7,9 @@ from typing import Any
 
 from rich.console import Console
 
+from knotgym.datasets.cards.fact_tables import Table, image_tables, state_tables
 from knotgym.datasets.cards.image_card import summary as image_summary
 from knotgym.datasets.cards.state_card import summary as state_summary
-from knotgym.datasets.cards.tables import Table, image_tables, state_tables
 from knotgym.datasets.episode_verification import show_episodes
 from knotgym.datasets.image_table import shards
 from knotgym.datasets.manifest_check import read_manifest, run_report

@@ -28,10 +28,10 @@ from knotgym.datasets.located import resolve_dataset
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
 from knotgym.datasets.selectable_rows import (
+    Destination,
     InvalidSelection,
     Rows,
     RowsOfDataset,
-    Target,
     json_list,
     selection_sentence,
     with_selection,
@@ -105,7 +105,7 @@ class _States(RowsOfDataset):
         write_states(path / "states.h5", states)
         for name in sorted(set(names.tolist()) - {""}):
             chosen = Chosen(self.path / "minari" / name, old[names == name].tolist())
-            _publish(chosen, made, path / "states.h5", Target(path / "minari", name))
+            _publish(chosen, made, path / "states.h5", Destination(path / "minari", name))
         finish_states(path, states, manifest["report"], *_made(manifest, made))
 
 
@@ -241,13 +241,13 @@ class _Episodes(RowsOfDataset):
     def earlier(self) -> list[dict[str, Any]]:
         return json_list(self.reader.file.attrs.get("selection", "[]"))
 
-    def require_target(self, target: Target) -> None:
+    def require_target(self, target: Destination) -> None:
         if not target.dataset_id:
             if target.out is None:
                 raise InvalidSelection("give an output: --out FILE, or --id for a Minari dataset")
             require_output(target.out, folder=False, overwrite=target.overwrite)
 
-    def _placed(self, rows: Rows, made: list[dict[str, Any]], target: Target) -> Path:
+    def _placed(self, rows: Rows, made: list[dict[str, Any]], target: Destination) -> Path:
         if not target.dataset_id:
             return super()._placed(rows, made, target)
         own = None if ships(self.reader.task.states) else self.reader.states_path()
@@ -289,7 +289,7 @@ def _made(
 
 
 def _publish(
-    chosen: Chosen, made: list[dict[str, Any]], states: Path | None, target: Target
+    chosen: Chosen, made: list[dict[str, Any]], states: Path | None, target: Destination
 ) -> Path:
     """Publish some episodes as a Minari dataset, with the metadata and states of their own."""
     metadata, reader = metadata_of(chosen.source), EpisodeReader(chosen)

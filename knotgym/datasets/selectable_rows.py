@@ -22,7 +22,7 @@ class InvalidSelection(KnotgymError, ValueError):
     """A selection without rows, or a dataset that can't be selected from as asked."""
 
 
-class Target(NamedTuple):
+class Destination(NamedTuple):
     """Where a selection is written: a file or folder, or for `dataset_id` a root of Minari's."""
 
     out: str | Path | None = None
@@ -77,14 +77,14 @@ class RowsOfDataset(ABC):
         found = read_manifest(self.path)[0].get("selection", []) if self.path.is_dir() else []
         return found if isinstance(found, list) else []
 
-    def require_target(self, target: Target) -> None:
+    def require_target(self, target: Destination) -> None:
         if target.dataset_id:
             raise InvalidSelection("an id is for episodes; give --out for states and pictures")
         if target.out is None:
             raise InvalidSelection("give an output, --out")
         require_output(target.out, folder=self.path.is_dir(), overwrite=target.overwrite)
 
-    def write(self, rows: Rows, how: Mapping[str, Any], target: Target) -> Path:
+    def write(self, rows: Rows, how: Mapping[str, Any], target: Destination) -> Path:
         """Write some rows, at least one, as a new dataset; return its path."""
         if not len(rows):
             raise InvalidSelection(f"none of the {self.count} rows of {self.source} is left")
@@ -99,7 +99,7 @@ class RowsOfDataset(ABC):
         }
         return self._placed(rows, [*self.earlier(), made], target)
 
-    def _placed(self, rows: Rows, made: list[dict[str, Any]], target: Target) -> Path:
+    def _placed(self, rows: Rows, made: list[dict[str, Any]], target: Destination) -> Path:
         assert target.out is not None
         with atomic_write(target.out, overwrite=target.overwrite) as path:
             try:

@@ -71,7 +71,6 @@ class PromptRecipe(Recipe):
         self.config, self.engine = config, config.task.engine
         self._ask, self._count, self._side_by_side = ask, count, side_by_side
         self._stop = threading.Event()
-        self._chat = Chat(config.chat, self._stop)
         self._done: list[Transcript] = []
 
     def request(self) -> dict[str, Any]:
@@ -85,11 +84,11 @@ class PromptRecipe(Recipe):
             self._stop.set()
 
     def batches(self, folder: Path) -> Iterator[Batch]:
-        kept = KeptReplies(folder / _REPLIES)
+        chat, kept = Chat(self.config.chat, self._stop), KeptReplies(folder / _REPLIES)
         before = f", {len(kept)} replies are already there" if len(kept) else ""
 
         def work(number: int) -> Transcript:
-            return self._ask(number, kept.asking(number, self._chat))
+            return self._ask(number, kept.asking(number, chat))
 
         def absorb(number: int, made: Transcript) -> None:
             self._done.append(made)

@@ -18,8 +18,8 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from knotgym.datasets.cards.fact_tables import growth
 from knotgym.datasets.cards.state_card import summary
-from knotgym.datasets.cards.tables import growth
 from knotgym.datasets.episode_reader import Chosen, EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.gallery import Tile, contact_sheet

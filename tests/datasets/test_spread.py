@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.datasets.cards.fact_tables import spread_rows
 from knotgym.datasets.cards.state_card import summary
-from knotgym.datasets.cards.tables import spread_rows
 from knotgym.rope.model import Rope
 from knotgym.states import spread
 from knotgym.states.near_duplicates import distances

@@ -2,17 +2,18 @@
 
 import math
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.quality import measures
 from knotgym.quality.measures import (
     UNITS,
     Limits,
     Quality,
     base_spacing,
-    measure,
     noise_survival,
 )
 from knotgym.rendering.picture import DEFAULT
@@ -25,6 +26,11 @@ PIXEL = DEFAULT.view / DEFAULT.size  # metres
 RADIUS = DEFAULT.rope_radius / PIXEL  # pixels
 
 PERFECT = Quality(90.0, 128.0, 128.0, 128.0, 900.0, 900.0, 40.0, 20.0, 0.0, 1.0, 0.0)
+
+
+def measure(points: ArrayLike, **settings: Any) -> Quality:
+    """Measure in the usual picture of a rope of 100 beads, whatever the number of vertices."""
+    return measures.measure(points, config=DEFAULT, **settings)
 
 
 def drawn(corners: ArrayLike, vertices: int = 800) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import numpy as np
 
 import knotgym
 from knotgym.datasets.cards.citation import filled, plain
-from knotgym.datasets.cards.tables import image_tables
+from knotgym.datasets.cards.fact_tables import image_tables
 from knotgym.datasets.image_table import GRADES, file_stem, read_table
 from knotgym.states.splits import IMAGE_SPLITS
 

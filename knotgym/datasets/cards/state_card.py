@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.datasets.cards.citation import code_span, filled, plain
-from knotgym.datasets.cards.tables import state_tables, table
+from knotgym.datasets.cards.fact_tables import state_tables, table
 from knotgym.states.schema import COLUMNS, RANDOM_WALK, STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.spread import spread_of

@@ -29,7 +29,7 @@ from knotgym.datasets.cards.citation import (
     write_text,
     yaml_string,
 )
-from knotgym.datasets.cards.tables import table
+from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.croissant import FileObject, croissant
 from knotgym.datasets.exports.forms import ExportError

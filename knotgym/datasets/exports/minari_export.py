@@ -16,7 +16,7 @@ from typing import Any
 from knotgym.common.atomic_files import atomic_write, copy_file, require_no_links, require_output
 from knotgym.common.configuration import read_json
 from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
-from knotgym.datasets.cards.tables import table
+from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_reader import episode_file
 from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.gallery import write_episode_gallery

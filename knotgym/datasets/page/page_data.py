@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import KnotgymError
-from knotgym.datasets.cards.tables import growth
+from knotgym.datasets.cards.fact_tables import growth
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_table import read_table
 from knotgym.datasets.manifest_check import read_manifest, run_report

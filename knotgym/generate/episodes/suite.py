@@ -24,7 +24,7 @@ from knotgym.common.atomic_files import Occupied, atomic_write, require_output
 from knotgym.common.configuration import InvalidConfig, read_json
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
-from knotgym.datasets.cards.tables import table
+from knotgym.datasets.cards.fact_tables import table
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, EpisodeRecipe, plain_id
 from knotgym.generate.episodes.rebuild import RebuildRecipe

@@ -13,7 +13,7 @@ from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import KnotgymError, one_line
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.cards.citation import plain
-from knotgym.datasets.cards.tables import table
+from knotgym.datasets.cards.fact_tables import table
 from knotgym.generate.episodes.evaluate import EvaluateConfig
 from knotgym.runs.intervals import cluster_interval
 
