@@ -83,7 +83,7 @@ Row = dict[str, Any]
 
 
 def command(row: Mapping[str, Any]) -> str:
-    """The command that measures a cell; of several seeds, the first's."""
+    """The command that measures a policy of `knotgym evaluate`; of several seeds, the first's."""
     flags: dict[str, Any] = {
         **{name: row[name] for name in ("policy", "task", "nx", "split")},
         "episodes": row["episodes"] // len(row["seeds"]),
@@ -124,7 +124,7 @@ def as_cell(row: Mapping[str, Any], at: str) -> Row:
         "seeds": row["seeds"],
         "trained_seconds": trained,
         "commit": at,
-        "command": command(row),
+        "command": row["training"].get("command") or command(row),
     }
 
 

@@ -1,6 +1,7 @@
 """Train a flow policy over chunks of pulls, or chunked Q-learning on top of it, in torch.
 
-    knotgym suite --task tie --nx 2 --policies expert,noisy --episodes 1000 --out sets
+    knotgym suite --task tie --nx 2 --states readable --split train --policies expert,noisy \\
+        --episodes expert=200,noisy=1200 --out sets
     python examples/learners/chunked.py flow sets/knotgym/*/{expert,noisy}-v0 \\
         --task tie --nx 2 --out flow
     python examples/learners/chunked.py qc sets/knotgym/*/{expert,noisy}-v0 \\
@@ -168,7 +169,9 @@ def main() -> None:
         flow = Network(rows.chunks.shape[1], rows.chunks.shape[1])
         flow.load_state_dict(torch.load(given.flow, weights_only=True))
     torch.save(flow.state_dict(), given.out / "flow.pt")
-    critic = trained_critic(rows, flow, given) if given.learner == "qc" else None
+    critic = (
+        trained_critic(rows.rows(~rows.hindsight), flow, given) if given.learner == "qc" else None
+    )
     if critic is not None:
         torch.save(critic.state_dict(), given.out / "critic.pt")
     name = f"torch-{given.learner}"

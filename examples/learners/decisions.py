@@ -38,6 +38,8 @@ from knotgym.topology.symmetry import shifted_base
 BEADS = RopeConfig().beads
 BEAD_WIDTH = 32  # of `MarkedInputs.beads`
 CHUNK = 10  # pulls of a macro-action, at most
+HINDSIGHT = 2  # decisions whose outcome may be taken for their goal
+MOST_CROSSINGS = 4  # of such a goal
 REACH = 3.0  # scales positions to [-1, 1]
 Floats = NDArray[np.float32]
 
@@ -52,8 +54,10 @@ class Decisions(NamedTuple):
             each pull 1, or -1 from the macro-action's end on.
         rewards: float32 (N,), sum until the next decision.
         terminals, ends: bool (N,), whether the episode terminated there; whether it ended.
-        chosen: bool (N,), whether the demonstrator chose it, on a way that led to the goal.
+        chosen: bool (N,), whether it is worth imitating: chosen by the demonstrator, on a way that
+            led to the goal.
         whole: bool (N,), whether the macro-action was carried out to its end.
+        hindsight: bool (N,), whether its goal is a code that was reached instead, or on the way.
     """
 
     observations: Floats
@@ -64,6 +68,7 @@ class Decisions(NamedTuple):
     ends: NDArray[np.bool_]
     chosen: NDArray[np.bool_]
     whole: NDArray[np.bool_]
+    hindsight: NDArray[np.bool_]
 
     def rows(self, index: NDArray[Any]) -> Decisions:
         """Return some of the decisions."""
@@ -73,9 +78,9 @@ class Decisions(NamedTuple):
 def decision_options(options: argparse.ArgumentParser) -> argparse.ArgumentParser:
     """Add the options of learning from decisions."""
     options.add_argument("--chunk", type=int, default=CHUNK, help="pulls that a decision covers")
-    options.add_argument("--copies", type=int, default=3, help="per successful episode")
+    options.add_argument("--copies", type=int, default=0, help="per successful episode")
     options.add_argument("--rate", type=float, default=1e-3, help="learning rate")
-    options.set_defaults(steps=2500, batch=64)
+    options.set_defaults(steps=3000, batch=64)
     return options
 
 
@@ -97,7 +102,7 @@ def parts(observations: Tensor) -> Inputs:
 
 def read(datasets: list[str], chunk: int, copies: int, seed: int) -> Decisions:
     """Read the decisions of datasets; with `chunk` 1, each pull of a macro-action is one."""
-    rng, rows = np.random.default_rng(seed), []
+    rng, rows = np.random.default_rng(seed), list[_Row]()
     for dataset in datasets:
         reader = EpisodeReader(dataset)
         if not reader.has("macro_start"):
@@ -106,55 +111,94 @@ def read(datasets: list[str], chunk: int, copies: int, seed: int) -> Decisions:
             count = copies * bool(episode.terminations[-1])
             others = rng.choice(np.arange(1, BEADS), count, replace=False)
             for base in (0, *others.tolist()):
-                rows += _decided(episode, base, chunk)
+                own = _decided(episode, base, chunk)
+                rows += own + _in_hindsight(own)
         reader.close()
-    points, goals, beads, forces, going, *rest = zip(*rows, strict=True)
-    observations, frames = observe(np.stack(points), list(goals))
-    own = frames.renumber(beads)
-    positions = frames.points(np.stack(points))[np.arange(len(own)), own]
-    chunks = [REACH * positions, frames.vectors(forces).reshape(len(own), -1), np.stack(going)]
-    rewards, *flags = (np.array(column) for column in rest)
+    columns = _Row(*zip(*rows, strict=True))
+    points = np.stack(columns.points)
+    observations, frames = observe(points, list(columns.goal))
+    own = frames.renumber(columns.bead)
+    chunks = [
+        REACH * frames.points(points)[np.arange(len(own)), own],
+        frames.vectors(columns.forces).reshape(len(own), -1),
+        np.stack(columns.going),
+    ]
     return Decisions(
         observations,
         own,
         np.concatenate(chunks, axis=1).clip(-1, 1).astype(np.float32),
-        rewards.astype(np.float32),
-        *flags,
+        np.array(columns.reward, dtype=np.float32),
+        *(np.array(column) for column in columns[8:]),
     )
 
 
-def _decided(episode: Episode, base: int, chunk: int) -> list[tuple[Any, ...]]:
+class _Row(NamedTuple):
+    """A decision in the world; the last five are those of `Decisions`."""
+
+    points: Any
+    goal: Any
+    bead: Any
+    forces: Any
+    going: Any
+    before: Any
+    after: Any
+    reward: Any
+    terminal: Any
+    end: Any
+    chosen: Any
+    whole: Any
+    hindsight: Any
+
+
+def _decided(episode: Episode, base: int, chunk: int) -> list[_Row]:
     """Return the decisions of an episode whose beads are numbered from bead `base`."""
-    goal = GaussCode.parse(episode.goal_gauss_code)
-    if base:
-        goal = shifted_base(find_crossings(episode.points[-1]), base).plain
     assert episode.macro_start is not None and episode.macro_bead is not None
     start, led = episode.macro_start[1:], episode.macro_bead[1:] >= 0
     count, won = len(episode), bool(episode.terminations[-1])
-    begun = np.flatnonzero(led if chunk == 1 else start)
+    begun = np.flatnonzero(led if chunk == 1 else start).tolist()
+    shown = [shifted_base(find_crossings(episode.points[at]), base).plain for at in (*begun, count)]
+    goal = shown[-1] if base else GaussCode.parse(episode.goal_gauss_code)
+    ends = [*begun[1:], count][: len(begun)]  # none if the planner led from the start
     rows = []
-    for at, after in zip(begun.tolist(), [*begun[1:].tolist(), count], strict=True):
+    for number, (at, after) in enumerate(zip(begun, ends, strict=True)):
         # the macro-action ends where the next begins, or before a pull that is part of none
         stop = at + int(np.append(~led[at:after], True).argmax())
         pulls = min(stop - at, chunk)
         forces = np.zeros((chunk, 3))
         forces[:pulls] = episode.force[1 + at : 1 + at + pulls] / RopeConfig().max_force
-        reason = "" if episode.move is None else episode.move[1 + at]
         rows.append(
-            (
-                np.roll(episode.points[at], -base, axis=0),
-                goal,
-                (episode.bead[1 + at] - base) % BEADS,
-                forces,
-                np.where(np.arange(chunk) < pulls, 1.0, -1.0),
-                episode.rewards[at:after].sum(),
-                won and after == count,
-                after == count,
-                won and reason != RANDOM,
-                stop == after or pulls == chunk,
+            _Row(
+                points=np.roll(episode.points[at], -base, axis=0),
+                goal=goal,
+                bead=(episode.bead[1 + at] - base) % BEADS,
+                forces=forces,
+                going=np.where(np.arange(chunk) < pulls, 1.0, -1.0),
+                before=shown[number],
+                after=shown[number + 1],
+                reward=episode.rewards[at:after].sum(),
+                terminal=won and after == count,
+                end=after == count,
+                chosen=won and (episode.move is None or episode.move[1 + at] != RANDOM),
+                whole=stop == after or pulls == chunk,
+                hindsight=False,
             )
         )
     return rows
+
+
+def _in_hindsight(rows: list[_Row]) -> list[_Row]:
+    """Return decisions as if the code that they, or the next ones, led to had been the goal."""
+    found = []
+    for first, row in enumerate(rows):
+        left = {row.goal}
+        for last in rows[first : first + HINDSIGHT]:
+            left.add(last.before)
+            if not last.whole:  # a random pull came between
+                break
+            if last.after not in left and last.after.nx <= MOST_CROSSINGS:
+                ended = {"chosen": True, "hindsight": True, "terminal": True, "end": True}
+                found.append(row._replace(goal=last.after, **ended))
+    return found
 
 
 class Eyes(nn.Module):

@@ -1,6 +1,7 @@
 """Train d3rlpy on decisions: behaviour cloning, TD3+BC, IQL, CQL, decision transformer.
 
-    knotgym suite --task tie --nx 2 --policies expert,noisy --episodes 1000 --out sets
+    knotgym suite --task tie --nx 2 --states readable --split train --policies expert,noisy \\
+        --episodes expert=200,noisy=1200 --out sets
     python examples/learners/offline_rl.py discrete-bc sets/knotgym/*/{expert,noisy}-v0 \\
         --task tie --nx 2 --out bc
 
@@ -17,14 +18,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor, nn
 
 try:
     import d3rlpy
     import structlog
 except ModuleNotFoundError as error:
     raise SystemExit("offline_rl.py needs d3rlpy: pip install d3rlpy") from error
+import torch
 from d3rlpy.dataset import MDPDataset
 from d3rlpy.models.encoders import EncoderFactory
 from decisions import (
@@ -39,6 +39,7 @@ from decisions import (
     read,
 )
 from protocol import Training, measure, parser
+from torch import Tensor, nn
 
 LEARNERS = {
     "discrete-bc": "DiscreteBCConfig",
@@ -148,9 +149,10 @@ def trained(name: str, sees: str, given: Any, rows: Decisions, seen: Floats, act
 
 
 def imitated(rows: Decisions) -> Decisions:
-    """Return rows worth imitating, each as an episode of its own."""
-    every = np.ones(len(rows.beads), dtype=bool)
-    return rows._replace(terminals=every, ends=every).rows(rows.chosen)
+    """Return the rows worth imitating, as one episode: what follows a decision doesn't matter."""
+    own = rows.rows(rows.chosen)
+    last = np.arange(len(own.beads)) == len(own.beads) - 1
+    return own._replace(terminals=last, ends=last)
 
 
 def with_bead(seen: Floats, beads: Any) -> Floats:
@@ -192,16 +194,16 @@ def main() -> None:
     training = Training(f"d3rlpy {d3rlpy.__version__}", given, given.datasets)
     d3rlpy.seed(given.seed)
     torch.set_num_threads(1)
-    rows = read(given.datasets, given.chunk, given.copies, given.seed)
-    if given.learner.endswith("bc") and given.learner != "td3bc":
-        rows = imitated(rows)
+    every = read(given.datasets, given.chunk, given.copies, given.seed)
+    cloned = given.learner in ("bc", "discrete-bc")
+    rows = imitated(every) if cloned else every.rows(~every.hindsight)
     name = f"d3rlpy-{given.learner}" + f"-chunk{given.chunk}" * (given.chunk != CHUNK)
     puller, files = None, ["model.pt"]
     if given.learner.startswith("discrete"):
         beads = rows.beads[:, None].astype(np.int32)
         learner = trained(given.learner, "logits", given, rows, rows.observations, beads)
         # the pulls of a bead are learned from macro-actions that weren't cut short
-        own = imitated(rows.rows(rows.whole))
+        own = imitated(every.rows(every.whole))
         seen = with_bead(own.observations, own.beads)
         puller = trained("bc", "bead", given, own, seen, own.chunks[:, 3:])
         puller.save_model(str(given.out / "puller.pt"))

@@ -33,11 +33,10 @@ class BatchedVecEnv(VecEnv):
         self.num_envs = num_envs
         self.episodes = EpisodeBatch(config, num_envs, threads)
         self.goals = Goals(self.episodes) if goals else None
-        beads = self.episodes.simulation.rope.config.beads
-        space = self.goals.space if self.goals else observation_space(config, beads)
+        space = self.goals.space if self.goals else observation_space(config)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._actions: NDArray[Any] = np.empty(0)
-        super().__init__(num_envs, space, action_space(config, beads))
+        super().__init__(num_envs, space, action_space(config))
 
     def reset(self) -> Any:
         """Restart every episode, with the seeds and options that were set."""

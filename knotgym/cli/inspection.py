@@ -48,7 +48,7 @@ from knotgym.generate.states.imported_curves import write_curves
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Array, RopeConfig
+from knotgym.rope.model import Array, RopeConfig, rope_of
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
 from knotgym.states.state_file import (
@@ -358,7 +358,7 @@ def _state_scene(path: Path, row: int) -> _Scene:
     end = states.points[row]
     reached = np.arange(len(actions) + 1) == len(actions)
     start = states.source["start_qpos"][row]
-    return _Scene(states.engine, RopeConfig(), start, actions, end, end, reached)
+    return _Scene(states.engine, rope_of(len(end)), start, actions, end, end, reached)
 
 
 def _episode_scene(path: Path, row: int) -> _Scene:

@@ -40,7 +40,7 @@ ENVIRONMENT, ACTING, RUN = "The environment", "Who acts", "How it is run"
 TASK = (
     "task.states task.observation task.action task.max_goals task.image_size task.views"
     " task.depth task.horizon task.hold task.endless task.tow_limit task.reset_noise task.engine"
-    " task.integrator_steps task.camera"
+    " task.beads task.integrator_steps task.camera"
 )  # what collect and evaluate let users set of the environment
 EXECUTION, EXISTING = "workers executor scheduler settings", "resume restart overwrite quiet"
 Config = TypeVar("Config", bound="DataclassInstance")

@@ -1,7 +1,11 @@
 """The commands `knotgym generate` and `knotgym images`."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -23,6 +27,11 @@ from knotgym.cli.options import (
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.notation import parse_code
 
+if TYPE_CHECKING:
+    import numpy as np
+
+HARD_UNKNOTS = "hard-unknots"  # the list of codes that ships
+MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
 _CHOICE, _SEARCH, _SPLITS = "Which states", "The search", "Splits"
 
 
@@ -54,8 +63,9 @@ def _generate_options() -> list[Option]:
         option(
             "--codes",
             Path,
-            "File of Gauss, PD or DT codes, one per line, to use instead of --nx; --every-code"
-            " gives the number of states per code, 1 by default.",
+            "File of Gauss, PD or DT codes, one per line, or hard-unknots for the 21 diagrams of"
+            " Burton and others. --nx chooses by crossings, --count at random; --every-code gives"
+            " the number of states per code, 1 by default.",
             group=_CHOICE,
         ),
         option(
@@ -65,7 +75,7 @@ def _generate_options() -> list[Option]:
             group=_SEARCH,
         ),
         *options_of(config, "attempts cycles", _SEARCH),
-        *options_of(config, "engine", ENVIRONMENT),
+        *options_of(config, "engine beads", ENVIRONMENT),
         *options_of(config, "seed", RUN),
         *run_options(f"{EXECUTION} shard {EXISTING}"),
     ]
@@ -87,6 +97,7 @@ def generate(given: Given) -> None:
 
         knotgym generate --nx 2-4 --source random-walk
     """
+    from knotgym.common.streams import Stream, generator
     from knotgym.datasets.minari_dataset import loading_lines
     from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig
@@ -112,11 +123,12 @@ def generate(given: Given) -> None:
         codes.stem if codes else "",
         "" if given["demonstrations"] else "states",
         "" if given["engine"] == "mujoco" else given["engine"],
+        "" if given["beads"] == 100 else f"beads{given['beads']}",
         made_from(archive),
         f"seed{given['seed']}" if given["seed"] else "",
     )
     if source == "random-walk":
-        for name in ("every_code", "split_by", "knot", "codes", "archive", "cycles"):
+        for name in ("every_code", "split_by", "knot", "codes", "beads", "archive", "cycles"):
             if name in given.typed:
                 dashed = name.replace("_", "-")
                 raise typer.BadParameter(f"--{dashed} needs --source drawing, not random-walk")
@@ -126,7 +138,10 @@ def generate(given: Given) -> None:
     if archive is not None and not given["demonstrations"]:
         raise typer.BadParameter("--archive provides action sequences; remove --no-demonstrations")
     more: dict[str, Any] = {}
-    if found := code_list(codes):
+    if codes is not None:
+        wanted = numbers(nx) if "nx" in given.typed else None
+        count = given["count"] if "count" in given.typed else None
+        found = code_list(codes, wanted, count, generator(Stream.SELECTION, given["seed"], 2))
         more["nx"] = tuple(dict.fromkeys(code.nx for code in found))
         more["codes"] = [str(code) if code.chirality is None else code.chiral for code in found]
         more["every_code"] = every_code or 1
@@ -166,7 +181,7 @@ def _images_options() -> list[Option]:
         *options_of(config, "test_nx test_share code_share", _SPLITS, test_nx=test_nx),
         *options_of(
             config,
-            "appearance.vary appearance.sizes",
+            "appearance.style appearance.vary appearance.sizes",
             vary={"default": "none", "read": varied},
             sizes={"names": "--size"},
         ),
@@ -188,6 +203,8 @@ def images(given: Given) -> None:
         knotgym images --nx 0-4 --count 20000
 
         knotgym images --nx 2,3 --count 500 --vary all --size 64,128
+
+        knotgym images --nx 3,4 --count 100 --style knotbench
     """
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.generate.images.images_config import ImagesConfig
@@ -197,6 +214,7 @@ def images(given: Given) -> None:
         f"images-nx{given.text('nx')}",
         made_from(archive or states),
         "" if given["engine"] == "mujoco" else given["engine"],
+        "" if given["appearance.style"] == "published" else given["appearance.style"],
         "varied" if given["appearance.vary"] else "",
         "" if size == "128" else f"{size}px",
         f"seed{given['seed']}" if given["seed"] else "",
@@ -211,24 +229,50 @@ def images(given: Given) -> None:
     )
 
 
-def code_list(path: Path | None) -> list[GaussCode]:
-    """Read Gauss, PD or DT codes from a file, one per line; an empty list without a file.
+def code_list(
+    path: Path, nx: Sequence[int] | None, count: int | None, rng: np.random.Generator
+) -> list[GaussCode]:
+    """Read Gauss, PD or DT codes from a file, one per line; "#" begins a comment.
+
+    Args:
+        path: the file, of any size, or HARD_UNKNOTS for the one that ships.
+        nx: keep codes with these numbers of crossings; all if None.
+        count: keep a random sample of so many; all if None, up to MOST_CODES.
+        rng: source of the sample.
 
     Raises:
         InvalidGaussCode: a line is none of them.
     """
-    if path is None:
-        return []
+    if str(path) == HARD_UNKNOTS and not path.exists():
+        path = Path(str(files("knotgym.topology") / "data/hard-unknots.txt"))
     if path.exists() and not path.is_file():
         raise typer.BadParameter(f"--codes {path} is not a regular file")
+    kept: list[tuple[int, GaussCode]] = []  # line number, code
+    seen = 0
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        with open(path, encoding="utf-8") as lines:
+            for number, line in enumerate(lines):
+                text = line.partition("#")[0].strip()
+                if not text or (nx is not None and (code := parse_code(text)).nx not in nx):
+                    continue
+                # reservoir sampling: line k stays with probability count / k, so that one pass
+                # over a list of any length gives every code the same chance
+                seen += 1
+                place = len(kept) if count is None or seen <= count else int(rng.integers(seen))
+                if count is not None and place >= count:
+                    continue
+                if place >= MOST_CODES:
+                    raise typer.BadParameter(
+                        f"--codes {path} has more than {MOST_CODES} codes; --count 1000 takes a"
+                        " random sample of 1000"
+                    )
+                kept[place : place + 1] = [(number, parse_code(text) if nx is None else code)]
     except (OSError, UnicodeDecodeError) as error:
         raise typer.BadParameter(f"--codes {path} can't be read: {error}") from error
-    found = [parse_code(line) for line in lines if line.strip()]
-    if not found:
-        raise typer.BadParameter(f"--codes {path} contains no code")
-    return found
+    if not kept:
+        of = "" if nx is None else f" with nx {', '.join(map(str, nx))}"
+        raise typer.BadParameter(f"--codes {path} contains no code{of}")
+    return [code for _, code in sorted(kept, key=lambda one: one[0])]
 
 
 def made_from(source: Path | None) -> str:

@@ -60,7 +60,7 @@ class Stream(IntEnum):
     DRAWING = 40  # nx, code, number of the drawing
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
     START = 42  # the drawing of a knot that action sequences begin at
-    SELECTION = 43  # which rows are sampled (0), or how they are split (1)
+    SELECTION = 43  # which rows (0) or codes (2) are sampled, or how rows are split (1)
     IMPORT = 44  # nx, number of the curve: its noise survival
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_PLACES = 52  # the start positions of ropes that are kept

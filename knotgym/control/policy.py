@@ -53,7 +53,7 @@ def checked(
         InvalidPolicy: an action isn't one of the task's view, such as six finite numbers in
             [-1, 1].
     """
-    space = action_space(episodes.config, episodes.simulation.points.shape[1])
+    space = action_space(episodes.config)
     (size,) = space.shape or ()
     numbers = "finite numbers in [-1, 1]" if size == 6 else "whole numbers"
     wanted = f"policy {name} must give {size} {numbers} for an episode"

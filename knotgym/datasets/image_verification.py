@@ -50,7 +50,7 @@ from knotgym.topology.symmetry import Symmetry
 _HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m long
 _BATCH = 32  # walks simulated together
 _MOST_ROUNDS = 10_000  # of relaxation; a larger number is corrupted and would run for hours
-_COLOURS = ("published", "single", "gradient")
+_COLOURS = ("published", "single", "gradient", "lines")
 _RECOMPUTED = (
     *("gauss_code", "gauss_code_chiral", "pd_code", "dt_code", "nx", "knot"),
     *("crossings", "accepted", "grade"),

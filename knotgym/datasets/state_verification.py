@@ -17,10 +17,11 @@ from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
 from knotgym.datasets.trajectory import Episode
 from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
-from knotgym.rendering.picture import draw
+from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
+from knotgym.rendering.picture import draw, picture_of
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, UnknownEngine, require_engine, simulation
-from knotgym.rope.model import Array, Rope
+from knotgym.rope.model import Array, Rope, rope_of
 from knotgym.states.near_duplicates import pairs_within, repeated
 from knotgym.states.schema import COLUMNS, DRAWING, RANDOM_WALK, REPLAYED, STATE_SPLITS
 from knotgym.states.splits import overlap
@@ -50,12 +51,11 @@ _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would 
 
 def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, digest."""
-    rope = Rope()
-    if states.attributes.get("rope") != rope.config.fingerprint:
-        yield (
-            f"rope model {states.attributes.get('rope')} is not this version's,"
-            f" {rope.config.fingerprint}"
-        )
+    made_for, beads = states.attributes.get("rope"), states.points.shape[1]
+    own = MIN_BEADS <= beads <= MAX_BEADS and rope_of(beads).fingerprint == made_for
+    rope = Rope(rope_of(beads) if own else None)
+    if made_for != rope.config.fingerprint:
+        yield f"rope model {made_for} is not this version's, {rope.config.fingerprint}"
         return
     try:
         require_engine(states.engine)
@@ -179,7 +179,9 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     }
     yield from recomputed_faults({name: getattr(states, name)[row] for name in right}, right)
     yield from second_labeller_faults(points, code)
-    if states.image is not None and not np.array_equal(states.image[row], draw(points)):
+    if states.image is not None and not np.array_equal(
+        states.image[row], draw(points, picture_of(len(points)))
+    ):
         yield "image is not the picture of points"
     if states.split[row] not in STATE_SPLITS:
         yield f"split is {str(states.split[row])!r}"

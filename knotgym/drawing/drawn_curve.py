@@ -20,7 +20,7 @@ from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import faces, with_chirality
 from knotgym.topology.gauss import GaussCode
 
-MOST_CROSSINGS = 16  # that leaves 3 of 100 beads for each edge
+_LEAST_BEADS = 3  # per edge
 
 
 class UndrawnCode(KnotgymError, RuntimeError):
@@ -30,9 +30,10 @@ class UndrawnCode(KnotgymError, RuntimeError):
 class TooManyCrossings(KnotgymError, ValueError):
     """The code has more crossings than the rope has room for."""
 
-    def __init__(self, nx: int) -> None:
+    def __init__(self, nx: int, beads: int) -> None:
         super().__init__(
-            f"the rope is long enough for {MOST_CROSSINGS} crossings at most, got a code with {nx}"
+            f"a rope of {beads} beads is long enough for {beads // (2 * _LEAST_BEADS)} crossings at"
+            f" most, got a code with {nx}"
         )
 
 
@@ -79,12 +80,12 @@ def drawn_curve(
 
     Raises:
         NotPlanar: no closed curve shows the code.
-        TooManyCrossings: the code has more than MOST_CROSSINGS crossings.
+        TooManyCrossings: there are fewer than three beads for each edge of the code.
         UndrawnCode: this drawing is too tight for the rope or shows another code; try again.
     """
     rope, config, code = rope or Rope(), config or DrawingConfig(), with_chirality(code)
-    if code.nx > MOST_CROSSINGS:
-        raise TooManyCrossings(code.nx)
+    if 2 * code.nx * _LEAST_BEADS > rope.config.beads:
+        raise TooManyCrossings(code.nx, rope.config.beads)
     if code.nx:
         flat, visits = _flat(code, rng, config)
         curve = _lifted(flat, visits, code, rng, rope.config.length, config)

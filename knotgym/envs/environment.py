@@ -30,29 +30,29 @@ _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnas
 _MODE: Any = getattr(gym.vector, "AutoresetMode", str)  # Gymnasium before 1.1 has no such class
 
 
-def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]:
+def observation_space(config: TaskConfig) -> spaces.Space[Any]:
     """Return the observation space of one rope."""
     height, width, channels = len(config.views) * config.image_size, config.image_size, 3
     channels += config.depth
     beside = config.layout == "beside"
     shape = (height, 2 * width, channels) if beside else (height, width, 2 * channels)
     pixels = spaces.Box(0, 255, shape, np.uint8)
-    state = spaces.Box(-np.inf, np.inf, (6 * beads,), np.float32)
+    state = spaces.Box(-np.inf, np.inf, (6 * config.beads,), np.float32)
     choices: dict[str, spaces.Space[Any]] = {
         "pixels": pixels,
         "state": state,
         "both": spaces.Dict({"pixels": pixels, "state": state}),
         "symbolic": spaces.Box(-SYMBOLS, SYMBOLS, (2, SYMBOLS), np.int16),
-        "marked": spaces.Box(-np.inf, np.inf, (size(beads),), np.float32),
+        "marked": spaces.Box(-np.inf, np.inf, (size(config.beads),), np.float32),
     }
     return choices[config.observation]
 
 
-def action_space(config: TaskConfig, beads: int = 100) -> spaces.Space[NDArray[Any]]:
+def action_space(config: TaskConfig) -> spaces.Space[NDArray[Any]]:
     """Return the action space of one rope; see `knotgym.rope.action_views`."""
     if config.action == "pull":
         return cast("spaces.Space[NDArray[Any]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
-    return spaces.MultiDiscrete(choices(config.action, beads))
+    return spaces.MultiDiscrete(choices(config.action, config.beads))
 
 
 class KnotEnv(gym.Env[Any, NDArray[Any]]):
@@ -70,9 +70,8 @@ class KnotEnv(gym.Env[Any, NDArray[Any]]):
 
             self._window = PictureWindow(_FPS)
         self.episodes = EpisodeBatch(self.config)
-        beads = self.episodes.simulation.rope.config.beads
-        self.observation_space = observation_space(self.config, beads)
-        self.action_space = action_space(self.config, beads)
+        self.observation_space = observation_space(self.config)
+        self.action_space = action_space(self.config)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -159,9 +158,8 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = EpisodeBatch(self.config, num_envs, threads)
-        beads = self.episodes.simulation.rope.config.beads
-        self.single_observation_space = observation_space(self.config, beads)
-        self.single_action_space = action_space(self.config, beads)
+        self.single_observation_space = observation_space(self.config)
+        self.single_action_space = action_space(self.config)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.envs.marked import join, mark
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.picture import PictureConfig, draw, draw_many
+from knotgym.rendering.picture import PictureConfig, draw, draw_many, picture_of
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
 
@@ -22,7 +22,7 @@ SYMBOLS = 64  # visits of a code in an observation, two per crossing
 def picture_config(task: TaskConfig) -> PictureConfig:
     """Return the picture settings of a task's environment."""
     drawn: dict[str, Any] = {"camera": task.camera, "renderer": task.renderer}
-    return PictureConfig(size=task.image_size, views=task.views, depth=task.depth, **drawn)
+    return picture_of(task.beads, size=task.image_size, views=task.views, depth=task.depth, **drawn)
 
 
 def pixels(

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from knotgym.envs.knot_tasks import fitting_tasks, start_nx
 from knotgym.envs.tasks import InvalidSetting, TaskConfig
-from knotgym.rope.model import RopeConfig
+from knotgym.rope.model import RopeConfig, rope_of
 from knotgym.states.schema import CODE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped, ships, states_file
 from knotgym.topology.knot_table import UNKNOT
@@ -42,7 +42,7 @@ def task_sides(config: TaskConfig) -> tuple[TaskSide, TaskSide]:
         InvalidSetting: there are none, or starts and goals are of different knot types.
     """
     path = states_file(config.states)
-    own = _of_our_rope(path)
+    own = _of_our_rope(path, config.beads)
     starts, goals = (_side(config, path, own, nx) for nx in (start_nx(config, own), config.goal_nx))
     knots = [
         sorted(set(side.states.knot[side.states.rows(side.nx, config.split)].tolist()))
@@ -66,9 +66,9 @@ def task_sides(config: TaskConfig) -> tuple[TaskSide, TaskSide]:
 def _side(config: TaskConfig, path: Path, own: States, nx: int) -> TaskSide:
     """Return the states with nx crossings from which a side of the task is sampled."""
     states, origin = own, SHIPPED if ships(config.states) else OWN
-    if nx == 0 and not (states.nx == 0).any():
+    if nx == 0 and not (states.nx == 0).any() and config.beads == RopeConfig().beads:
         path, origin = shipped(), SHIPPED
-        states = _of_our_rope(path)
+        states = _of_our_rope(path, config.beads)
     if not len(states.rows(nx, config.split)):
         if config.split in CODE_SPLITS and len(states.rows(nx, config.split[:-5])):
             raise InvalidSetting(
@@ -80,7 +80,8 @@ def _side(config: TaskConfig, path: Path, own: States, nx: int) -> TaskSide:
         elif there := sorted(set(states.split[states.nx == nx].tolist())):
             advice = f"Use split {' or '.join(map(repr, there))}"
         else:
-            advice = f"Generate some: knotgym-generate --nx {nx}"
+            beads = "" if config.beads == RopeConfig().beads else f" --beads {config.beads}"
+            advice = f"Generate some: knotgym-generate --nx {nx}{beads}"
         raise InvalidSetting(
             f"no states with nx = {nx} in split {config.split!r} of {path}, needed by task"
             f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}."
@@ -97,18 +98,15 @@ def _fit(config: TaskConfig, own: States) -> str:
     return f"tasks that fit these states of {knots[0]}: {fitting_tasks(own, config.split)}"
 
 
-def _of_our_rope(path: Path) -> States:
+def _of_our_rope(path: Path, beads: int) -> States:
     """Read the states of a file; raise InvalidSetting if they were made for another rope."""
     states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
     # states at rest don't depend on the integrator's step, so the default rope is compared
-    made_for, ours = states.attributes.get("rope"), RopeConfig().fingerprint
+    if (own := states.points.shape[1]) != beads:
+        raise InvalidSetting(f"{path} has ropes of {own} beads, got beads = {beads}; use {own}")
+    made_for, ours = states.attributes.get("rope"), rope_of(beads).fingerprint
     if made_for != ours:
         raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {ours}")
-    beads = RopeConfig().beads
-    if states.points.shape[1] != beads:
-        raise InvalidSetting(
-            f"{path} has ropes of {states.points.shape[1]} vertices, its rope model {beads}"
-        )
     return states
 
 

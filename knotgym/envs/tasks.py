@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from knotgym.common.errors import KnotgymError
 from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
 LAYOUTS = ("beside", "stacked")  # arrangement of the rope's and the goal's picture
-MAX_NX = 11  # crossings of the largest hard unknots; the rope hardly has room for more
+MAX_NX = 11  # crossings; a rope of 100 beads hardly has room for more
+MIN_BEADS, MAX_BEADS = 50, 1000
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
 TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
@@ -40,6 +41,11 @@ class UnknownKeyword(InvalidSetting, TypeError):
     """
 
 
+def max_nx(beads: Any) -> int:
+    """Return the largest number of crossings for which a rope of so many beads has room."""
+    return MAX_NX * beads // 100 if isinstance(beads, int) else MAX_NX
+
+
 @dataclass(frozen=True, kw_only=True)
 class TaskConfig:
     """Settings of an environment.
@@ -55,6 +61,8 @@ class TaskConfig:
             or a state file, or the folder of the run that made it, or the id of a Minari dataset
             that contains one. If a file has no plain loops, they come from the readable set.
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
+        beads: number of beads of the rope, each 13.3 mm long. The states must have as many; the
+            sets that are included have 100.
         observation: observation: pixels, state, both, symbolic or marked.
         action: "pull", six numbers; "bead", a bead and binned forces; or "macro", a bead led past a
             strand by up to ten pulls. See `knotgym.rope.action_views`.
@@ -87,6 +95,7 @@ class TaskConfig:
     split: str = "train"
     states: str | None = None
     engine: str = MUJOCO
+    beads: int = 100
     observation: str = "pixels"
     action: str = "pull"
     max_goals: int | None = None
@@ -124,7 +133,8 @@ class TaskConfig:
         object.__setattr__(self, "views", checked_views(self.views, InvalidSetting))
         check_depth(self.depth, self.renderer, InvalidSetting)
         for name, least, most in (
-            ("nx", 1, MAX_NX),
+            ("beads", MIN_BEADS, MAX_BEADS),
+            ("nx", 1, max_nx(self.beads)),
             ("horizon", 1, None),
             ("hold", 1, None),
             ("image_size", 16, 2048),
@@ -193,10 +203,10 @@ class TaskConfig:
 
     @property
     def rope(self) -> RopeConfig:
-        """The default rope, with an action's time divided into `integrator_steps`."""
-        from knotgym.rope.model import RopeConfig  # here, so that loaders need no simulator
+        """The rope, with an action's time divided into `integrator_steps`."""
+        from knotgym.rope.model import rope_of  # here, so that loaders need no simulator
 
-        default = RopeConfig()
+        default = rope_of(self.beads)
         return replace(
             default,
             frame_skip=self.integrator_steps,

@@ -30,6 +30,7 @@ from knotgym.learn.checkpoint import (
     write_checkpoint,
 )
 from knotgym.learn.clone_network import CloneNetwork, Macros, inputs
+from knotgym.learn.imagination import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
 from knotgym.rope.action_views import ActionView
@@ -63,6 +64,8 @@ class ClonePolicy(UnplannedPolicy):
                 f"policy {CLONE} chooses by its {self._action} head, so it needs action"
                 f" {' or '.join(map(repr, _VIEWS[self._action]))}, got {task.action!r}"
             )
+        if task.beads != BEADS:
+            raise InvalidPolicy(f"policy {CLONE} needs a rope of {BEADS} beads, got {task.beads}")
         if task.observation != "pixels":
             return replace(task, observation="state")
         # a picture shows where to pull, but not where in the world that is

@@ -11,7 +11,7 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.agent import Agent, AgentConfig
 from knotgym.learn.checkpoint import PRETRAINED, load_policy
-from knotgym.learn.colour_reading import SIZE
+from knotgym.learn.colour_reading import BEADS, SIZE
 
 
 class PicturePolicy(Policy):
@@ -54,6 +54,7 @@ def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> Non
     differing = [
         f"{name} {given} instead of {needed}"
         for name, given, needed in (
+            ("beads", task.beads, BEADS),
             ("views", ",".join(task.views), "top"),
             ("depth", task.depth, False),
             ("camera", task.camera, "orthographic"),

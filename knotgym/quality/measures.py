@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from knotgym.quality.limits import UNITS, Limits, Quality
-from knotgym.rendering.picture import DEFAULT, PictureConfig, project
+from knotgym.rendering.picture import DEFAULT, PictureConfig, picture_of, project
 from knotgym.rope.model import Array
 from knotgym.rope.reset_noise import noised
 from knotgym.topology.crossings import Crossings, find_crossings, label_many
@@ -39,7 +39,7 @@ NOISE_DRAWS = 64
 def measure(
     points: ArrayLike,
     crossings: Crossings | None = None,
-    config: PictureConfig = DEFAULT,
+    config: PictureConfig | None = None,
     *,
     quick: bool = False,
 ) -> Quality:
@@ -48,7 +48,7 @@ def measure(
     Args:
         points: not modified.
         crossings: crossings of the points, if already known.
-        config: picture in which to measure.
+        config: picture in which to measure; the usual one of such a rope if None.
         quick: leave out excess_crossing_number, which takes half of the time.
 
     Returns:
@@ -58,6 +58,7 @@ def measure(
     # a writable copy, because numba would compile the kernels again for a read-only array
     p = np.array(points, dtype=np.float64, order="C")
     crossings = find_crossings(p) if crossings is None else crossings
+    config = picture_of(len(p)) if config is None else config
     size = float(config.size)
     pixels = np.ascontiguousarray(project(p, config))
     chord = np.roll(p, -1, axis=0) - p

@@ -4,6 +4,10 @@ None of these changes the Gauss code. A turn or a zoom moves the crossings' pixe
 recomputed. Under colours "published" and "gradient" the picture shows the direction in which the
 code is read: towards red, or from the bright end to the dark one. Under "single" only the white
 base bead is marked, so the code and the code of the reversed rope fit the picture equally well.
+
+Style "knotbench" draws the diagram as a line with gaps, as printed ones and those of KnotBench
+(arXiv 2605.09900) are. It marks neither base nor direction, so a PD code fits the picture from any
+base point and in both directions.
 """
 
 import math
@@ -14,60 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, generator
+from knotgym.rendering.diagram import draw_lines
 from knotgym.rendering.picture import RGB, PictureConfig, PictureError, draw, project, rope_colours
 
 Array = NDArray[np.float64]
 
 VARIED = ("colours", "width", "background", "turn", "zoom", "noise", "blur")
 SIZES = (64, 512)  # smallest and largest size of a picture, pixels
+LINE_SIZE = 512  # usual size of a line drawing, pixels
+LINE = 2.0  # half the width of its line, pixels of a picture of this size
+STYLES = ("published", "knotbench")
 MARGIN = 2.0  # smallest distance of a zoomed rope from the edge, pixels of a 128-pixel picture
-
-
-@dataclass(frozen=True, kw_only=True)
-class AppearanceConfig:
-    """Distribution of appearances; everything that doesn't vary is as published.
-
-    Attributes:
-        vary: what to randomize: all, none, or some of
-            colours,width,background,turn,zoom,noise,blur.
-        sizes: side in pixels, 64 to 512; from several (64,128) one is drawn at random.
-        width: range of the factor on the rope's width.
-        zoom: range of the magnification, limited so that the rope stays in the picture.
-        noise: largest standard deviation of the Gaussian noise, levels of 255.
-        blur: largest standard deviation of the Gaussian blur, pixels of a 128-pixel picture;
-            scaled with the size.
-    """
-
-    vary: tuple[str, ...] = ()
-    sizes: tuple[int, ...] = (128,)
-    width: tuple[float, float] = (0.7, 1.4)
-    zoom: tuple[float, float] = (0.8, 1.5)
-    noise: float = 8.0
-    blur: float = 0.6
-
-    def __post_init__(self) -> None:
-        for name in self.vary:
-            if name not in VARIED:
-                raise PictureError(
-                    f"{name!r} can't be varied; choose from {', '.join(VARIED)}, or all, or none"
-                )
-        object.__setattr__(self, "vary", tuple(name for name in VARIED if name in self.vary))
-        if not self.sizes or any(
-            type(size) is not int or not SIZES[0] <= size <= SIZES[1] for size in self.sizes
-        ):
-            raise PictureError(
-                f"sizes must be whole pixels from {SIZES[0]} to {SIZES[1]}, got"
-                f" {', '.join(map(str, self.sizes)) or 'none'}"
-            )
-        for name in ("width", "zoom"):
-            low, high = getattr(self, name)
-            if not 0 < low <= high < math.inf:
-                raise PictureError(f"{name} must be a range (low, high) above 0, got {(low, high)}")
-        for name in ("noise", "blur"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise PictureError(
-                    f"{name} must be at least 0 and finite, got {getattr(self, name)}"
-                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +40,8 @@ class Appearance:
         turn: rotation of the camera about z, radians, anticlockwise.
         zoom: magnification.
         width: factor on the rope's width.
-        colours: "published"; "single", the whole rope in the RGB `first`; or "gradient", from
-            `first` to `last` along the rope.
+        colours: "published"; "single", the whole rope in the RGB `first`; "gradient", from
+            `first` to `last` along the rope; or "lines", a line drawing in style knotbench.
         first, last: RGB; 0 where not used.
         background: RGB.
         noise: standard deviation of the Gaussian noise, levels; added after the blur.
@@ -122,18 +83,83 @@ class Appearance:
         return colours
 
 
+@dataclass(frozen=True, kw_only=True)
+class AppearanceConfig:
+    """Distribution of appearances; everything that doesn't vary is as published.
+
+    Attributes:
+        style: published, or knotbench for black lines on white with gaps, without marks of base
+            and direction. These fill the picture, are 512 pixels large unless other sizes are
+            given, and have no colours or background to vary.
+        vary: what to randomize: all, none, or some of
+            colours,width,background,turn,zoom,noise,blur.
+        sizes: side in pixels, 64 to 512; from several (64,128) one is drawn at random.
+        width: range of the factor on the rope's width.
+        zoom: range of the magnification, limited so that the rope stays in the picture.
+        noise: largest standard deviation of the Gaussian noise, levels of 255.
+        blur: largest standard deviation of the Gaussian blur, pixels of a 128-pixel picture;
+            scaled with the size.
+    """
+
+    style: str = "published"
+    vary: tuple[str, ...] = ()
+    sizes: tuple[int, ...] = (128,)
+    width: tuple[float, float] = (0.7, 1.4)
+    zoom: tuple[float, float] = (0.8, 1.5)
+    noise: float = 8.0
+    blur: float = 0.6
+
+    def __post_init__(self) -> None:
+        if self.style not in STYLES:
+            raise PictureError(f"no style {self.style!r}; there is {', '.join(STYLES)}")
+        if self.style == "knotbench":
+            if fixed := {"colours", "background", "zoom"} & set(self.vary):
+                raise PictureError(
+                    f"style knotbench is black on white and fills the picture, so it can't vary"
+                    f" {', '.join(sorted(fixed))}; leave it out"
+                )
+            if self.sizes == (Appearance.size,):
+                object.__setattr__(self, "sizes", (LINE_SIZE,))
+        for name in self.vary:
+            if name not in VARIED:
+                raise PictureError(
+                    f"{name!r} can't be varied; choose from {', '.join(VARIED)}, or all, or none"
+                )
+        object.__setattr__(self, "vary", tuple(name for name in VARIED if name in self.vary))
+        if not self.sizes or any(
+            type(size) is not int or not SIZES[0] <= size <= SIZES[1] for size in self.sizes
+        ):
+            raise PictureError(
+                f"sizes must be whole pixels from {SIZES[0]} to {SIZES[1]}, got"
+                f" {', '.join(map(str, self.sizes)) or 'none'}"
+            )
+        for name in ("width", "zoom"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high < math.inf:
+                raise PictureError(f"{name} must be a range (low, high) above 0, got {(low, high)}")
+        for name in ("noise", "blur"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise PictureError(
+                    f"{name} must be at least 0 and finite, got {getattr(self, name)}"
+                )
+
+
 def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator) -> Appearance:
     """Sample an appearance for a configuration (beads, 3), metres."""
     vary, plain = set(config.vary), Appearance()
     size = config.sizes[int(rng.integers(len(config.sizes)))]
     turn = float(rng.uniform(-math.pi, math.pi)) if "turn" in vary else 0.0
     width = float(rng.uniform(*config.width)) if "width" in vary else 1.0
-    zoom = 1.0
+    zoom, kind = 1.0, plain.colours
+    if config.style == "knotbench":
+        kind, zoom = "lines", _largest_zoom(points, turn, width)
+        # the line is as wide at every zoom
+        own = PictureConfig(size=size, zoom=zoom)
+        width *= LINE * size / LINE_SIZE / (own.rope_radius * own.pixels_per_metre)
     if "zoom" in vary:
         most = _largest_zoom(points, turn, width)
         low, high = config.zoom
         zoom = float(rng.uniform(min(low, most), min(high, most)))
-    kind = plain.colours
     if "colours" in vary:
         kind = ("published", "single", "gradient")[int(rng.integers(3))]
     background = _rgb(rng.integers(0, 81, 3)) if "background" in vary else plain.background
@@ -152,7 +178,7 @@ def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator
         zoom=zoom,
         width=width,
         colours=kind,
-        first=plain.first if kind == "published" else first,
+        first=first if kind in ("single", "gradient") else plain.first,
         last=last,
         background=background,
         noise=noise,
@@ -163,7 +189,10 @@ def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator
 
 def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
     """Draw a configuration (beads, 3): uint8 (size, size, 3), RGB."""
-    image = draw(points, look.picture(), colours=look.bead_colours(len(points)))
+    if look.colours == "lines":
+        image = draw_lines(points, look.picture())
+    else:
+        image = draw(points, look.picture(), colours=look.bead_colours(len(points)))
     if look.blur > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), look.blur), dtype=np.uint8)
     if look.noise > 0:

@@ -32,6 +32,7 @@ _AXES = {
     "front": ((0, 2, 1), (1.0, 1.0, -1.0)),
 }
 _NEAR = 0.01  # near plane of the perspective camera, metres
+USUAL_BEADS = 100  # of the rope that `PictureConfig.view` shows whole
 
 
 class PictureError(KnotgymError, ValueError):
@@ -160,6 +161,13 @@ class PictureConfig:
 
 
 DEFAULT = PictureConfig()
+
+
+def picture_of(beads: int, **settings: Any) -> PictureConfig:
+    """Return the usual picture of a rope of so many beads: that of 200 shows 1.32 m, not 0.66 m."""
+    share = beads / USUAL_BEADS
+    view, height = share * DEFAULT.view, share * DEFAULT.camera_height
+    return PictureConfig(view=view, camera_height=height, **settings)
 
 
 def bead_colours(beads: int) -> NDArray[np.uint8]:

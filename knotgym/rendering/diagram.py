@@ -1,7 +1,8 @@
 """Knot diagrams of the rope for people: large, smooth, with a gap where a strand goes under.
 
-Used by galleries, videos and the window of `render_mode="human"`. Observations are drawn by
-`picture` and don't depend on this module. The same points always give the same bytes.
+Used by galleries, videos, the window of `render_mode="human"` and the line drawings of perception
+tables. Observations are drawn by `picture` and don't depend on this module. The same points always
+give the same bytes.
 
 The rope is painted as in `picture`, from the lowest piece to the highest. At each crossing a band
 in the background colour, wider than the rope, is painted along the over strand before the over
@@ -13,7 +14,14 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.rendering.camera import PictureConfig, bead_colours, checked_points, project, seen_from
+from knotgym.rendering.camera import (
+    RGB,
+    PictureConfig,
+    bead_colours,
+    checked_points,
+    project,
+    seen_from,
+)
 from knotgym.rendering.polygon_fill import SHIFT
 from knotgym.rendering.rasterizer import EDGE, average, polygons
 from knotgym.topology.crossings import Crossings, find_crossings
@@ -23,11 +31,13 @@ Array = NDArray[np.float64]
 BACKGROUND = (7, 8, 12)  # RGB
 _PARTS = 4  # pieces of the smooth curve per bead
 _GAP = 1.8  # width of the band, in widths of the rope
+_LINE_GAP = 5.0  # the same where the rope is drawn as a line
+_WHITE = (255, 255, 255)
 _REACH = 4  # largest length of the band on each side of a crossing, beads
 _MARGIN = 1.12  # side of the picture, in extents of the rope
 _SMALLEST = 0.12  # smallest side of the picture, metres
 _RADIUS, _THINNEST = 0.005, 1 / 80  # drawn radius, metres, and its smallest fraction of a side
-_PULL, _ARROW = (255, 255, 255), 0.15  # RGB, and the largest force's length as a fraction of a side
+_PULL, _ARROW = _WHITE, 0.15  # RGB, and the largest force's length as a fraction of a side
 
 
 def draw_diagram(
@@ -58,13 +68,35 @@ def draw_diagram(
     shown = side or side_of(rope)
     config = PictureConfig(size=size, view=shown, rope_radius=max(_RADIUS, _THINNEST * shown))
     centre = 0.5 * (rope.min(axis=0) + rope.max(axis=0))
-    picture = _paint(curve, crossings, project(curve, config, centre), config)
+    colours = np.repeat(bead_colours(len(rope)), _PARTS, axis=0)
+    picture = _paint(
+        curve, crossings, project(curve, config, centre), config, colours, BACKGROUND, _GAP
+    )
     if pull is not None:
         bead, force = pull
         start = project(rope[bead][None], config, centre)[0]
         push = seen_from(view, np.asarray(force)[None])[0]
         _arrow(picture, start, start + _ARROW * size * np.array([push[0], -push[1]]))
     return picture
+
+
+def draw_lines(points: ArrayLike, config: PictureConfig) -> NDArray[np.uint8]:
+    """Draw a rope as knot diagrams are printed: a black line on white, with gaps.
+
+    Nothing marks the base bead or the direction.
+
+    Args:
+        points: float64 (beads, 3), metres.
+        config: size, scale and turn of the picture, and width of the line; its colours are ignored.
+
+    Returns:
+        uint8 (size, size, 3), RGB.
+    """
+    rope = checked_points(points, 2)
+    curve, crossings = _smooth(rope)
+    colours = np.zeros((len(curve), 3), dtype=np.uint8)
+    pixels = project(curve, config, rope.mean(axis=0))
+    return _paint(curve, crossings, pixels, config, colours, _WHITE, _LINE_GAP)
 
 
 def side_of(points: ArrayLike) -> float:
@@ -99,21 +131,30 @@ def _smooth(rope: Array) -> tuple[Array, Crossings]:
 
 
 def _paint(
-    curve: Array, crossings: Crossings, pixels: Array, config: PictureConfig
+    curve: Array,
+    crossings: Crossings,
+    pixels: Array,
+    config: PictureConfig,
+    colours: NDArray[np.uint8],
+    background: RGB,
+    gap: float,
 ) -> NDArray[np.uint8]:
-    """Paint the curve, whose points project to `pixels` (n, 2)."""
+    """Paint the curve, whose points project to `pixels` (n, 2) and have `colours` (n, 3).
+
+    `gap` is the width of the bands at crossings, in widths of the rope.
+    """
     factor, count = config.supersampling, len(curve)
-    canvas = np.full((factor * config.size, factor * config.size, 3), BACKGROUND, dtype=np.uint8)
+    canvas = np.full((factor * config.size, factor * config.size, 3), background, dtype=np.uint8)
     radius = factor * config.drawn_radius * config.pixels_per_metre
 
     def outlines(radius: float) -> tuple[NDArray[np.int32], NDArray[np.intp], Array]:
         radii = np.full(count, max(radius - EDGE, EDGE))
         return polygons(factor * pixels - 0.5, curve[:, 2], radii, len(canvas))
 
-    (core, owner, height), (band, band_owner, _) = outlines(radius), outlines(_GAP * radius)
-    colours = np.repeat(bead_colours(count // _PARTS), _PARTS, axis=0)[owner].tolist()
-    strokes = list(zip(height.tolist(), core, colours, strict=True))
-    reaches = _reaches(curve, crossings, config.drawn_radius)
+    (core, owner, height), (band, band_owner, _) = outlines(radius), outlines(gap * radius)
+    drawn = colours[owner].tolist()
+    strokes = list(zip(height.tolist(), core, drawn, strict=True))
+    reaches = _reaches(curve, crossings, config.drawn_radius, gap)
     for over, under, reach in zip(
         crossings.over_place, crossings.under_place, reaches, strict=True
     ):
@@ -121,14 +162,14 @@ def _paint(
         # the band: equal heights keep their order of insertion in the stable sort below.
         level = float(height[_near(owner, under, reach + 2, count)].max())
         cut, again = _near(band_owner, over, reach, count), _near(owner, over, reach + 1, count)
-        strokes += [(level, band[k], BACKGROUND) for k in cut]
-        strokes += [(level, core[k], colours[k]) for k in again]
+        strokes += [(level, band[k], background) for k in cut]
+        strokes += [(level, core[k], drawn[k]) for k in again]
     for _, outline, colour in sorted(strokes, key=lambda stroke: stroke[0]):
         cv2.fillConvexPoly(canvas, outline, colour, cv2.LINE_8, SHIFT)
     return average(canvas, factor)
 
 
-def _reaches(curve: Array, crossings: Crossings, radius: float) -> Array:
+def _reaches(curve: Array, crossings: Crossings, radius: float, gap: float) -> Array:
     """Return the length of each crossing's band on either side, in pieces of the curve."""
     step = (np.roll(curve, -1, axis=0) - curve)[:, :2]
     length = np.linalg.norm(step, axis=1)
@@ -141,7 +182,7 @@ def _reaches(curve: Array, crossings: Crossings, radius: float) -> Array:
     product = np.maximum(length[over] * length[under], 1e-12)
     sine = (step[over, 0] * step[under, 1] - step[over, 1] * step[under, 0]) / product
     cosine = (step[over] * step[under]).sum(axis=1) / product
-    along = radius * (1 + _GAP * np.abs(cosine)) / np.maximum(np.abs(sine), 1e-3)
+    along = radius * (1 + gap * np.abs(cosine)) / np.maximum(np.abs(sine), 1e-3)
     return np.minimum(along / length.mean() + 0.5, _REACH * _PARTS)
 
 

@@ -19,6 +19,7 @@ from knotgym.rendering.camera import (
     PictureError,
     bead_colours,
     checked_points,
+    picture_of,
     pixels_per_metre_at,
     project,
     require,
@@ -37,6 +38,7 @@ __all__ = [
     "crossing_pixels",
     "draw",
     "draw_many",
+    "picture_of",
     "project",
     "rope_colours",
 ]

@@ -10,7 +10,7 @@ lengths vary.
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -116,6 +116,17 @@ class RopeConfig:
         """Hash of the settings, 16 hexadecimal digits, stored in files made with this rope."""
         text = json.dumps({"format": ROPE_FORMAT, **asdict(self)}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def rope_of(beads: int) -> RopeConfig:
+    """Return the rope of so many beads of the usual length; 200 of them make 2.66 m.
+
+    Sub-chains keep their size, so that closing errors do too.
+    """
+    usual = RopeConfig()
+    share = beads / usual.beads
+    chains = max(2, round(share * usual.sub_chains))
+    return replace(usual, beads=beads, length=share * usual.length, sub_chains=chains)
 
 
 class Rope:

@@ -183,19 +183,21 @@ def from_dt(partners: Sequence[int]) -> GaussCode:
 def parse_code(text: str) -> GaussCode:
     """Read a Gauss, PD or DT code, whichever the text is.
 
-    PD codes may be written as by KnotInfo, KnotTheory (PD[X[1,5,2,4],...]) or Python (tuples), DT
-    codes as by KnotInfo (bare numbers too), KnotTheory (DTCode[4,6,2]) or SnapPy (DT:[(4,6,2)]), or
-    with letters (DT[cacbca]).
+    Gauss codes may also be written with signed numbers, + over, as by Regina and KnotInfo
+    (1 -2 3 -1 2 -3); PD codes as by KnotInfo, KnotTheory (PD[X[1,5,2,4],...]) or Python (tuples);
+    DT codes as by KnotInfo (bare numbers too), KnotTheory (DTCode[4,6,2]) or SnapPy
+    (DT:[(4,6,2)]), or with letters (DT[cacbca]).
 
     Raises:
         InvalidGaussCode: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
 
-    >>> {str(parse_code(text)) for text in ("1+,1-", "[2]", "PD[X[2,2,1,1]]")}
+    >>> {str(parse_code(text)) for text in ("1+,1-", "1 -1", "[2]", "PD[X[2,2,1,1]]")}
     {'1+,1-'}
     """
     if len(text) > _MOST_CHARACTERS:
         raise _invalid(f"{len(text)} characters are too long", text, "Gauss, PD or DT", _SIZE)
-    tight = re.sub(r"\s*([\[\](),:])\s*", r"\1", text.strip())
+    tight = text.strip().translate({ord("{"): "[", ord("}"): "]"})  # as KnotInfo writes lists
+    tight = re.sub(r"\s*([\[\](),:])\s*", r"\1", tight)
     tight = re.sub(r"\s+", ",", tight)
     if tight in _LOOPS:
         return GaussCode()
@@ -205,13 +207,26 @@ def parse_code(text: str) -> GaussCode:
         if len(crossings) > 1 or len(set(crossings[0])) < 4:
             return from_pd(crossings)
     if _DT.fullmatch(tight):
-        return from_dt([int(number) for number in re.findall(r"-?\d+", tight)])
+        numbers = [int(number) for number in re.findall(r"-?\d+", tight)]
+        # each label occurs with both signs in a Gauss code, with one in a DT code
+        if len(numbers) > 1 and sorted(numbers) == sorted(-number for number in numbers):
+            return _from_signed(numbers)
+        return from_dt(numbers)
     if lettered := _LETTERS.fullmatch(tight):
         return from_dt(_from_letters(lettered[1]))
     if tight[:1] in ("[", "(", "P", "D", "X"):
         raise _invalid("it can't be read", text, "PD or DT", "expected [[1,5,2,4],...] or [4,6,2]")
     code = GaussCode.parse(text)
     _require_size(code.nx)
+    return code
+
+
+def _from_signed(numbers: list[int]) -> GaussCode:
+    """Return the Gauss code of signed numbers, + over; its chirality is unknown."""
+    code = GaussCode.relabelled(numbers)
+    _require_size(code.nx)
+    if not is_planar(code):
+        raise _invalid("no planar diagram has it", numbers, "Gauss", _PLANAR)
     return code
 
 

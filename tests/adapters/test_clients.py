@@ -39,6 +39,7 @@ NEEDS = {
     "tianshou": "tianshou",
     "CleanRL": "gymnasium",
 }
+TRAIN = "lerobot.scripts.lerobot_train"  # the module of LeRobot's command
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, re.S | re.M))
 TASK = TaskConfig(task="unknot", observation="both", horizon=6, image_size=32)
 
@@ -80,9 +81,10 @@ def test_the_lines_of_the_page_run(client: str, room: Path) -> None:
         "HOME": str(room),
         "MINARI_DATASETS_PATH": str(room / "minari"),
     }
+    lines = re.findall(r"^    ((?:knotgym|lerobot-train) (?:.+\\\n)*.+)$", SECTIONS[client], re.M)
     commands = [
         [sys.executable, "-m", *shlex.split(line.replace("~", str(room)))]
-        for line in re.findall(r"^    (knotgym .+)$", SECTIONS[client], re.M)
+        for line in (text.replace("lerobot-train", TRAIN).replace("\\\n", " ") for text in lines)
     ]
     blocks = re.findall(r"```python\n(.*?)```", SECTIONS[client], re.S)
     for words in [*commands, *([sys.executable, "-c", block] for block in blocks)]:

@@ -307,17 +307,6 @@ def test_memory_is_measured_at_every_stage(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @with_torch
-def test_what_can_be_told_of_actions_is_measured(tmp_path: Path) -> None:
-    collected = ("--task", "tie", "--nx", 2, "--policy", "scripted", "--episodes", 3)
-    kept = ("--horizon", 6, "--observation", "state", "--id", "knotgym/few-v0")
-    assert knotgym("collect", *collected, *kept, "--workers", 1, "--out", tmp_path / "few") == 0
-    played = tmp_path / "few" / "knotgym" / "few-v0"
-    told = figures("imitation", tmp_path, played, "--steps", 3)
-    assert told.keys() == {"fitted", "held out"} and told["held out"]["rows"] > 0
-
-
-@pytest.mark.slow
-@with_torch
 def test_frames_are_read_at_random(tmp_path: Path) -> None:
     words = ("--frames", 5000, "--reads", 20, "--workers", 0)
     reading = figures("loaders", tmp_path, *words)["reading"]

@@ -537,6 +537,10 @@ def mistaken(tmp_path: Path) -> Path:
         ("--nx -1", "--nx takes whole numbers such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx=-1", "--nx takes whole numbers such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx 12", "from 0 to 11, got 12"),
+        ("--beads 40 --no-demonstrations", "beads must be from 50 to 1000, got 40"),
+        ("--beads 200", "demonstrations are for a rope of 100 beads, got 200; leave them out"),
+        ("--beads 200 --source random-walk", "--beads needs --source drawing"),
+        ("--codes hard-unknots --nx 4", "hard-unknots.txt contains no code with nx 4"),
         (
             "--nx 7",
             "limited to 6 crossings, got nx 7; --no-demonstrations makes states without them",

@@ -21,6 +21,7 @@ from knotgym.common.atomic_files import Occupied
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
+from knotgym.datasets.exports import lerobot_export
 from knotgym.datasets.exports.forms import ExportError, export
 from knotgym.datasets.exports.lerobot_export import LEAST_PSNR, task_text
 from knotgym.datasets.exports.minari_export import to_minari
@@ -110,6 +111,7 @@ def test_lerobot_rows_are_the_episodes_steps(dataset: Path, tmp_path: Path) -> N
             assert np.array_equal(picture, seen["pixels"][step])
             assert row["observation.environment_state"] == seen["state"][step].tolist()
             assert row["action"] == episode.actions[step].tolist()
+            assert np.allclose(row["observation.state"], episode.points[step].mean(axis=0))
             assert row["next.reward"] == episode.rewards[step]
             assert row["next.done"] is (step == len(episode) - 1)
             assert row["gauss_code"] == episode.gauss_code[step]
@@ -170,6 +172,37 @@ def test_lerobot_s_video_shows_the_pictures(states_path: str, tmp_path: Path, vi
     columns = parquet.read_table(out / "data/chunk-000/file-000.parquet").column_names
     assert "observation.image" not in columns
     assert "**lossy**" in (out / "README.md").read_text()
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize(("video", "most"), [("h264", 1), ("av1", 2**20)])
+def test_lerobot_reads_the_frames_of_video(
+    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, video: str, most: int
+) -> None:
+    library = pytest.importorskip("lerobot.datasets.lerobot_dataset")
+    monkeypatch.setattr(
+        lerobot_export, "_VIDEO_BYTES", most
+    )  # one file per episode, or one for all
+    task = TaskConfig(task="tie", states=states_path, horizon=4)
+    env = KnotEnv(**vars(task))
+    with EpisodeWriter(tmp_path / "a.h5", task) as writer:
+        for seed in range(3):
+            writer.add(record(env, seed)[0])
+    export(tmp_path / "a.h5", tmp_path / "a", "lerobot", video=video)
+    given: dict[str, Any] = {"root": tmp_path / "a", "video_backend": "pyav"}
+    held = library.LeRobotDataset("knotgym/tie-nx2", **given)
+    reader, at = EpisodeReader(tmp_path / "a.h5"), 0
+    assert len([*(tmp_path / "a/videos").rglob("*.mp4")]) == (3 if most == 1 else 1)
+    for k, length in enumerate(reader.lengths.tolist()):
+        for picture in reader.observations(k, slice(0, length)):
+            seen = np.moveaxis(held[at]["observation.image"].numpy(), 0, -1) * 255
+            assert 10 * np.log10(255**2 / ((seen - picture) ** 2).mean()) >= LEAST_PSNR[video]
+            at += 1
+    windowed = library.LeRobotDataset(
+        "knotgym/tie-nx2", **given, delta_timestamps={"observation.image": [-0.2, 0.0]}
+    )
+    assert windowed[2]["observation.image"].shape == (2, 3, 128, 256)
+    assert set(held.meta.stats["observation.image"]) >= {"mean", "std", "q01", "q99", "count"}
 
 
 def test_what_can_t_be_video_is_refused(

@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 
 from knotgym.datasets.image_rows import Row, record
-from knotgym.datasets.image_table import COLUMNS, write_rows
+from knotgym.datasets.image_table import COLUMNS, read_rows, write_rows
+from knotgym.datasets.image_verification import row_faults
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope.model import Rope
 from knotgym.runs.run_options import RunOptions
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import label
+from knotgym.topology.notation import parse_code
 
 from ..conftest import curled
 from ..scripts import ROOT, run_script
@@ -29,6 +32,7 @@ SCRIPTS = [
     FOLDER / "learners" / "offline_rl.py",
     FOLDER / "perception" / "read.py",
     FOLDER / "perception" / "trace.py",
+    FOLDER / "perception" / "transcribe.py",
 ]
 MODULES = [
     FOLDER / "learners" / "decisions.py",
@@ -54,9 +58,12 @@ def test_every_example_says_how_to_use_it(
     torch.tensor = np.array
     for name, module in (("torch", torch), ("torch.nn", torch.nn)):
         monkeypatch.setitem(sys.modules, name, module)
-    for name in ("d3rlpy", "structlog"):
+    encoders = mock.MagicMock(EncoderFactory=object)
+    for name in ("d3rlpy", "d3rlpy.dataset", "d3rlpy.models", "structlog"):
         monkeypatch.setitem(sys.modules, name, mock.MagicMock())
-    with pytest.raises(SystemExit) as ended:
+    monkeypatch.setitem(sys.modules, "d3rlpy.models.encoders", encoders)
+    # what is imported with these mocks is imported anew afterwards
+    with mock.patch.dict(sys.modules), pytest.raises(SystemExit) as ended:
         run_script(script, "--help")
     assert ended.value.code == 0 and f"usage: {script.name}" in capsys.readouterr().out
     usage = f"\n    python {script.relative_to(ROOT).as_posix()}"
@@ -99,6 +106,33 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     assert total.split() == ["all", "4", "100.0", "%", "100.0", "%", "0.00"]
     assert not page.exists()
     assert told[-1].startswith("no accepted picture was misread")
+
+
+@with_arrow
+def test_line_drawings_are_transcribed_to_pd_codes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states = read_states(shipped(), images=False)
+    chosen = [int(np.flatnonzero(states.nx == nx)[0]) for nx in (0, 1, 3, 4)]
+    source = dict.fromkeys(COLUMNS["source"], 0) | dict.fromkeys(
+        ("reflect", "switch", "reverse"), False
+    )
+    look = AppearanceConfig(style="knotbench", vary=("turn",))
+    rows = [
+        record(Row(points, label(points), "test", source | {"family": row, "row": row}), look)
+        for row, points in enumerate(states.points[chosen])
+    ]
+    write_rows(tmp_path / "table.parquet", rows)
+    assert not list(row_faults(next(read_rows(tmp_path / "table.parquet"))))
+    answers = tmp_path / "answers.jsonl"
+    script = FOLDER / "perception" / "transcribe.py"
+    run_script(script, tmp_path / "table.parquet", "--out", answers)
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[-1].split() == ["all", "4", "100.0", "%", "100.0", "%"]
+    for line, row in zip(answers.read_text().splitlines(), rows, strict=True):
+        own = json.loads(line)
+        assert own["pd_code"] == row["pd_code"] and own["right"]
+        assert parse_code(own["answer"]).nx == row["nx"]
 
 
 @with_arrow

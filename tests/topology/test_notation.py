@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from knotgym.topology.notation import (
     pd_code,
     pd_text,
 )
+from knotgym.topology.reidemeister import without_bigons
 from knotgym.topology.symmetry import diagram_form
 from knotgym.topology.uniform_codes import uniform_code
 
@@ -228,3 +230,42 @@ def test_snappy_sees_one_manifold_in_our_codes_and_in_knotinfos_name() -> None:
         # Rolfsen lists one knot twice, as 10_161 and 10_162
         rolfsen = name.replace("10_165", "10_166")
         assert ours.is_isometric_to(snappy.Manifold(rolfsen))
+
+
+def test_gauss_codes_may_be_signed_numbers() -> None:
+    trefoil = GaussCode.parse("1-,2+,3-,1+,2-,3+")
+    for text in ("-1 2 -3 1 -2 3", "{-1, 2, -3, 1, -2, 3}", "[-7,2,-3,7,-2,3]"):
+        assert parse_code(text) == trefoil
+    assert parse_code("4 6 2") == from_dt([4, 6, 2])  # one sign for each number: a DT code
+    with pytest.raises(InvalidGaussCode, match="no planar diagram has it"):
+        parse_code("1 -2 -1 2")
+
+
+def hard_unknots() -> dict[str, GaussCode]:
+    path = files("knotgym.topology") / "data/hard-unknots.txt"
+    lines = [line.partition("#") for line in path.read_text("utf-8").splitlines()]
+    return {name.strip(): parse_code(text) for text, _, name in lines if text}
+
+
+def test_the_hard_unknots_are_unknots_that_no_simplifying_move_undoes() -> None:
+    codes = hard_unknots()
+    assert len(codes) == 22  # 21 and the plain loop
+    for name, code in codes.items():
+        assert not code.nx or name.endswith(f", {code.nx} crossings")
+        if 0 < code.nx <= 32:
+            assert knot_type(code) == "0_1", name
+            assert without_bigons(with_chirality(code)).nx == code.nx, name
+
+
+@pytest.mark.clients
+def test_snappy_certifies_every_hard_unknot() -> None:
+    pytest.importorskip("snappy")
+    spherogram = pytest.importorskip("spherogram")
+    for name, code in hard_unknots().items():
+        if code.nx:
+            link = spherogram.Link([tuple(one) for one in pd_code(with_chirality(code))])
+            smaller = link.copy()
+            smaller.simplify("global")
+            if smaller.crossings:  # a knot whose group is infinite cyclic is the unknot (Dehn)
+                group = link.exterior().fundamental_group()
+                assert (group.num_generators(), group.num_relators()) == (1, 0), name

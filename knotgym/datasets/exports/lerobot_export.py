@@ -9,6 +9,10 @@ A row holds an observation, the action taken, and its outcome (`next.reward`, `n
 `next.success`). The last state of an episode has no action and therefore no row. The task of an
 episode is a sentence with the Gauss code of its goal, see `task_text`.
 
+LeRobot's policies need `observation.state`, elsewhere the joints of a robot. Here it is the centre
+of the rope, on which pictures are centred: with it, a place in the picture can be turned into the
+coordinates of an action.
+
 A video file holds the frames of many episodes one after another; the metadata of each episode says
 in which file and from when to when. Source: `lerobot` 0.4.4.
 """
@@ -144,6 +148,7 @@ class _Writer:
         shown = {"pixels": picture, "state": _feature("float32", 6 * beads)}
         self.features = {
             **{_NAMES[look]: shown[look] for look in looks},
+            "observation.state": _feature("float32", 3, ["x", "y", "z"]),
             "action": _feature("float32", 6, ["x", "y", "z", "fx", "fy", "fz"]),
             "next.reward": _feature("float32"),
             "next.done": _feature("bool"),
@@ -182,7 +187,9 @@ class _Writer:
         number = self.tasks.setdefault(goal, len(self.tasks))
         first = self.episodes[-1]["dataset_to_index"] if self.episodes else 0
         steps = np.arange(length)
+        centre = self.reader.column(k, "points")[:-1].mean(axis=1)
         column = {
+            "observation.state": centre.astype(np.float32),
             "action": self.reader.column(k, "actions"),
             "next.reward": self.reader.column(k, "rewards").astype(np.float32),
             "next.done": self.reader.column(k, "terminations")

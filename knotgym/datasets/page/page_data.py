@@ -63,14 +63,20 @@ def page_data(
         **{name: [] for name in lists},
         **{"title": title, "unit": UNIT, "points": "", "rejected": {}, "notices": notices},
         **{"radius": rope.radius, "maxForce": rope.max_force, "beads": rope.beads},
-        "colours": ["#" + bytes(colour).hex() for colour in rope_colours(rope.beads)],
     }
     if episodes:
         data |= _episodes(episodes, notices)
     if states is not None:
-        data |= _run(states, notices)
+        run = _run(states, notices)
+        if episodes and run["beads"] != data["beads"]:
+            raise UnshownDataset(
+                f"{title} has states of {run['beads']} beads and episodes of {data['beads']}; show"
+                " one of them"
+            )
+        data |= run
     if pictures is not None:
         data |= _pictures(pictures, notices)
+    data["colours"] = ["#" + bytes(colour).hex() for colour in rope_colours(data["beads"])]
     counts = [(len(data["states"]), "state"), (len(data["episodes"]), "episode")]
     contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
     if not contents:
@@ -127,6 +133,7 @@ def _states(states: States, notices: list[str]) -> dict[str, Any]:
     return {
         "measures": [{"name": name, "unit": states.units[name]} for name in quality],
         "points": _encoded(states.points[rows]),
+        "beads": states.points.shape[1],
         "states": [
             {
                 "row": i,
@@ -204,7 +211,7 @@ def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
     }
     for reader in readers:
         reader.close()
-    return {"episodes": shown, "about": _pairs(about)}
+    return {"episodes": shown, "about": _pairs(about), "beads": readers[0].task.beads}
 
 
 def _episode(reader: EpisodeReader, index: int) -> dict[str, Any]:

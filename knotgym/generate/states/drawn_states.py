@@ -19,7 +19,7 @@ from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.random_walk import RESET_NOISE
 from knotgym.quality.measures import Limits, Quality, measure, noise_survival
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Array, RopeConfig
+from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
 from knotgym.states.schema import DRAWING
 from knotgym.topology.crossings import find_crossings, label
@@ -70,7 +70,7 @@ class DrawnOnes:
 
 def draw_states(unit: DrawnUnit) -> DrawnOnes:
     """Draw a unit's code until enough states are accepted; the same unit gives the same bytes."""
-    simulation = simulation_of(1, RopeConfig(), unit.config.engine)
+    simulation = simulation_of(1, unit.config.rope, unit.config.engine)
     own, made = unit.code.chirality, DrawnOnes()
     letters = _letters(unit.code, unit.knot) if own is None else (own,)
     for number in range(unit.first, unit.first + unit.drawings):

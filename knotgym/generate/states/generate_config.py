@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from knotgym.common.configuration import InvalidConfig, check_numbers, check_nx
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.drawing.drawn_curve import DrawingConfig
-from knotgym.envs.tasks import MAX_NX
+from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
 from knotgym.generate.states.search import SearchSettings
 from knotgym.quality.measures import Limits
 from knotgym.rope.engines import MUJOCO, require_engine
+from knotgym.rope.model import RopeConfig, rope_of
 from knotgym.topology.diagrams import NotPlanar, is_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UnknownKnot, diagram_of, type_of
@@ -31,6 +32,8 @@ class GenerateConfig:
             (m3_1) or a sum (3_1#4_1); or a file with a closed curve, as .npy or three numbers per
             line, from which action sequences start.
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
+        beads: number of beads of the rope, each 13.3 mm long; other numbers than 100 take source
+            drawing without demonstrations. More crossings than 11 need more beads.
         demonstrations: search for an action sequence that reaches the Gauss code of every state,
             and write the sequences as Minari datasets; up to 6 crossings.
         seed: random seed; the same seed gives the same bytes.
@@ -62,6 +65,7 @@ class GenerateConfig:
     train_share: float = 0.5
     knot: str = "0_1"
     engine: str = MUJOCO
+    beads: int = 100
     demonstrations: bool = True
     seed: int = 0
     attempts: int = 100
@@ -83,12 +87,19 @@ class GenerateConfig:
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            counts=("count", "attempts", "searches", "wave", "planned", "batch", "rest"),
+            counts=("count", "beads", "attempts", "searches", "wave", "planned", "batch", "rest"),
             whole=("every_code", "seed", "cycles", "stalled", "stir", "loop_stir"),
             shares=("train_share",),
             ranges=("force",),
         )
-        check_nx(self.nx, MAX_NX)
+        if not MIN_BEADS <= self.beads <= MAX_BEADS:
+            raise InvalidConfig(f"beads must be from {MIN_BEADS} to {MAX_BEADS}, got {self.beads}")
+        if self.beads != RopeConfig().beads and self.demonstrations:
+            raise InvalidConfig(
+                f"demonstrations are for a rope of {RopeConfig().beads} beads, got {self.beads};"
+                " leave them out: --no-demonstrations"
+            )
+        check_nx(self.nx, max_nx(self.beads))
         require_engine(self.engine)
         if self.split_by not in ("state", "code"):
             raise InvalidConfig(f'split_by must be "state" or "code", got {self.split_by!r}')
@@ -104,6 +115,11 @@ class GenerateConfig:
                 raise InvalidConfig(
                     f"nx must include the crossings of all codes, got {self.nx} and {str(code)!r}"
                 )
+
+    @property
+    def rope(self) -> RopeConfig:
+        """The rope."""
+        return rope_of(self.beads)
 
     @property
     def parsed(self) -> list[GaussCode]:

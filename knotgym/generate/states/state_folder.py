@@ -22,8 +22,8 @@ from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.demonstrations import POLICY
 from knotgym.quality.measures import UNITS, Quality
-from knotgym.rendering.picture import draw_many
-from knotgym.rope.model import RopeConfig
+from knotgym.rendering.picture import draw_many, picture_of
+from knotgym.rope.model import rope_of
 from knotgym.states.schema import DRAWING, STATE_SPLITS
 from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import States, demonstrations_id, write_states
@@ -99,7 +99,7 @@ def rows_of(
     return States(
         qpos=np.stack([one.qpos for one in made]),
         points=points,
-        image=draw_many(points),
+        image=draw_many(points, picture_of(points.shape[1])),
         gauss_code=np.array([str(one.code) for one in made]),
         gauss_code_chiral=np.array([one.code.chiral for one in made]),
         knot=np.array([knot_type(one.code) for one in made]),
@@ -114,7 +114,7 @@ def rows_of(
         attributes={
             "knotgym": knotgym.__version__,
             "mujoco": mujoco.__version__,
-            "rope": RopeConfig().fingerprint,
+            "rope": rope_of(points.shape[1]).fingerprint,
             "engine": config["engine"],
             "config": json.dumps(config, sort_keys=True),
         },

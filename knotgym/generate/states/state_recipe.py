@@ -44,7 +44,7 @@ from knotgym.generate.states.made_states import MadeStates, Slot
 from knotgym.generate.states.planned_sequences import Found, Target, reach
 from knotgym.generate.states.search import SearchConfig, new_archive, replays, search_round
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.model import Rope
 from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
@@ -361,7 +361,7 @@ class StateRecipe(MadeStates, Recipe):
         """Return the demonstration of a slot with a state; for a plain loop, its own actions."""
         if slot[0] == 0 and self.config.demonstrations:
             state = self.states[slot]
-            simulation = simulation_of(1, RopeConfig(), self.config.engine)
+            simulation = simulation_of(1, self.config.rope, self.config.engine)
             return acted_out(simulation, state.start_qpos, state.actions)
         return self.demonstrations.get(slot)
 

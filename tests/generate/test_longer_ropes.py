@@ -1,0 +1,110 @@
+"""Ropes of other lengths, and codes from lists: a rope's number of beads is stated everywhere."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+
+import knotgym
+from knotgym.cli import run_commands
+from knotgym.cli.run_commands import code_list
+from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policy import InvalidPolicy
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.rendering.picture import draw, picture_of
+from knotgym.rope.model import RopeConfig, rope_of
+from knotgym.states.state_file import InvalidStates, merge_states, read_states, shipped
+
+from ..small_job import knotgym as run
+
+BEADS = 60
+
+
+@pytest.fixture(scope="module")
+def states(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("beads") / "a"
+    given = f"--no-demonstrations --nx 0,1 --count 2 --beads {BEADS} --engine chain --workers 1"
+    assert run("generate", *given.split(), "--out", folder) == 0
+    return folder / "states.h5"
+
+
+def test_the_usual_rope_is_the_one_of_a_hundred_beads() -> None:
+    assert rope_of(100) == RopeConfig()
+    assert rope_of(200).bead_length == pytest.approx(RopeConfig().bead_length)
+
+
+def test_states_of_another_rope_say_so_and_have_no_fault(states: Path) -> None:
+    held = read_states(states)
+    assert held.points.shape == (4, BEADS, 3)
+    assert held.attributes["rope"] == rope_of(BEADS).fingerprint
+    assert json.loads(held.attributes["config"])["beads"] == BEADS
+    assert held.image is not None
+    assert np.array_equal(held.image[0], draw(held.points[0], picture_of(BEADS)))
+    assert knotgym.verify(states) == []
+
+
+def test_an_environment_has_the_rope_that_it_is_told_and_no_other(states: Path) -> None:
+    given: dict[str, Any] = {
+        "nx": 1,
+        "states": str(states),
+        "engine": "chain",
+        "observation": "state",
+    }
+    env = KnotEnv("unknot", beads=BEADS, **given)
+    assert env.observation_space.shape == (6 * BEADS,)
+    seen, info = env.reset(seed=0)
+    assert seen.shape == (6 * BEADS,) and info["crossings"] == 1
+    assert env.step(env.action_space.sample())[0].shape == (6 * BEADS,)
+    with pytest.raises(InvalidSetting, match="has ropes of 60 beads, got beads = 100; use 60"):
+        KnotEnv("unknot", **given)
+    with pytest.raises(InvalidSetting, match="has ropes of 100 beads, got beads = 60; use 100"):
+        KnotEnv("unknot", beads=BEADS)
+
+
+def test_crossings_need_beads() -> None:
+    assert TaskConfig(task="unknot", nx=22, beads=200).nx == 22
+    with pytest.raises(InvalidSetting, match="nx must be a whole number from 1 to 11, got 12"):
+        TaskConfig(task="unknot", nx=12)
+    with pytest.raises(InvalidSetting, match="beads must be a whole number from 50 to 1000"):
+        TaskConfig(task="unknot", beads=1001)
+
+
+def test_ropes_are_not_mixed(states: Path) -> None:
+    with pytest.raises(InvalidStates, match="must have one rope model"):
+        merge_states([read_states(states), read_states(shipped())])
+
+
+def test_a_learner_of_the_usual_rope_refuses_another() -> None:
+    pytest.importorskip("torch")
+    policy = make_policy(PolicyConfig(policy="pretrained-clone"))
+    with pytest.raises(InvalidPolicy, match="needs a rope of 100 beads, got 60"):
+        policy.suited(TaskConfig(task="tie", action="macro", beads=BEADS))
+
+
+def test_a_list_of_codes_may_be_sampled_and_filtered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "codes.txt"
+    path.write_text("# kinks\n1 -1\n-1 1  # below\n\n1+,1-,2+,2-\n[[2,2,1,1]]\n[4,6,2]\n")
+
+    def read(
+        nx: tuple[int, ...] | None = None, count: int | None = None, seed: int = 0
+    ) -> list[str]:
+        rng = np.random.default_rng(seed)
+        return [str(code) for code in code_list(path, nx, count, rng)]
+
+    everything = read()
+    assert len(everything) == 5 and everything[0] == "1+,1-"
+    assert read((2, 3)) == everything[2:3] + everything[4:]
+    samples = {tuple(read(count=2, seed=seed)) for seed in range(40)}
+    assert all(len(one) == 2 for one in samples) and len(samples) > 5
+    assert read(count=2, seed=3) == read(count=2, seed=3)
+    assert read(count=9) == everything  # in the order of the file
+    monkeypatch.setattr(run_commands, "MOST_CODES", 4)
+    with pytest.raises(typer.BadParameter, match="more than 4 codes; --count 1000"):
+        read()
+    assert len(read(count=3)) == 3
