@@ -62,21 +62,18 @@ def trajectories(rows: Decisions) -> dict[str, Any]:
     }
 
 
-def by_codes(loader: type) -> Any:
-    """Make a loader of OGBench's take codes for goals: one is reached where it is shown."""
+def drawing(loader: Any) -> Any:
+    """Return how a loader of OGBench's draws batches whose goals are codes, reached where shown."""
+    loader.get_observations = lambda rows: _only_code(loader.dataset["observations"][rows])
 
-    class Codes(loader):  # type: ignore[misc]
-        def get_observations(self, idxs: Any) -> Any:
-            return _only_code(self.dataset["observations"][idxs])
+    def draw(count: int) -> Any:
+        batch = loader.sample(count)
+        shown = _only_code(batch["observations"]) == batch["value_goals"]
+        batch["masks"] = 1.0 - shown.all(axis=1)
+        batch["rewards"] = -batch["masks"] + (not loader.config["gc_negative"])
+        return batch
 
-        def sample(self, *args: Any, **options: Any) -> Any:
-            batch = super().sample(*args, **options)
-            shown = _only_code(batch["observations"]) == batch["value_goals"]
-            batch["masks"] = 1.0 - shown.all(axis=1)
-            batch["rewards"] = -batch["masks"] + (not self.config["gc_negative"])
-            return batch
-
-    return Codes
+    return draw
 
 
 class AgentPolicy(ChunkPolicy):
@@ -121,14 +118,14 @@ def main() -> None:
         name, _, value = setting.partition("=")
         config[name] = type(config[name])(value)
     rows = trajectories(read(given.datasets, given.chunk, given.copies, given.seed))
-    loader = by_codes(getattr(data, config.dataset_class))
-    batches = loader(data.Dataset.create(**rows), config)
-    first = batches.sample(1)
+    loader = getattr(data, config.dataset_class)(data.Dataset.create(**rows), config)
+    draw = drawing(loader)
+    first = draw(1)
     agent = agents[given.learner].create(
         given.seed, first["observations"], first["actions"], config
     )
     for _ in range(given.steps):
-        agent, _ = agent.update(batches.sample(given.batch))
+        agent, _ = agent.update(draw(given.batch))
     (given.out / "agent.msgpack").write_bytes(serialization.to_bytes(agent.network.params))
     name = f"ogbench-{given.learner}"
     policy = AgentPolicy(name, agent, jax.random.PRNGKey(given.seed))
