@@ -21,12 +21,16 @@ import h5py
 import numpy as np
 
 SEED = "3"
+CHAIN = ("--engine", "chain")
 RUNS = {
     "states": ("generate", "--nx", "0,1", "--count", "3"),
+    "knot": ("generate", "--knot", "3_1", "--nx", "3,4", "--count", "2", *CHAIN),
+    "walks": ("generate", "--source", "random-walk", "--nx", "1", "--count", "2", *CHAIN),
     "episodes": (
         *("collect", "--task", "tie", "--nx", "2", "--policy", "mixed"),
         *("--episodes", "6", "--budget", "200"),
     ),
+    "recorded": ("collect", "--task", "tie", "--policy", "noisy", "--episodes", "4", *CHAIN),
     "pictures": ("images", "--nx", "0-2", "--count", "60", "--vary", "all"),
 }
 

@@ -37,7 +37,7 @@ WATCHED = {
         "rope.model.Rope.points_and_gaps",
         "rope.model.Rope.qpos",
         "rope.reset_noise.noised",
-        "rope.model.clearance",
+        "rope.closed_curves.clearance",
     ),
     "label": (
         "topology.crossings.find_crossings",

@@ -13,49 +13,35 @@ from typing import TYPE_CHECKING
 import gymnasium
 
 if TYPE_CHECKING:
-    from knotgym.common.errors import KnotgymError
-    from knotgym.datasets.verification import verify
-    from knotgym.envs.environment import KnotEnv, KnotVectorEnv
-    from knotgym.envs.tasks import InvalidSetting, TaskConfig
-    from knotgym.rendering.picture import PictureConfig, draw
-    from knotgym.rope.model import InvalidCurve, Rope, RopeConfig
-    from knotgym.rope.simulation import InvalidAction
-    from knotgym.states.state_file import InvalidStates, States, read_states, shipped
-    from knotgym.topology.crossings import InvalidPoints, label
-    from knotgym.topology.gauss import GaussCode, InvalidGaussCode
+    from knotgym.common.errors import KnotgymError as KnotgymError
+    from knotgym.datasets.verification import verify as verify
+    from knotgym.envs.environment import KnotEnv as KnotEnv
+    from knotgym.envs.environment import KnotVectorEnv as KnotVectorEnv
+    from knotgym.envs.tasks import InvalidSetting as InvalidSetting
+    from knotgym.envs.tasks import TaskConfig as TaskConfig
+    from knotgym.rendering.picture import PictureConfig as PictureConfig
+    from knotgym.rendering.picture import draw as draw
+    from knotgym.rope.model import InvalidCurve as InvalidCurve
+    from knotgym.rope.model import Rope as Rope
+    from knotgym.rope.model import RopeConfig as RopeConfig
+    from knotgym.rope.simulation import InvalidAction as InvalidAction
+    from knotgym.states.state_file import InvalidStates as InvalidStates
+    from knotgym.states.state_file import States as States
+    from knotgym.states.state_file import read_states as read_states
+    from knotgym.states.state_file import shipped as shipped
+    from knotgym.topology.crossings import InvalidPoints as InvalidPoints
+    from knotgym.topology.crossings import label as label
+    from knotgym.topology.gauss import GaussCode as GaussCode
+    from knotgym.topology.gauss import InvalidGaussCode as InvalidGaussCode
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__, "__version__")
 
 try:
     __version__ = version("knotgym")
 except PackageNotFoundError:  # a checkout that isn't installed
     __version__ = "0+unknown"
-
-__all__ = [
-    "GaussCode",
-    "InvalidAction",
-    "InvalidCurve",
-    "InvalidGaussCode",
-    "InvalidPoints",
-    "InvalidSetting",
-    "InvalidStates",
-    "KnotEnv",
-    "KnotVectorEnv",
-    "KnotgymError",
-    "PictureConfig",
-    "Rope",
-    "RopeConfig",
-    "States",
-    "TaskConfig",
-    "__version__",
-    "draw",
-    "label",
-    "read_states",
-    "shipped",
-    "verify",
-]
 
 
 def _is_writable(folder: Path) -> bool:

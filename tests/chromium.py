@@ -11,7 +11,7 @@ import select
 import shutil
 import subprocess
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -22,6 +22,8 @@ _FLAGS = (
     "--no-sandbox",
     "--use-angle=swiftshader",  # WebGL without a GPU
     "--enable-unsafe-swiftshader",
+    "--disable-renderer-backgrounding",
+    "--disable-backgrounding-occluded-windows",
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
@@ -84,7 +86,7 @@ class Chromium:
             "Emulation.setDeviceMetricsOverride",
             width=wide,
             height=high,
-            deviceScaleFactor=1,
+            deviceScaleFactor=2 if mobile else 1,
             mobile=mobile,
         )
 
@@ -138,11 +140,16 @@ class Chromium:
                 clickCount=1,
             )  # fmt: skip
 
-    def swipe(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Draw a finger from one place to another, pixels."""
-        for kind, places in (("touchStart", [start]), ("touchMove", [end]), ("touchEnd", [])):
-            points = [{"x": x, "y": y} for x, y in places]
+    def touch(self, path: Sequence[tuple[float, float]], pause: float = 0.1) -> None:
+        """Draw a finger along a path, pixels, resting as long after each step."""
+        for kind, places in (
+            ("touchStart", path[:1]),
+            *(("touchMove", [place]) for place in path[1:]),
+            ("touchEnd", []),
+        ):
+            points = [{"x": float(x), "y": float(y)} for x, y in places]
             self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+            time.sleep(pause)
 
     def picture(self, path: Path) -> None:
         """Write what is seen as PNG."""
@@ -165,7 +172,7 @@ class Chromium:
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._heard:
-            ready, _, _ = select.select([self._read], [], [], 120)
+            ready, _, _ = select.select([self._read], [], [], 300)
             more = os.read(self._read, 1 << 20) if ready else b""
             assert more, "Chromium has gone silent"
             self._heard += more

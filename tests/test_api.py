@@ -64,7 +64,7 @@ def test_the_names_a_user_needs_are_there() -> None:
         "read_states",
         "shipped",
         "verify",
-    } <= set(knotgym.__all__)
+    } <= set(package("knotgym").__all__)
 
 
 @pytest.mark.parametrize("name", PACKAGES)

@@ -117,15 +117,15 @@ def read(datasets: list[str], chunk: int, copies: int, seed: int) -> Decisions:
     columns = _Row(*zip(*rows, strict=True))
     points = np.stack(columns.points)
     observations, frames = observe(points, list(columns.goal))
-    own = frames.renumber(columns.bead)
+    beads = frames.renumber(columns.bead)
     chunks = [
-        REACH * frames.points(points)[np.arange(len(own)), own],
-        frames.vectors(columns.forces).reshape(len(own), -1),
+        REACH * frames.points(points)[np.arange(len(beads)), beads],
+        frames.vectors(columns.forces).reshape(len(beads), -1),
         np.stack(columns.going),
     ]
     return Decisions(
         observations,
-        own,
+        beads,
         np.concatenate(chunks, axis=1).clip(-1, 1).astype(np.float32),
         np.array(columns.reward, dtype=np.float32),
         *(np.array(column) for column in columns[8:]),

@@ -8,12 +8,11 @@ environment for hindsight experience replay. `OGBenchEnv` is the environment beh
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from knotgym.adapters.goal_environment import GoalEnv, goal_env
-    from knotgym.adapters.ogbench_environment import OGBenchEnv
-    from knotgym.adapters.sb3 import sb3_vec_env
+    from knotgym.adapters.goal_environment import GoalEnv as GoalEnv
+    from knotgym.adapters.goal_environment import goal_env as goal_env
+    from knotgym.adapters.ogbench_environment import OGBenchEnv as OGBenchEnv
+    from knotgym.adapters.sb3 import sb3_vec_env as sb3_vec_env
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(__name__, __file__)
-
-__all__ = ["GoalEnv", "OGBenchEnv", "goal_env", "sb3_vec_env"]
+    __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -8,11 +8,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from knotgym.adapters.goal_environment import Goals
-from knotgym.envs.environment import (
-    action_space,
-    observation_space,
-    task_config,
-)
+from knotgym.envs.environment import action_space, observation_space, task_config
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import InvalidSetting
 

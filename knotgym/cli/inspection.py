@@ -25,11 +25,7 @@ from knotgym.datasets.exports.forms import export as convert
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.foreign_file import try_files
-from knotgym.datasets.gallery import (
-    write_episode_gallery,
-    write_gallery,
-    write_picture_gallery,
-)
+from knotgym.datasets.gallery import write_episode_gallery, write_gallery, write_picture_gallery
 from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.located import (
     Dataset,

@@ -3,15 +3,7 @@
 import importlib.util
 from pathlib import Path
 
-from knotgym.cli.options import (
-    EXISTING,
-    Given,
-    Option,
-    command,
-    option,
-    options_of,
-    run_options,
-)
+from knotgym.cli.options import EXISTING, Given, Option, command, option, options_of, run_options
 from knotgym.common.errors import MissingExtra, install_command
 from knotgym.learn.clone_config import CloneConfig
 from knotgym.learn.train_config import InvalidTraining, TrainConfig

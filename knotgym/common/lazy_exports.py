@@ -11,16 +11,18 @@ from pathlib import Path
 from typing import Any
 
 
-def lazy_exports(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Make the `__getattr__` and `__dir__` of a package, from its `__name__` and `__file__`.
+def lazy_exports(
+    package: str, file: str, *eager: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Make `__getattr__`, `__dir__` and `__all__` of a package from its `__name__` and `__file__`.
 
-    The exported names are those that `file` imports in its block `if TYPE_CHECKING:`.
+    The exported names are those that `file` imports in its block `if TYPE_CHECKING:`, and `eager`.
     """
-    blocks = [node for node in ast.parse(Path(file).read_text("utf-8")).body if _is_typing(node)]
-    imports = [node for block in blocks for node in ast.walk(block)]
     exports = {
         alias.asname or alias.name: (node.module, alias.name)
-        for node in imports
+        for block in ast.parse(Path(file).read_text("utf-8")).body
+        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
+        for node in block.body
         if isinstance(node, ast.ImportFrom) and node.module
         for alias in node.names
     }
@@ -36,8 +38,4 @@ def lazy_exports(package: str, file: str) -> tuple[Callable[[str], Any], Callabl
     def __dir__() -> list[str]:
         return sorted({*vars(sys.modules[package]), *exports})
 
-    return __getattr__, __dir__
-
-
-def _is_typing(node: ast.stmt) -> bool:
-    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    return __getattr__, __dir__, sorted([*exports, *eager])

@@ -22,7 +22,7 @@ from knotgym.control.pass_counts import DiagramValues, shipped_values, templates
 from knotgym.control.planner import REST
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import NO_MACRO, Choice, Effort, Policy
-from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram
+from knotgym.control.seen_diagrams import seen_diagram
 from knotgym.control.transition_counts import ArcCoordinates
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.rope.macro_actions import (
@@ -74,15 +74,20 @@ class Decision(NamedTuple):
         points: float64 (beads, 3), metres: where the rope lay at rest.
         code: with chirality.
         move: the pass.
-        rank: how many passes were tried there, this one included.
+        missed: the passes tried there before it.
         landing: where it led.
     """
 
     points: Array
     code: GaussCode
     move: Pass
-    rank: int
+    missed: tuple[Pass, ...]
     landing: Landing
+
+    @property
+    def rank(self) -> int:
+        """How many passes were tried, this one included."""
+        return len(self.missed) + 1
 
 
 @dataclass(eq=False)
@@ -108,22 +113,21 @@ class _Look:
         crossings = find_crossings(points)
         diagram = seen_diagram(points, crossings)
         here = self.values.reach(self.goal, diagram)
-        arcs = ArcCoordinates(crossings, len(points))
+        missed = list[Pass]()
         # many passes tow the rope, and the order doesn't know which
         candidates = self.config.candidates * (1 if self.bound is None else _BOUNDED)
-        for rank, move in enumerate(self._passes(diagram, arcs, len(points)), 1):
-            if rank > candidates or self.spent >= self.config.budget:
+        for move in passes_in_order(self.values, self.goal, points):
+            if len(missed) >= candidates or self.spent >= self.config.budget:
                 return None
             pulls = min(LONGEST, steps)
             outcome: Landing = yield Trial(state, move, self.goal, pulls, self.bound)
             self.spent += outcome.pulls
-            if outcome.towed:
-                continue
-            decision = Decision(points, diagram.code, move, rank, outcome)
-            if outcome.code.matches(self.goal):
+            decision = Decision(points, diagram.code, move, tuple(missed), outcome)
+            missed.append(move)
+            if not outcome.towed and outcome.code.matches(self.goal):
                 return [decision]
             left = steps - outcome.pulls
-            if left > 0 and outcome.code != diagram.code:
+            if left > 0 and not outcome.towed and outcome.code != diagram.code:
                 there = seen_diagram(outcome.points, find_crossings(outcome.points))
                 if self.values.reach(self.goal, there) > here:
                     rest = yield from self.way(outcome.state, outcome.points, left)
@@ -131,15 +135,19 @@ class _Look:
                         return [decision, *rest]
         return None
 
-    def _passes(self, diagram: SeenDiagram, arcs: ArcCoordinates, beads: int) -> Iterator[Pass]:
-        """Yield the passes in their order, each once."""
-        known: set[Pass] = set()
-        for choice in self.values.order(self.goal, diagram):
-            template = templates(diagram.nx)[choice.template]
-            move = template.on(arcs, choice.element, diagram.nx, beads)
-            if move not in known and move.bead != move.target:
-                known.add(move)
-                yield move
+
+def passes_in_order(values: DiagramValues, goal: GaussCode, points: Array) -> Iterator[Pass]:
+    """Yield the passes that lead a rope nearer to a goal, in their order, each once."""
+    crossings = find_crossings(points)
+    diagram = seen_diagram(points, crossings)
+    arcs = ArcCoordinates(crossings, len(points))
+    known: set[Pass] = set()
+    for choice in values.order(goal, diagram):
+        template = templates(diagram.nx)[choice.template]
+        move = template.on(arcs, choice.element, diagram.nx, len(points))
+        if move not in known and move.bead != move.target:
+            known.add(move)
+            yield move
 
 
 def find_way(

@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import check_numbers
 from knotgym.common.streams import Stream, generator
 from knotgym.control.macro_lanes import Landing, Search, Trial
-from knotgym.control.pass_counts import (
-    COUNTED_NX,
-    DiagramValues,
-    PassChoice,
-    PassCounts,
-    templates,
-)
+from knotgym.control.pass_counts import COUNTED_NX, DiagramValues, PassChoice, PassCounts, templates
 from knotgym.control.seen_diagrams import SeenDiagram, canonical_image, seen_diagram
 from knotgym.control.transition_counts import ArcCoordinates
 from knotgym.envs.episode_batch import EpisodeBatch

@@ -23,12 +23,7 @@ from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting
 from knotgym.control.guidance import Towards
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import Distances, TransitionGraph
-from knotgym.rope.macro_actions import (
-    Haul,
-    WaypointController,
-    cumulative_shares,
-    propose_haul,
-)
+from knotgym.rope.macro_actions import Haul, WaypointController, cumulative_shares, propose_haul
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
 from knotgym.rope.towing import TowBound

@@ -13,56 +13,33 @@ if __name__ == "datasets":
     )
 
 if TYPE_CHECKING:
-    from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
-    from knotgym.datasets.episode_verification import show_episodes, verify_episodes
-    from knotgym.datasets.episode_writer import EpisodeWriter
-    from knotgym.datasets.image_table import (
-        InvalidImages,
-        read_rows,
-        read_table,
-    )
-    from knotgym.datasets.minari_dataset import MinariMetadata, compact, publish
-    from knotgym.datasets.subsets import delete, select, split
-    from knotgym.datasets.trajectory import Episode, InvalidEpisode, relabel_all, relabelled
-    from knotgym.datasets.verification import faults, verify
-    from knotgym.states.state_file import (
-        InvalidStates,
-        States,
-        merge_states,
-        read_states,
-        shipped,
-        write_states,
-    )
+    from knotgym.datasets.episode_reader import EpisodeReader as EpisodeReader
+    from knotgym.datasets.episode_reader import InvalidEpisodeFile as InvalidEpisodeFile
+    from knotgym.datasets.episode_verification import show_episodes as show_episodes
+    from knotgym.datasets.episode_verification import verify_episodes as verify_episodes
+    from knotgym.datasets.episode_writer import EpisodeWriter as EpisodeWriter
+    from knotgym.datasets.image_table import InvalidImages as InvalidImages
+    from knotgym.datasets.image_table import read_rows as read_rows
+    from knotgym.datasets.image_table import read_table as read_table
+    from knotgym.datasets.minari_dataset import MinariMetadata as MinariMetadata
+    from knotgym.datasets.minari_dataset import compact as compact
+    from knotgym.datasets.minari_dataset import publish as publish
+    from knotgym.datasets.subsets import delete as delete
+    from knotgym.datasets.subsets import select as select
+    from knotgym.datasets.subsets import split as split
+    from knotgym.datasets.trajectory import Episode as Episode
+    from knotgym.datasets.trajectory import InvalidEpisode as InvalidEpisode
+    from knotgym.datasets.trajectory import relabel_all as relabel_all
+    from knotgym.datasets.trajectory import relabelled as relabelled
+    from knotgym.datasets.verification import faults as faults
+    from knotgym.datasets.verification import verify as verify
+    from knotgym.states.state_file import InvalidStates as InvalidStates
+    from knotgym.states.state_file import States as States
+    from knotgym.states.state_file import merge_states as merge_states
+    from knotgym.states.state_file import read_states as read_states
+    from knotgym.states.state_file import shipped as shipped
+    from knotgym.states.state_file import write_states as write_states
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(__name__, __file__)
-
-__all__ = [
-    "Episode",
-    "EpisodeReader",
-    "EpisodeWriter",
-    "InvalidEpisode",
-    "InvalidEpisodeFile",
-    "InvalidImages",
-    "InvalidStates",
-    "MinariMetadata",
-    "States",
-    "compact",
-    "delete",
-    "faults",
-    "merge_states",
-    "publish",
-    "read_rows",
-    "read_states",
-    "read_table",
-    "relabel_all",
-    "relabelled",
-    "select",
-    "shipped",
-    "show_episodes",
-    "split",
-    "verify",
-    "verify_episodes",
-    "write_states",
-]
+    __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -31,6 +31,7 @@ from knotgym.datasets.selectable_rows import (
     InvalidSelection,
     Rows,
     RowsOfDataset,
+    Target,
     json_list,
     selection_sentence,
     with_selection,
@@ -83,17 +84,17 @@ class _States(RowsOfDataset):
     def earlier(self) -> list[dict[str, Any]]:
         return super().earlier() or json_list(self.states.attributes.get("selection", "[]"))
 
-    def _write(self, rows: Rows, made: list[dict[str, Any]], target: Path, named: str) -> None:
+    def _write(self, rows: Rows, made: list[dict[str, Any]], path: Path) -> None:
         states = self.states.taken(rows)
         attributes = {**states.attributes, "selection": json.dumps(made, sort_keys=True)}
         states = replace(states, attributes=attributes)
         if not self.path.is_dir():
-            write_states(target, states)
+            write_states(path, states)
             return
         manifest, faults = read_manifest(self.path)
         if faults:
             raise InvalidSelection(f"{self.source}: {faults[0]}")
-        target.mkdir()
+        path.mkdir()
         names = states.source.get("dataset", np.array([]))
         old = states.source.get("trajectory", np.array([]))
         if len(old):
@@ -101,11 +102,11 @@ class _States(RowsOfDataset):
             for name in sorted(set(names.tolist()) - {""}):
                 new[names == name] = np.arange((names == name).sum())
             states = replace(states, source={**states.source, "trajectory": new})
-        write_states(target / "states.h5", states)
+        write_states(path / "states.h5", states)
         for name in sorted(set(names.tolist()) - {""}):
             chosen = Chosen(self.path / "minari" / name, old[names == name].tolist())
-            _publish(chosen, name, made, target / "minari", target / "states.h5")
-        finish_states(target, states, manifest["report"], *_made(manifest, made))
+            _publish(chosen, made, path / "states.h5", Target(path / "minari", name))
+        finish_states(path, states, manifest["report"], *_made(manifest, made))
 
 
 class _Pictures(RowsOfDataset):
@@ -150,24 +151,24 @@ class _Pictures(RowsOfDataset):
         manifest = self.path / "manifest.json"
         return manifest if manifest.is_file() else shards(self.path)[0]
 
-    def _write(self, rows: Rows, made: list[dict[str, Any]], target: Path, named: str) -> None:
+    def _write(self, rows: Rows, made: list[dict[str, Any]], path: Path) -> None:
         kept = np.zeros(self.count, dtype=bool)
         kept[rows] = True
         if not self.path.is_dir():
             table = read_table(self.path).filter(arrow().array(kept))
             metadata = {**table.schema.metadata, b"selection": json.dumps(made, sort_keys=True)}
-            write_table(target, table.replace_schema_metadata(metadata))
+            write_table(path, table.replace_schema_metadata(metadata))
             return
         manifest, faults = read_manifest(self.path)
         if faults:
             raise InvalidSelection(f"{self.source}: {faults[0]}")
         files = shards(self.path)
-        ends = np.cumsum([len(read_table(path, columns=["nx"])) for path in files])[:-1]
+        ends = np.cumsum([len(read_table(one, columns=["nx"])) for one in files])[:-1]
         chosen = dict(zip(files, np.split(kept, ends), strict=True))
-        written = write_shards(target, chosen, int(manifest["config"]["rows_per_file"]))
+        written = write_shards(path, chosen, int(manifest["config"]["rows_per_file"]))
         walks = read_walks(self.path / "walks.h5")
-        write_used_walks(target, written, walks.state, [walks], walks.engine)
-        finish_images(target, written, manifest["report"], *_made(manifest, made))
+        write_used_walks(path, written, walks.state, [walks], walks.engine)
+        finish_images(path, written, manifest["report"], *_made(manifest, made))
 
 
 class _Episodes(RowsOfDataset):
@@ -240,34 +241,27 @@ class _Episodes(RowsOfDataset):
     def earlier(self) -> list[dict[str, Any]]:
         return json_list(self.reader.file.attrs.get("selection", "[]"))
 
-    def require_target(self, out: str | Path | None, named: str, overwrite: bool) -> None:
-        if not named:
-            if out is None:
+    def require_target(self, target: Target) -> None:
+        if not target.dataset_id:
+            if target.out is None:
                 raise InvalidSelection("give an output: --out FILE, or --id for a Minari dataset")
-            require_output(out, folder=False, overwrite=overwrite)
+            require_output(target.out, folder=False, overwrite=target.overwrite)
 
-    def _placed(
-        self,
-        rows: Rows,
-        made: list[dict[str, Any]],
-        out: str | Path | None,
-        named: str,
-        overwrite: bool,
-    ) -> Path:
-        if not named:
-            return super()._placed(rows, made, out, named, overwrite)
+    def _placed(self, rows: Rows, made: list[dict[str, Any]], target: Target) -> Path:
+        if not target.dataset_id:
+            return super()._placed(rows, made, target)
         own = None if ships(self.reader.task.states) else self.reader.states_path()
-        return _publish(self._chosen(rows), named, made, out, own, overwrite)
+        return _publish(self._chosen(rows), made, own, target)
 
     def _chosen(self, rows: Rows) -> Chosen:
         return Chosen(self.reader.path, [self.reader.rows[row] for row in rows.tolist()])
 
-    def _write(self, rows: Rows, made: list[dict[str, Any]], target: Path, named: str) -> None:
+    def _write(self, rows: Rows, made: list[dict[str, Any]], path: Path) -> None:
         entries = self.reader.metadata()
         attributes = {"selection": json.dumps(made, sort_keys=True)}
         if entries is not None:
             attributes["metadata"] = json.dumps(entries)
-        merge_episodes([self._chosen(rows)], target, concatenate=True, attributes=attributes)
+        merge_episodes([self._chosen(rows)], path, concatenate=True, attributes=attributes)
 
 
 def opened(source: str | Path) -> RowsOfDataset:
@@ -277,6 +271,7 @@ def opened(source: str | Path) -> RowsOfDataset:
         MissingFile, UnknownDataset: as in `resolve_dataset`.
     """
     kind, path = resolve_dataset(str(source))
+    kinds: dict[str, Callable[[str | Path, Path], RowsOfDataset]]
     kinds = {"states": _States, "images": _Pictures, "episodes": _Episodes}
     return kinds[kind](source, path)
 
@@ -294,16 +289,12 @@ def _made(
 
 
 def _publish(
-    chosen: Chosen,
-    named: str,
-    made: list[dict[str, Any]],
-    root: str | Path | None,
-    states: Path | None,
-    overwrite: bool = False,
+    chosen: Chosen, made: list[dict[str, Any]], states: Path | None, target: Target
 ) -> Path:
     """Publish some episodes as a Minari dataset, with the metadata and states of their own."""
     metadata, reader = metadata_of(chosen.source), EpisodeReader(chosen)
-    task = replace(reader.task, states=named) if states is not None else None
+    named = target.dataset_id
+    task = None if states is None else replace(reader.task, states=named)
     if metadata is None:
         policy = str(reader.attributes(0)["policy"])
         metadata = MinariMetadata(dataset_id=named, algorithm_name=policy, description="")
@@ -313,11 +304,11 @@ def _publish(
     return publish(
         [chosen],
         metadata,
-        root,
+        target.out,
         concatenate=True,
         states=states,
         task=task,
-        overwrite=overwrite,
+        overwrite=target.overwrite,
         attributes={"selection": json.dumps(made, sort_keys=True)},
     )
 

@@ -4,7 +4,7 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,14 @@ Rows = NDArray[np.int64]
 
 class InvalidSelection(KnotgymError, ValueError):
     """A selection without rows, or a dataset that can't be selected from as asked."""
+
+
+class Target(NamedTuple):
+    """Where a selection is written: a file or folder, or for `dataset_id` a root of Minari's."""
+
+    out: str | Path | None = None
+    dataset_id: str = ""
+    overwrite: bool = False
 
 
 class RowsOfDataset(ABC):
@@ -52,8 +60,8 @@ class RowsOfDataset(ABC):
         """Return the file whose checksum identifies the source."""
 
     @abstractmethod
-    def _write(self, rows: Rows, made: list[dict[str, Any]], target: Path, named: str) -> None:
-        """Write the rows to `target`, which is renamed afterwards."""
+    def _write(self, rows: Rows, made: list[dict[str, Any]], path: Path) -> None:
+        """Write the rows to `path`, which is renamed afterwards."""
 
     @property
     def count(self) -> int:
@@ -69,25 +77,18 @@ class RowsOfDataset(ABC):
         found = read_manifest(self.path)[0].get("selection", []) if self.path.is_dir() else []
         return found if isinstance(found, list) else []
 
-    def require_target(self, out: str | Path | None, named: str, overwrite: bool) -> None:
-        if named:
+    def require_target(self, target: Target) -> None:
+        if target.dataset_id:
             raise InvalidSelection("an id is for episodes; give --out for states and pictures")
-        if out is None:
+        if target.out is None:
             raise InvalidSelection("give an output, --out")
-        require_output(out, folder=self.path.is_dir(), overwrite=overwrite)
+        require_output(target.out, folder=self.path.is_dir(), overwrite=target.overwrite)
 
-    def write(
-        self,
-        rows: Rows,
-        how: Mapping[str, Any],
-        out: str | Path | None,
-        named: str,
-        overwrite: bool,
-    ) -> Path:
+    def write(self, rows: Rows, how: Mapping[str, Any], target: Target) -> Path:
         """Write some rows, at least one, as a new dataset; return its path."""
         if not len(rows):
             raise InvalidSelection(f"none of the {self.count} rows of {self.source} is left")
-        self.require_target(out, named, overwrite)
+        self.require_target(target)
         made = {
             "from": self.source,
             "sha256": sha256(self.digested()),
@@ -96,25 +97,18 @@ class RowsOfDataset(ABC):
             **how,
             "knotgym": knotgym.__version__,
         }
-        return self._placed(rows, [*self.earlier(), made], out, named, overwrite)
+        return self._placed(rows, [*self.earlier(), made], target)
 
-    def _placed(
-        self,
-        rows: Rows,
-        made: list[dict[str, Any]],
-        out: str | Path | None,
-        named: str,
-        overwrite: bool,
-    ) -> Path:
-        assert out is not None
-        with atomic_write(out, overwrite=overwrite) as target:
+    def _placed(self, rows: Rows, made: list[dict[str, Any]], target: Target) -> Path:
+        assert target.out is not None
+        with atomic_write(target.out, overwrite=target.overwrite) as path:
             try:
-                self._write(rows, made, target, named)
+                self._write(rows, made, path)
             except (LookupError, TypeError, AttributeError) as error:
                 raise InvalidSelection(
                     f"{self.source} has a manifest that knotgym didn't write: {one_line(error)}"
                 ) from error
-        return Path(out)
+        return Path(target.out)
 
 
 def selection_sentence(made: Mapping[str, Any]) -> str:

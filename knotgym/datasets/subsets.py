@@ -16,7 +16,7 @@ import numpy as np
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.row_expressions import matching_rows
 from knotgym.datasets.rows_of_datasets import opened
-from knotgym.datasets.selectable_rows import InvalidSelection, Rows
+from knotgym.datasets.selectable_rows import InvalidSelection, Rows, Target
 
 _MOST_ROWS = 10_000_000
 _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
@@ -65,7 +65,7 @@ def select(
         rows = np.sort(generator(Stream.SELECTION, seed).choice(rows, sample, replace=False))
     how: dict[str, Any] = {"where": where, "split": split, "sample": sample}
     how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
-    return given.write(rows, how, out, dataset_id, overwrite)
+    return given.write(rows, how, Target(out, dataset_id, overwrite))
 
 
 def split(
@@ -106,26 +106,18 @@ def split(
             f"{source} can't be cut into {len(shares)} parts: its {given.count} rows share starts,"
             f" goals, walks or near-duplicates, which leaves {together.max() + 1} separate groups"
         )
-    targets = [
-        (
-            Path(out).with_name(f"{Path(out).stem}-{name}{Path(out).suffix}")
-            if out and not dataset_id
-            else out,
-            re.sub(r"(?=-v\d+$)", f"-{name}", dataset_id),
-        )
-        for name in shares
-    ]
-    for target, named in targets:
-        given.require_target(target, named, overwrite)
+    targets = []
+    for name in shares:
+        path = Path(out) if out and not dataset_id else None
+        beside = out if path is None else path.with_name(f"{path.stem}-{name}{path.suffix}")
+        named = re.sub(r"(?=-v\d+$)", f"-{name}", dataset_id)
+        targets.append(Target(beside, named, overwrite))
+        given.require_target(targets[-1])
     return [
         given.write(
-            np.flatnonzero(dealt == part),
-            {"part": name, "parts": shares, "seed": seed},
-            target,
-            named,
-            overwrite,
+            np.flatnonzero(dealt == part), {"part": name, "parts": shares, "seed": seed}, target
         )
-        for part, (name, (target, named)) in enumerate(zip(shares, targets, strict=True))
+        for part, (name, target) in enumerate(zip(shares, targets, strict=True))
     ]
 
 
@@ -153,7 +145,7 @@ def delete(
     if unknown:
         raise InvalidSelection(f"{source} has no row {', '.join(map(str, unknown[:8]))}")
     left = np.flatnonzero(~np.isin(given.ids, [*ids]))
-    return given.write(left, {"deleted": sorted({*ids})}, out, dataset_id, overwrite)
+    return given.write(left, {"deleted": sorted({*ids})}, Target(out, dataset_id, overwrite))
 
 
 def kept(path: Path) -> str:

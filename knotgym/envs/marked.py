@@ -32,7 +32,7 @@ Floats = NDArray[np.float32]
 Tokens = NDArray[np.int16]
 
 TOKENS = 24  # visits of a code in the observation, two per crossing; longer codes are cut off
-_FRAME = 13  # numbers that describe the frame
+_FRAME = 13  # numbers that describe the frame: axes 9, centre 3, reverse 1
 
 
 class Frames(NamedTuple):
@@ -52,6 +52,7 @@ class Frames(NamedTuple):
     def points(self, points: Array) -> Array:
         """Map vertices (n, beads, 3) of the world into the frame, and renumber them."""
         seen = self.vectors(points - self.centres[:, None])
+        # reversed, but vertex 0 stays the first: 0, n - 1, n - 2, ..., 1
         back = np.roll(seen[:, ::-1], 1, axis=1)
         return np.where(self.reverse[:, None, None], back, seen)
 
@@ -62,6 +63,7 @@ class Frames(NamedTuple):
 
     def world_vectors(self, vectors: ArrayLike) -> Array:
         """Map vectors (n, ..., 3) of the frame back into the world."""
+        # the axes are orthogonal, so the transpose is the inverse
         mapped: Array = np.einsum("nji,n...j->n...i", self.axes, np.asarray(vectors, np.float64))
         return mapped
 
@@ -102,9 +104,18 @@ class Marked(NamedTuple):
             Frames(*(column[index] for column in self.frames)),
         )
 
+    def plus(self, other: Marked) -> Marked:
+        """Return these observations and others."""
+        points, marks, code, goal = (
+            np.concatenate(both) for both in zip(self[:4], other[:4], strict=True)
+        )
+        frames = (np.concatenate(both) for both in zip(self.frames, other.frames, strict=True))
+        return Marked(points, marks, code, goal, Frames(*frames))
+
 
 def size(beads: int) -> int:
     """Return the length of an observation."""
+    # 3 coordinates and 2 marks a bead, 2 numbers a token of either code
     return 5 * beads + 4 * TOKENS + _FRAME
 
 
@@ -128,6 +139,7 @@ def mark(points: ArrayLike, goals: Sequence[GaussCode]) -> Marked:
         image = _canonical_image(goals[row].visits, crossings.code.visits)
         reverse[row], switch[row], goal[row], code[row] = image
     marks = np.stack([over, under], axis=2)
+    # switched, what was over is under; reversed, bead b is bead n - 1 - b (vertices need a roll)
     marks = np.where(switch[:, None, None], marks[..., ::-1], marks)
     marks = np.where(reverse[:, None, None], marks[:, ::-1], marks)
     frames = _frames(ropes, reverse, switch)
@@ -166,10 +178,12 @@ def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_])
     flat = ropes[..., 0] + 1j * ropes[..., 1] - (centres[:, :1] + 1j * centres[:, 1:2])
     wave = np.exp(-2j * np.pi * np.arange(ropes.shape[1]) / ropes.shape[1])
     ahead, back = (flat * wave).mean(axis=1), (flat * wave.conj()).mean(axis=1)
-    # walking the other way swaps the two modes; reflecting y conjugates and swaps them
+    # Modes 1 and -1 of the walk, mean(w exp(-+2 pi i k / n)), of the centred curve w = x + iy.
+    # Walking the other way swaps the two modes; reflecting y conjugates and swaps them
     ahead, back = np.where(reverse, back, ahead), np.where(reverse, ahead, back)
     reflect = np.abs(back) > np.abs(ahead)
     first, mirror = np.where(reflect, back.conj(), ahead), np.where(reflect, -1.0, 1.0)
+    # exp(-i phase) as cosine and sine; a rope without a first mode gets an arbitrary frame
     length = np.maximum(np.abs(first), 1e-12)
     cosine, sine = first.real / length, -first.imag / length
     axes = np.zeros((len(ropes), 3, 3))

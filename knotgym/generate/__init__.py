@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(__name__, __file__)
+    __getattr__, __dir__, _ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "CollectConfig",

@@ -19,7 +19,7 @@ class DemonstrationsConfig:
         nx: numbers of crossings of these demonstrations.
         split: split of their starts and goals: train or train-code.
         starts: resets of each task that they begin from.
-        wander: random passes before a demonstration, at most.
+        wander: passes before a demonstration that weren't tried out, at most.
         budget: actions simulated for a demonstration, at most; what needs more is given up, and is
             no example of what is done at first sight.
         lanes: demonstrations side by side; makes no difference to them.
@@ -30,7 +30,7 @@ class DemonstrationsConfig:
     nx: tuple[int, ...] = (2,)
     split: str = "train"
     starts: int = 512
-    wander: int = 2
+    wander: int = 3
     budget: int = 400
     lanes: int = 128
 
@@ -54,18 +54,19 @@ class ImproveConfig:
     Attributes:
         episodes: per task and round.
         temperature: at which macro-actions are drawn.
-        rounds_kept: rounds whose decisions are trained on, the latest.
+        share: of each batch that comes from play.
     """
 
-    episodes: int = 512
-    temperature: float = 0.7
-    rounds_kept: int = 6
+    episodes: int = 1500
+    temperature: float = 0.5
+    share: float = 0.5
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            counts=("episodes", "rounds_kept"),
+            counts=("episodes",),
             non_negative=("temperature",),
+            shares=("share",),
             error=InvalidTraining,
         )
 
@@ -76,13 +77,13 @@ class CloneConfig:
 
     Attributes:
         action: what is cloned: "macro" for a demonstrator's macro-actions, "bead" for every pull.
+        start: folder of a trained clone to go on from, of the same width and layers; "" for none.
         steps: optimizer steps on the data.
         failed: whether to learn from episodes that didn't reach their goal, too.
         demonstrations: to make, beside those in datasets.
         hindsight: macro-actions before a state for which its code counts as a goal; 0 for none.
         copies: of a way to a goal, with the rope's beads numbered from others; each leads to the
             goal's code as it is read from its first bead.
-        other_share: share of each batch with goals in hindsight or of copies, if there are any.
         improve: rounds of improvement by playing in the chain engine.
         round_steps: optimizer steps after each of them.
         batch: decisions per step.
@@ -99,12 +100,12 @@ class CloneConfig:
     """
 
     action: str = "macro"
+    start: str = ""
     steps: int = 4000
     failed: bool = False
     demonstrations: DemonstrationsConfig = DemonstrationsConfig()
-    hindsight: int = 2
-    copies: int = 4
-    other_share: float = 0.5
+    hindsight: int = 1
+    copies: int = 3
     improve: int = 0
     round_steps: int = 1000
     batch: int = 128
@@ -125,13 +126,13 @@ class CloneConfig:
             counts=("steps", "round_steps", "batch", "judge_every", "width", "layers"),
             whole=("seed", "improve", "hindsight", "copies"),
             positive=("rate",),
-            non_negative=("decay", "average", "held_out", "other_share"),
+            non_negative=("decay", "average", "held_out"),
             error=InvalidTraining,
         )
         require_engine(self.engine)
         if self.action not in HEADS:
             raise InvalidTraining(f"action must be {' or '.join(HEADS)}, got {self.action!r}")
-        for name in ("average", "held_out", "other_share"):
+        for name in ("average", "held_out"):
             if getattr(self, name) >= 1:
                 raise InvalidTraining(f"{name} must be below 1, got {getattr(self, name)}")
         if (self.improve or self.demonstrations.episodes) and self.action != "macro":

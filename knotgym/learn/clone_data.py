@@ -30,6 +30,12 @@ from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import shifted_base
 
+Macro = tuple[int, int, int]  # or a `Pass`, which is one
+
+MISSED = 3  # macro-actions without success that are kept of a decision
+NONE = -1
+_NO_MACRO = NONE, NONE, 1
+
 
 class Decisions(NamedTuple):
     """n choices of macro-actions, in the world.
@@ -37,7 +43,9 @@ class Decisions(NamedTuple):
     Attributes:
         points: float32 (n, beads, 3), metres.
         goals: str (n,), codes without chirality.
-        macros: int64 (n, 3): bead to lead, bead of the strand to pass, +1 over or -1 under.
+        macros: int64 (n, 1 + MISSED, 3): bead to lead, bead of the strand to pass, +1 over or -1
+            under; first the one chosen, then some that were tried and led nowhere. Those that there
+            aren't have bead and strand NONE.
         forces: float32 (n, 3), relative to the largest, of pulls; not used for macro-actions.
         episodes: int64 (n,), episodes are held out whole.
         asked: bool (n,), whether the goal had been asked for; else it was reached by chance, or the
@@ -71,18 +79,24 @@ class DecidedStep(NamedTuple):
         points: float32 (beads, 3), metres, before it.
         landed: the same after it.
         before, after: codes.
-        macro: see `Decisions`.
+        macro: see `Decisions`; NONE where nothing is to be imitated.
+        missed: what was tried before in vain.
     """
 
     points: NDArray[np.float32]
     landed: NDArray[np.float32]
     before: GaussCode
     after: GaussCode
-    macro: tuple[int, int, int]
+    macro: Macro
+    missed: tuple[Macro, ...] = ()
 
     def numbered_from(self, base: int) -> DecidedStep:
         """Return the same decision on a rope whose beads are numbered from bead `base`."""
-        count, (bead, target, side) = len(self.points), self.macro
+        count = len(self.points)
+        macro, *missed = (
+            ((bead - base) % count, (target - base) % count, side)
+            for bead, target, side in (self.macro, *self.missed)
+        )
         before, after = (
             shifted_base(find_crossings(points.astype(np.float64)), base)
             for points in (self.points, self.landed)
@@ -92,7 +106,8 @@ class DecidedStep(NamedTuple):
             np.roll(self.landed, -base, axis=0),
             before,
             after,
-            ((bead - base) % count, (target - base) % count, side),
+            macro,
+            tuple(missed),
         )
 
 
@@ -101,7 +116,7 @@ class Examples(NamedTuple):
 
     Attributes:
         seen: states; frames apart, all that the network is shown.
-        macros: int64 (n, 3): bead, strand, 0 for under or 1 for over.
+        macros: int64 (n, 1 + MISSED, 3): bead, strand, 0 for under or 1 for over; see `Decisions`.
         forces: int64 (n, 3), choices of the force components of pulls.
         asked: bool (n,), as of `Decisions`.
     """
@@ -116,17 +131,25 @@ class Examples(NamedTuple):
         own = self.macros[index], self.forces[index], self.asked[index]
         return Examples(self.seen.rows(index), *own)
 
+    def plus(self, other: Examples) -> Examples:
+        """Return these examples and others."""
+        own = [np.concatenate(both) for both in zip(self[1:], other[1:], strict=True)]
+        return Examples(self.seen.plus(other.seen), *own)
+
 
 def examples(decisions: Decisions) -> Examples:
     """Bring decisions into the canonical frame."""
     codes = {text: GaussCode.parse(text) for text in set(decisions.goals.tolist())}
     seen = mark(decisions.points, [codes[text] for text in decisions.goals.tolist()])
-    frames, (beads, targets, sides) = seen.frames, decisions.macros.T
-    macros = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
+    frames = seen.frames
+    macros = np.full_like(decisions.macros, NONE)
+    for number, (beads, targets, sides) in enumerate(decisions.macros.transpose(1, 2, 0)):
+        own = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
+        macros[:, number] = np.where(beads[:, None] == NONE, NONE, np.stack(own, axis=1))
     forces = np.clip(frames.vectors(decisions.forces), -1, 1)
     return Examples(
         seen._replace(points=seen.points.astype(np.float32)),
-        np.stack(macros, axis=1),
+        macros,
         force_choices(forces),
         decisions.asked,
     )
@@ -197,6 +220,7 @@ def gathered(
     goal: GaussCode,
     number: int,
     config: CloneConfig,
+    vain: Sequence[DecidedStep] = (),
 ) -> Decisions:
     """Return the decisions of an episode that are worth learning.
 
@@ -207,8 +231,11 @@ def gathered(
         goal: the episode's own.
         number: of the episode.
         config: says how much hindsight there is, and how many copies.
+        vain: steps that count as tried in vain, and aren't imitated.
     """
     rows = [(step, goal.plain, True) for step in asked]
+    for step in vain:
+        rows.append((step._replace(macro=_NO_MACRO, missed=(step.macro,)), goal.plain, False))
     window = config.hindsight
     for end, last in enumerate(way):
         reached = last.after.plain
@@ -226,7 +253,7 @@ def gathered(
     return Decisions(
         points.astype(np.float32),
         np.array([str(code) for _, code, _ in rows], dtype=np.str_),
-        np.array([step.macro for step, *_ in rows], dtype=np.int64).reshape(-1, 3),
+        _table([(step.macro, *step.missed) for step, *_ in rows]),
         np.zeros((count, 3), dtype=np.float32),
         np.full(count, number, dtype=np.int64),
         np.array([own for *_, own in rows], dtype=bool),
@@ -260,12 +287,19 @@ def load_decisions(path: Path) -> tuple[Decisions, dict[str, float]]:
     return decisions, rates
 
 
+def _table(tried: Sequence[tuple[Macro, ...]]) -> NDArray[np.int64]:
+    """Return macro-actions, the first of each row chosen, as of `Decisions`."""
+    macros = np.full((len(tried), 1 + MISSED, 3), NONE, dtype=np.int64)
+    for row, own in zip(macros, tried, strict=True):
+        row[: len(own)] = own[: 1 + MISSED]
+    return macros
+
+
 def _pulls(episode: Episode, number: int) -> Decisions:
     """Return every pull of an episode as a decision."""
     count = len(episode)
-    macros = np.zeros((count, 3), dtype=np.int64)
     # an info at state t + 1 belongs to the pull that led there from state t
-    macros[:, 0] = episode.bead[1:]
+    macros = _table([((bead, bead, 1),) for bead in episode.bead[1:].tolist()])
     return Decisions(
         episode.points[:-1].astype(np.float32),
         np.full(count, episode.goal_gauss_code),

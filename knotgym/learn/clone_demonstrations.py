@@ -1,17 +1,25 @@
 """Demonstrations for the clone, made in the chain engine: a hundred times as fast as episodes.
 
 A demonstration is a way that the demonstrator finds from a start to a goal, with the rope at rest
-before every pass. Some begin after passes that nobody chose, so that the clone also sees states
-that a demonstrator doesn't lead to.
+before every pass. Most begin after passes that were not tried out before: random ones, or some of
+the demonstrator's first choices. So the clone also sees states that a demonstrator doesn't lead to,
+above all those in which its own mistakes end.
 """
 
 from collections.abc import Iterator
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from knotgym.common.streams import Stream, generator
-from knotgym.control.demonstrator import Decision, DemonstratorConfig, find_way, random_pass
+from knotgym.control.demonstrator import (
+    Decision,
+    DemonstratorConfig,
+    find_way,
+    passes_in_order,
+    random_pass,
+)
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
 from knotgym.control.pass_counts import DiagramValues, shipped_values
 from knotgym.control.pass_play import Starts, draw_starts
@@ -20,11 +28,12 @@ from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig
 from knotgym.learn.clone_data import DecidedStep, Decisions, gathered, join, none
 from knotgym.rope.model import Array
 from knotgym.runs.progress import Progress, Status
-from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
-# a goal and the way to it: empty if none was found, None if random passes led there already
+# a goal and the way to it: empty if none was found, None if the passes before led there already
 _Found = tuple[GaussCode, list[Decision] | None]
+
+_TOLD, _FIRST = 0.6, 3  # share of the passes before that are among the first of the order
 
 
 def demonstrated_tasks(config: DemonstrationsConfig) -> list[TaskConfig]:
@@ -107,18 +116,20 @@ def _way(
     wander: int,
     rng: np.random.Generator,
 ) -> Search[_Found]:
-    """Find a way after some random passes."""
+    """Find a way after some passes that weren't tried out."""
     for _ in range(wander):
-        landing: Landing = yield Trial(state, random_pass(len(points), rng), goal)
+        move, told = random_pass(len(points), rng), rng.random() < _TOLD
+        if told and (first := [*islice(passes_in_order(values, goal, points), _FIRST)]):
+            move = first[int(rng.integers(len(first)))]
+        landing: Landing = yield Trial(state, move, goal)
         state, points = landing.state, landing.points
-    if label(points).matches(goal):
-        return goal, None
+        if landing.code.matches(goal):
+            return goal, None
     way, _ = yield from find_way(values, goal, config, state, points)
     return goal, way
 
 
 def _step(decision: Decision) -> DecidedStep:
     points, landed = (one.astype(np.float32) for one in (decision.points, decision.landing.points))
-    bead, target, side = decision.move
-    macro = bead, target, side
-    return DecidedStep(points, landed, decision.code, decision.landing.code, macro)
+    codes = decision.code, decision.landing.code
+    return DecidedStep(points, landed, *codes, decision.move, decision.missed)

@@ -1,8 +1,10 @@
 """The clone's network: attention over the beads of a marked rope, and heads that choose.
 
 A macro-action is chosen as bead, strand given bead, and side given both, so that a state with
-several good macro-actions doesn't get a mixture of them. A pull is chosen as bead, and the choices
-of its force given the bead. All is in the canonical frame of `envs.marked`.
+several good macro-actions doesn't get a mixture of them. Another head tells whether a macro-action
+works here: what the demonstrator tried in vain looks like what it does elsewhere. A pull is chosen
+as bead, and the choices of its force given the bead. All is in the canonical frame of
+`envs.marked`.
 """
 
 from typing import NamedTuple
@@ -13,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from knotgym.envs.marked import Marked
+from knotgym.learn.clone_data import NONE
 from knotgym.learn.imagination import BEADS
 from knotgym.rope.actions import FORCE_CHOICES
 
@@ -21,7 +24,8 @@ _VISITS = 12  # visits of a code that the network sees
 _ARCS, _ARC_WIDTH = 2 * _VISITS + 1, 6
 _POINT, _TANGENT = 6.0, 35.0  # per metre, scales at which inputs are of order 1
 _BEAD_WIDTH = 32
-_NEIGHBOURS = 8  # beads from which the likeliest macro-action is sought
+_CHOICES = 8, 4  # beads, and strands for each of them, among which a macro-action is chosen
+_WORKING = 2.0  # weight of the chance that it works, beside that of being chosen
 # Labels are smoothed over neighbours: a bead to either side does nearly as well.
 _SMOOTHING = ((-2, 0.05), (-1, 0.15), (0, 0.6), (1, 0.15), (2, 0.05))
 
@@ -71,14 +75,6 @@ class MarkedInputs(NamedTuple):
     logits: Tensor
 
 
-class Macros(NamedTuple):
-    """Macro-actions in the canonical frame, int64 (n,) each; a side is 0 under or 1 over."""
-
-    beads: Tensor
-    targets: Tensor
-    sides: Tensor
-
-
 class CloneNetwork(nn.Module):
     """Attention over patches of beads; heads for macro-actions and for pulls.
 
@@ -86,7 +82,7 @@ class CloneNetwork(nn.Module):
         noise: numbers that `choose` takes to draw one macro-action.
     """
 
-    noise = 2 * BEADS + 2
+    noise = 2 * _CHOICES[0] * _CHOICES[1]
 
     def __init__(self, width: int = 96, layers: int = 2, heads: int = 4, dropout: float = 0.0):
         super().__init__()
@@ -94,13 +90,13 @@ class CloneNetwork(nn.Module):
         self.arc = nn.Embedding(_ARCS, _ARC_WIDTH)
         codes = 2 * _VISITS * (2 + _VISITS)
         self.codes = nn.Sequential(
-            nn.Linear(codes, 2 * width), nn.GELU(), nn.Linear(2 * width, width)
+            nn.Linear(codes, 2 * width), nn.ReLU(), nn.Linear(2 * width, width)
         )
         self.inward = nn.Linear(_PATCH * (8 + _ARC_WIDTH), width)
         self.place = nn.Parameter(0.1 * torch.randn(BEADS // _PATCH, width))
         self.body = nn.TransformerEncoder(
             nn.TransformerEncoderLayer(
-                width, heads, 3 * width, dropout, "gelu", batch_first=True, norm_first=True
+                width, heads, 3 * width, dropout, "relu", batch_first=True, norm_first=True
             ),
             layers,
             enable_nested_tensor=False,
@@ -110,11 +106,11 @@ class CloneNetwork(nn.Module):
         self.outward = nn.Linear(width, _PATCH * own)
         self.local = nn.Linear(8 + _ARC_WIDTH, own)
         self.bead = nn.Linear(own, 1)
-        self.query = nn.Sequential(nn.Linear(own + width, width), nn.GELU(), nn.Linear(width, own))
+        self.query = nn.Sequential(nn.Linear(own + width, width), nn.ReLU(), nn.Linear(width, own))
         self.apart = nn.Embedding(BEADS, 1)
-        self.side = nn.Sequential(nn.Linear(3 * own + width, width), nn.GELU(), nn.Linear(width, 2))
+        self.side = nn.Sequential(nn.Linear(3 * own + width, width), nn.ReLU(), nn.Linear(width, 4))
         self.force = nn.Sequential(
-            nn.Linear(own + width, width), nn.GELU(), nn.Linear(width, 3 * FORCE_CHOICES)
+            nn.Linear(own + width, width), nn.ReLU(), nn.Linear(width, 3 * FORCE_CHOICES)
         )
         nn.init.zeros_(self.apart.weight)
 
@@ -126,41 +122,55 @@ class CloneNetwork(nn.Module):
         patches = self.inward(own.reshape(count, BEADS // _PATCH, -1)) + self.place + whole
         tokens = self.norm(self.body(torch.cat([whole, patches], dim=1)))
         beads = self.outward(tokens[:, 1:]).reshape(count, BEADS, -1) + self.local(own)
-        beads = functional.gelu(beads)
+        beads = functional.relu(beads)
         return MarkedInputs(beads, tokens[:, 0], self.bead(beads)[..., 0])
 
     def targets(self, seen: MarkedInputs, beads: Tensor) -> Tensor:
-        """Return logits (n, BEADS) of the strand to pass, given the bead to lead."""
-        rows = torch.arange(len(beads))
-        query = self.query(torch.cat([seen.beads[rows, beads], seen.whole], dim=1))
-        logits = (seen.beads @ query[:, :, None])[..., 0]
-        apart = (torch.arange(BEADS) - beads[:, None]) % BEADS
+        """Return logits (n, k, BEADS) of the strand to pass, given the bead to lead, (n, k)."""
+        whole = seen.whole[:, None].expand(-1, beads.shape[1], -1)
+        query = self.query(torch.cat([_picked(seen.beads, beads), whole], dim=2))
+        logits = query @ seen.beads.transpose(1, 2)
+        apart = (torch.arange(BEADS) - beads[..., None]) % BEADS
         return logits + self.apart(apart)[..., 0]
 
-    def sides(self, seen: MarkedInputs, beads: Tensor, targets: Tensor) -> Tensor:
-        """Return logits (n, 2) of passing under and over, given the bead and the strand."""
-        rows = torch.arange(len(beads))
-        one, two = seen.beads[rows, beads], seen.beads[rows, targets]
-        return self.side(torch.cat([one, two, one * two, seen.whole], dim=1))
+    def sides(self, seen: MarkedInputs, beads: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+        """Return logits (n, k, 2) of passing under and over, and logits that either works."""
+        one, two = _picked(seen.beads, torch.cat([beads, targets], dim=1)).chunk(2, dim=1)
+        whole = seen.whole[:, None].expand(-1, beads.shape[1], -1)
+        side, works = self.side(torch.cat([one, two, one * two, whole], dim=2)).chunk(2, dim=2)
+        return side, works
 
     def forces(self, seen: MarkedInputs, beads: Tensor) -> Tensor:
-        """Return logits (n, 3, FORCE_CHOICES) of the force, given the bead to pull."""
+        """Return logits (n, 3, FORCE_CHOICES) of the force, given the bead to pull, (n,)."""
         one = seen.beads[torch.arange(len(beads)), beads]
         return self.force(torch.cat([one, seen.whole], dim=1)).reshape(-1, 3, FORCE_CHOICES)
 
-    def macro_loss(self, states: Inputs, macros: Macros) -> Tensor:
-        """Return the negative log-likelihood (n, 3) of bead, strand and side, smoothed."""
-        seen = self(states)
-        return torch.stack(
+    def macro_loss(self, states: Inputs, tried: Tensor) -> Tensor:
+        """Return the loss (n, 4) of bead, strand and side chosen, and of what works.
+
+        Args:
+            states: n states.
+            tried: int64 (n, 1 + m, 3), beads, strands and sides: the macro-action chosen, and up
+                to m that didn't work; those that there aren't are NONE.
+        """
+        seen, known = self(states), (tried[..., 0] != NONE).float()
+        beads, targets, sides = tried.clamp(min=0).unbind(2)
+        side, works = self.sides(seen, beads, targets)
+        strand = self.targets(seen, beads[:, :1])[:, 0]
+        chosen = torch.stack(
             [
-                smoothed_loss(seen.logits, macros.beads),
-                smoothed_loss(self.targets(seen, macros.beads), macros.targets),
-                functional.cross_entropy(
-                    self.sides(seen, macros.beads, macros.targets), macros.sides, reduction="none"
-                ),
+                smoothed_loss(seen.logits, beads[:, 0]),
+                smoothed_loss(strand, targets[:, 0]),
+                functional.cross_entropy(side[:, 0], sides[:, 0], reduction="none"),
             ],
             dim=1,
         )
+        works = works.gather(2, sides[..., None])[..., 0]
+        chance = torch.zeros_like(works)
+        chance[:, 0] = 1.0
+        working = functional.binary_cross_entropy_with_logits(works, chance, reduction="none")
+        working = (known * working).sum(1, keepdim=True)
+        return torch.cat([known[:, :1] * chosen, working], dim=1)
 
     def pull_loss(self, states: Inputs, beads: Tensor, bins: Tensor) -> Tensor:
         """Return the negative log-likelihood (n, 2) of bead and force bins (n, 3), smoothed."""
@@ -169,36 +179,32 @@ class CloneNetwork(nn.Module):
         force = functional.cross_entropy(logits.flatten(0, 1), bins.flatten(), reduction="none")
         return torch.stack([smoothed_loss(seen.logits, beads), force.reshape(-1, 3).sum(1)], dim=1)
 
-    def choose(self, states: Inputs, noise: Tensor, temperatures: Tensor) -> Macros:
-        """Choose macro-actions: the likeliest, or drawn at a temperature.
+    def choose(self, states: Inputs, noise: Tensor, temperatures: Tensor) -> Tensor:
+        """Choose macro-actions, int64 (n, 3): the best, or drawn at a temperature.
 
         Args:
             states: n states.
-            noise: uniform in [0, 1), (n, noise); decides what is drawn at temperatures above 0.
-            temperatures: (n,); 0 for the likeliest.
+            noise: uniform in [0, 1), (n, `noise`); decides what is drawn at temperatures above 0.
+            temperatures: (n,); 0 for the best.
         """
         seen = self(states)
-        first, beads = functional.log_softmax(seen.logits, 1).topk(_NEIGHBOURS, dim=1)
-        # the likeliest triple that begins with one of the likeliest beads
-        many = MarkedInputs(*(column.repeat_interleave(_NEIGHBOURS, 0) for column in seen))
-        second, targets = functional.log_softmax(self.targets(many, beads.flatten()), 1).max(1)
-        third, sides = functional.log_softmax(self.sides(many, beads.flatten(), targets), 1).max(1)
-        best = (first + (second + third).reshape(first.shape)).argmax(1)
-        rows = torch.arange(len(best))
-        likeliest = Macros(
-            *(column.reshape(first.shape)[rows, best] for column in (beads, targets, sides))
-        )
-        hot = temperatures > 0
-        if not hot.any():
-            return likeliest
+        some, each = _CHOICES
+        first, beads = functional.log_softmax(seen.logits, 1).topk(some, dim=1)
+        second, targets = functional.log_softmax(self.targets(seen, beads), 2).topk(each, dim=2)
+        beads, targets = beads.repeat_interleave(each, 1), targets.flatten(1)
+        side, works = self.sides(seen, beads, targets)
+        chances = functional.log_softmax(side, 2) + _WORKING * functional.logsigmoid(works)
+        chances = (first.repeat_interleave(each, 1) + second.flatten(1))[..., None] + chances
         # The maximum of logits with Gumbel noise is a draw from their softmax.
         gumbel = -torch.log(-torch.log(noise.clamp(1e-12, 1 - 1e-12)))
-        scaled = (temperatures[:, None] * gumbel).float().split([BEADS, BEADS, 2], dim=1)
-        bead = (seen.logits + scaled[0]).argmax(1)
-        target = (self.targets(seen, bead) + scaled[1]).argmax(1)
-        side = (self.sides(seen, bead, target) + scaled[2]).argmax(1)
-        drawn = Macros(bead, target, side)
-        return Macros(*(torch.where(hot, a, b) for a, b in zip(drawn, likeliest, strict=True)))
+        best = (chances.flatten(1) + (temperatures[:, None] * gumbel).float()).argmax(1)
+        rows, pair = torch.arange(len(best)), best // 2
+        return torch.stack([beads[rows, pair], targets[rows, pair], best % 2], dim=1)
+
+
+def _picked(beads: Tensor, index: Tensor) -> Tensor:
+    """Return the rows (n, k, width) of beads (n, BEADS, width) at an index (n, k)."""
+    return beads.gather(1, index[..., None].expand(-1, -1, beads.shape[2]))
 
 
 def smoothed_loss(logits: Tensor, beads: Tensor) -> Tensor:

@@ -2,7 +2,8 @@
 
 A way is an episode without its loops: what happened between two visits to the same code is left
 out. The way of an episode that reached its goal is kept for that goal. Every code on a way is kept
-as a goal too, for the decisions shortly before it, as if it had been asked for (hindsight).
+as a goal too, for the decisions shortly before it, as if it had been asked for (hindsight). Some of
+what is left out, and of what an episode did that missed its goal, is kept as tried in vain.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from knotgym.learn.clone_policy import ClonePolicy
 from knotgym.topology.gauss import GaussCode
 
 _LANES = 256  # episodes side by side
+_VAIN = 2  # macro-actions of an episode that are kept as tried in vain, at most
 
 
 class PlayedMacros(NamedTuple):
@@ -103,8 +105,11 @@ def play(
             reached += bool(terminated[row])
             way = without_loops(steps[index])
             asked = way if terminated[row] else []
+            good = {id(step) for step in asked}
+            vain = [step for step in steps[index] if id(step) not in good]
+            vain = vain[:: len(vain) // _VAIN + 1]
             key = -1 - config.episodes * number - numbers[index]
-            kept.append(gathered(way, asked, episodes.goals[index], key, clone))
+            kept.append(gathered(way, asked, episodes.goals[index], key, clone, vain))
             left[row] = begin(index)
         under_way = under_way[left]
     return PlayedMacros(join(kept), reached / config.episodes)

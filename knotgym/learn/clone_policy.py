@@ -29,7 +29,7 @@ from knotgym.learn.checkpoint import (
     read_weights,
     write_checkpoint,
 )
-from knotgym.learn.clone_network import CloneNetwork, Macros, inputs
+from knotgym.learn.clone_network import CloneNetwork, inputs
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
@@ -48,12 +48,16 @@ _ESCAPE = 0.7
 
 
 class ClonePolicy(UnplannedPolicy):
-    """Chooses macro-actions, or pulls, as its network finds likeliest."""
+    """Chooses macro-actions, or pulls, as its network finds likeliest.
+
+    Attributes:
+        network: in evaluation mode.
+    """
 
     def __init__(self, network: CloneNetwork, action: str, temperature: float = 0.0) -> None:
         """Take a network in evaluation mode, and which head acts, "macro" or "bead"."""
         super().__init__(CLONE)
-        self._network, self._action, self._temperature = network, action, temperature
+        self.network, self._action, self._temperature = network, action, temperature
         self._view: ActionView | None = None
         self._codes: dict[int, GaussCode | None] = {}  # at the last choice
         self._eyes: dict[int, _Eyes] = {}
@@ -114,9 +118,9 @@ class ClonePolicy(UnplannedPolicy):
         self._codes |= dict(zip(indices, codes, strict=True))
         rngs = [self._rngs[index] for index in indices]
         if self._action == "bead":
-            return choose_pulls(self._network, points, goals)
+            return choose_pulls(self.network, points, goals)
         heat = np.where(stuck, max(_ESCAPE, self._temperature), self._temperature)
-        return choose_macros(self._network, points, goals, heat, rngs)
+        return choose_macros(self.network, points, goals, heat, rngs)
 
 
 class _Eyes:
@@ -164,10 +168,10 @@ def choose_macros(
     for row in np.flatnonzero(temperatures > 0):
         noise[row] = rngs[row].random(network.noise)
     with inference(torch):
-        chosen: Macros = network.choose(
+        chosen = network.choose(
             inputs(seen), torch.from_numpy(noise), torch.from_numpy(temperatures)
         )
-    beads, targets, sides = (column.numpy() for column in chosen)
+    beads, targets, sides = chosen.numpy().T
     beads, targets = seen.frames.renumber(beads), seen.frames.renumber(targets)
     targets = (targets + (targets == beads)) % points.shape[1]  # a bead can't pass itself
     return np.stack([beads, targets, (seen.frames.sides(2 * sides - 1) + 1) // 2], axis=1)

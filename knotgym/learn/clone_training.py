@@ -36,7 +36,7 @@ from knotgym.learn.clone_data import (
     save_decisions,
 )
 from knotgym.learn.clone_demonstrations import demonstrate, demonstrated_tasks
-from knotgym.learn.clone_network import CloneNetwork, Macros, inputs
+from knotgym.learn.clone_network import CloneNetwork, inputs
 from knotgym.learn.clone_play import play
 from knotgym.learn.clone_policy import ClonePolicy, load_clone, save_clone
 from knotgym.learn.imagination import BEADS
@@ -65,22 +65,40 @@ class CloneTraining:
     """
 
     def __init__(self, config: CloneConfig) -> None:
+        """Begin a training.
+
+        Raises:
+            InvalidTraining: the clone to go on from has another network.
+            InvalidCheckpoint: it is missing, changed or truncated.
+        """
         # more threads would sum in another order and round otherwise
         torch.set_num_threads(1)
         torch.manual_seed(config.seed)
         self._config = config
         self.network = CloneNetwork(config.width, config.layers)
+        if config.start:
+            earlier = load_clone(Path(config.start)).network.state_dict()
+            own = self.network.state_dict()
+            if {k: v.shape for k, v in own.items()} != {k: v.shape for k, v in earlier.items()}:
+                raise InvalidTraining(
+                    f"the clone to go on from, {config.start}, has another width or layers than"
+                    f" {config.width} and {config.layers}"
+                )
+            self.network.load_state_dict(earlier)
         self._optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=config.rate, weight_decay=config.decay
+            self.network.parameters(), lr=config.rate, weight_decay=config.decay, fused=True
         )
         self._average = {name: own.clone() for name, own in self.network.state_dict().items()}
         self._best, self._least = self._average, math.inf
         self.step, self.curve = 0, list[tuple[int, float, float]]()
 
-    def advance(self, data: Examples, held: Examples, start: int, stop: int) -> None:
+    def advance(
+        self, data: Examples, held: Examples, start: int, stop: int, played: int = 0
+    ) -> None:
         """Train on `data` for up to `judge_every` steps of those from `start` to `stop`.
 
-        The learning rate falls by a cosine over them; then the weights are judged on `held`.
+        The learning rate falls by a cosine over them; then the weights are judged on `held`. The
+        last `played` rows of the data are from play, and have their share of each batch.
         """
         config, losses = self._config, list[float]()
         self.network.train()
@@ -90,7 +108,8 @@ class CloneTraining:
             for group in self._optimizer.param_groups:
                 group["lr"] = config.rate * min(1.0, (self.step + 1) / _WARM_UP) * falling
             rng = generator(Stream.LEARN_CLONE, config.seed, self.step)
-            loss = self._loss(self.network, data.rows(self._drawn(data, rng)))
+            rows = self._drawn(len(data.asked) - played, played, rng)
+            loss = self._loss(self.network, data.rows(rows))
             self._optimizer.zero_grad(set_to_none=True)
             loss.backward()
             torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
@@ -151,25 +170,21 @@ class CloneTraining:
         network.load_state_dict(weights)
         return network.eval()
 
-    def _drawn(self, data: Examples, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Draw a batch of rows, of which a share has goals in hindsight."""
-        asked, reached = np.flatnonzero(data.asked), np.flatnonzero(~data.asked)
+    def _drawn(self, given: int, played: int, rng: np.random.Generator) -> NDArray[np.int64]:
         batch = self._config.batch
-        other = round(self._config.other_share * batch) if len(reached) else 0
-        return np.concatenate(
-            [
-                asked[rng.integers(len(asked), size=batch - other)],
-                reached[rng.integers(max(1, len(reached)), size=other)],
-            ]
-        )
+        own = round(self._config.play.share * batch) if played else 0
+        if not own:
+            return rng.integers(given, size=batch)
+        rows = rng.integers(given, size=batch - own), given + rng.integers(played, size=own)
+        return np.concatenate(rows)
 
     def _loss(self, network: CloneNetwork, data: Examples) -> Tensor:
         states = inputs(data.seen)
-        beads, targets, sides = torch.from_numpy(data.macros).T
+        macros = torch.from_numpy(data.macros)
         if self._config.action == "macro":
-            losses = network.macro_loss(states, Macros(beads, targets, sides))
+            losses = network.macro_loss(states, macros)
         else:
-            losses = network.pull_loss(states, beads, torch.from_numpy(data.forces))
+            losses = network.pull_loss(states, macros[:, 0, 0], torch.from_numpy(data.forces))
         return losses.sum(1).mean()
 
 
@@ -258,14 +273,14 @@ def fit_clone(
     if kept:
         training.restore(kept)
 
-    def train(data: Decisions, start: int, stop: int) -> None:
-        if training.step >= stop:
-            return
-        held = _held_out(data.episodes, config)
-        rows, judged = np.flatnonzero(~held), np.flatnonzero(held & data.asked)[:_JUDGED]
-        fitted, aside = examples(data.rows(rows)), examples(data.rows(judged))
+    held = _held_out(decisions.episodes, config)
+    rows, judged = np.flatnonzero(~held), np.flatnonzero(held)
+    fitted = examples(decisions.rows(rows))
+    aside = examples(decisions.rows(judged[:: len(judged) // _JUDGED + 1]))
+
+    def train(start: int, stop: int) -> None:
         while training.step < stop:
-            training.advance(fitted, aside, start, stop)
+            training.advance(fitted, aside, start, stop, len(fitted.asked) - len(rows))
             progress.show(status)
             if folder is not None:
                 keep_training(folder, training.state())
@@ -276,8 +291,9 @@ def fit_clone(
         return Status(training.step, last, "steps of the clone", facts, even=True)
 
     progress.stage("training the clone")
-    train(decisions, 0, config.steps)
-    rounds, rates = list[Decisions](), list[dict[str, float]]()
+    train(0, config.steps)
+    rates = list[dict[str, float]]()
+    known = sorted(set(decisions.goals.tolist()))
     for number in range(config.improve):
         stop = config.steps + (number + 1) * config.round_steps
         path = folder / f"round-{number}.safetensors" if folder is not None else None
@@ -285,14 +301,13 @@ def fit_clone(
             own, rate = load_decisions(path)
         else:
             progress.stage(f"playing, round {number + 1} of {config.improve}")
-            own, rate = _play(training.averaged(), tasks, config, number, rounds)
+            own, rate = _play(training.averaged(), tasks, config, number, known)
             if path is not None:
                 save_decisions(path, own, rate)
-        rounds.append(own)
+        fitted = fitted.plus(examples(own))
         rates.append(dict(sorted(rate.items())))
         progress.say(f"round {number + 1}: " + ", ".join(f"{k} {v:.0%}" for k, v in rate.items()))
-        recent = rounds[-config.play.rounds_kept :]
-        train(join([decisions, *recent]), stop - config.round_steps, stop)
+        train(stop - config.round_steps, stop)
     progress.show(status, last=True)
     network = training.averaged() if config.improve else training.best()
     facts = {
@@ -332,17 +347,15 @@ def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -
         states = inputs(aside.seen)
         first = network(states).logits.argmax(1).numpy()
         chosen = network.choose(states, torch.zeros(count, network.noise), torch.zeros(count))
-    guess, wanted = (
-        _first_pulls(aside.seen.points, macros)
-        for macros in (np.stack([own.numpy() for own in chosen], axis=1), aside.macros)
-    )
+    taken = aside.macros[:, 0]
+    guess, wanted = (_first_pulls(aside.seen.points, one) for one in (chosen.numpy(), taken))
     left = ((guess - wanted) ** 2).mean(0) / wanted.var(0)
-    share = float((first == aside.macros[:, 0]).mean())
+    share = float((first == taken[:, 0]).mean())
     return Predictability(share, tuple((1 - left).tolist()), count)
 
 
 def _first_pulls(points: NDArray[Any], macros: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return where macro-actions (n, 3) of `Examples` first pull, and the force, float64 (n, 6)."""
+    """Return where macro-actions (n, 3) first pull, and the force, float64 (n, 6)."""
     ropes, config = points.astype(np.float64), MacroActionConfig()
     controller = WaypointController(len(ropes), config)
     for row, (bead, target, over) in enumerate(macros.tolist()):
@@ -383,7 +396,7 @@ def _first_guesses(
         own = examples(decisions.rows(np.flatnonzero(aside & (crossings == nx))[:_JUDGED]))
         with torch.no_grad():
             guesses = network(inputs(own.seen)).logits.argmax(1).numpy()
-        apart = np.abs(guesses - own.macros[:, 0])
+        apart = np.abs(guesses - own.macros[:, 0, 0])
         found[f"nx {nx}"] = {
             "decisions": len(guesses),
             "bead_first_guess": float(np.mean(apart == 0)),
@@ -408,16 +421,15 @@ def _play(
     tasks: Sequence[TaskConfig],
     config: CloneConfig,
     number: int,
-    rounds: Sequence[Decisions],
+    known: Sequence[str],
 ) -> tuple[Decisions, dict[str, float]]:
     """Play one round of all tasks; return the decisions and the success rates by task."""
-    found = sorted({text for one in rounds for text in one.goals.tolist()})
-    codes = [GaussCode.parse(text) for text in found]
+    codes = [GaussCode.parse(text) for text in known]
     parts, rates = list[Decisions](), dict[str, float]()
     for place, task in enumerate(tasks):
-        known = [code for code in codes if code.nx == task.goal_nx]
+        goals = [code for code in codes if code.nx == task.goal_nx]
         order = number * len(tasks) + place
-        played = play(network, task, config, order, known)
+        played = play(network, task, config, order, goals)
         parts.append(played.decisions)
         rates[f"{task.task} {task.nx}"] = played.success_rate
     return join(parts), rates

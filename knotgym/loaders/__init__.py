@@ -33,32 +33,21 @@ if __name__ == "loaders":
     )
 
 if TYPE_CHECKING:
-    from knotgym.common.errors import MissingExtra
-    from knotgym.loaders.converters import to_d3rlpy, to_tensordict, torch_dataset
-    from knotgym.loaders.frame_cache import FrameCache, NoCache
-    from knotgym.loaders.perception import images
-    from knotgym.loaders.rows import arrays
-    from knotgym.loaders.segments import NoLabels, NoMacroActions
-    from knotgym.loaders.transitions import Transitions
-    from knotgym.loaders.windows import GoalSampling, InvalidWindow, Window
+    from knotgym.common.errors import MissingExtra as MissingExtra
+    from knotgym.loaders.converters import to_d3rlpy as to_d3rlpy
+    from knotgym.loaders.converters import to_tensordict as to_tensordict
+    from knotgym.loaders.converters import torch_dataset as torch_dataset
+    from knotgym.loaders.frame_cache import FrameCache as FrameCache
+    from knotgym.loaders.frame_cache import NoCache as NoCache
+    from knotgym.loaders.perception import images as images
+    from knotgym.loaders.rows import arrays as arrays
+    from knotgym.loaders.segments import NoLabels as NoLabels
+    from knotgym.loaders.segments import NoMacroActions as NoMacroActions
+    from knotgym.loaders.transitions import Transitions as Transitions
+    from knotgym.loaders.windows import GoalSampling as GoalSampling
+    from knotgym.loaders.windows import InvalidWindow as InvalidWindow
+    from knotgym.loaders.windows import Window as Window
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(__name__, __file__)
-
-__all__ = [
-    "FrameCache",
-    "GoalSampling",
-    "InvalidWindow",
-    "MissingExtra",
-    "NoCache",
-    "NoLabels",
-    "NoMacroActions",
-    "Transitions",
-    "Window",
-    "arrays",
-    "images",
-    "to_d3rlpy",
-    "to_tensordict",
-    "torch_dataset",
-]
+    __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -4,13 +4,15 @@ import importlib
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import KnotgymError, MissingExtra, install_command
+from knotgym.envs.tasks import InvalidSetting
 from knotgym.loaders.rows import drawn_goals, rows
+from knotgym.loaders.segments import Opening
 from knotgym.loaders.transitions import Transitions
 from knotgym.loaders.windows import InvalidWindow, Window
 
@@ -31,25 +33,13 @@ class UnknownKind(KnotgymError, ValueError):
         super().__init__(f"kind must be one of {', '.join(known)}, got {kind!r}")
 
 
-def torch_dataset(
-    dataset: Any,
-    kind: str = "transitions",
-    *,
-    observation: str | None = None,
-    picture: Any = None,
-    action: str | None = None,
-    relabel: str | None = None,
-    labels: bool = False,
-    cache: Any = None,
-    window: Window | None = None,
-) -> Any:
+def torch_dataset(dataset: Any, kind: str = "transitions", **opening: Unpack[Opening]) -> Any:
     """Make a `torch.utils.data.Dataset` that reads each item from the file on demand.
 
     Any number of DataLoader workers can share it.
 
     Args:
-        dataset, observation, picture, action, relabel, labels, cache, window: see
-            `knotgym.loaders`.
+        dataset, opening: see `knotgym.loaders`.
         kind: what an item is:
             "transitions": observation, action, reward, next_observation, terminal, timeout, and
                 what a window adds: discount, pulls, and the others named as in `arrays`; a list of
@@ -74,23 +64,12 @@ def torch_dataset(
 
     if kind not in KINDS:
         raise UnknownKind(kind, KINDS)
-    if window is not None and kind != "transitions":
+    if opening.get("window") is not None and kind != "transitions":
         raise InvalidWindow(f"a window needs kind 'transitions', got {kind!r}")
-    return KINDS[kind](
-        Transitions(dataset, observation, picture, action, relabel, labels, cache, window)
-    )
+    return KINDS[kind](Transitions(dataset, **opening))
 
 
-def to_d3rlpy(
-    dataset: Any,
-    *,
-    observation: str | None = None,
-    picture: Any = None,
-    relabel: str | None = None,
-    labels: bool = False,
-    cache: Any = None,
-    window: Window | None = None,
-) -> Any:
+def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
     """Make a `d3rlpy.dataset.ReplayBuffer` of all transitions.
 
     Actions are pulls: d3rlpy has no actions of several whole numbers. Pictures are channels first;
@@ -106,16 +85,22 @@ def to_d3rlpy(
     such an episode gets its last state as one more step, with zero action and reward.
 
     Args:
-        dataset, observation, picture, relabel, labels, cache, window: see `knotgym.loaders`.
+        dataset, opening: see `knotgym.loaders`.
 
     Raises:
         MissingExtra: d3rlpy isn't installed.
         InvalidWindow: the window has negatives.
+        InvalidSetting: the action isn't "pull".
     """
-    d3rlpy = import_client("d3rlpy")
+    d3rlpy, window = import_client("d3rlpy"), opening.get("window")
     if window is not None and window.goals is not None and window.goals.negatives:
         raise InvalidWindow("d3rlpy's transitions have no place for negatives: leave them out")
-    transitions = Transitions(dataset, observation, picture, "pull", relabel, labels, cache, window)
+    if (action := opening.get("action")) not in (None, "pull"):
+        raise InvalidSetting(
+            f"d3rlpy has no actions of several whole numbers: use action 'pull', got {action!r}"
+        )
+    opening["action"] = "pull"
+    transitions = Transitions(dataset, **opening)
     picker = None if window is None else _WindowPicker(d3rlpy, transitions, window)
     episodes = []
     for segment in range(transitions.segments):
@@ -180,22 +165,11 @@ class _WindowPicker:
         )
 
 
-def to_tensordict(
-    dataset: Any,
-    *,
-    observation: str | None = None,
-    picture: Any = None,
-    action: str | None = None,
-    relabel: str | None = None,
-    labels: bool = False,
-    cache: Any = None,
-    window: Window | None = None,
-) -> Any:
+def to_tensordict(dataset: Any, **opening: Unpack[Opening]) -> Any:
     """Make a `tensordict.TensorDict` of all N transitions, to `extend` a TorchRL buffer with.
 
     Args:
-        dataset, observation, picture, action, relabel, labels, cache, window: see
-            `knotgym.loaders`.
+        dataset, opening: see `knotgym.loaders`.
 
     Returns:
         Batch size [N]. Keys: observation (for "both", pixels and state); action; done, terminated
@@ -210,12 +184,12 @@ def to_tensordict(
         MissingExtra: tensordict or torch isn't installed.
     """
     tensordict = import_client("tensordict")
-    transitions = Transitions(dataset, observation, picture, action, relabel, labels, cache, window)
+    transitions = Transitions(dataset, **opening)
     columns = rows(transitions)
     terminated, truncated = columns["terminals"][:, None], columns["timeouts"][:, None]
     running = np.zeros_like(terminated)
     added, after = {}, {}
-    if window is not None:
+    if transitions.window is not None:
         added["steps_to_next_obs"] = columns["pulls"][:, None]
         after["discount"] = columns["discounts"][:, None].astype(np.float32)
         for name in ("action_mask", "history", "history_mask", "negatives"):

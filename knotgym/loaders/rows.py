@@ -1,31 +1,20 @@
 """A whole dataset as a dict of arrays, one row per transition (the keys of D4RL and OGBench)."""
 
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, generator
+from knotgym.loaders.segments import Opening
 from knotgym.loaders.transitions import Transitions
-from knotgym.loaders.windows import Window
 
 
-def arrays(
-    dataset: Any,
-    *,
-    observation: str | None = None,
-    picture: Any = None,
-    action: str | None = None,
-    relabel: str | None = None,
-    labels: bool = False,
-    cache: Any = None,
-    window: Window | None = None,
-) -> dict[str, Any]:
+def arrays(dataset: Any, **opening: Unpack[Opening]) -> dict[str, Any]:
     """Load all N transitions of a dataset, in the order of its episodes.
 
     Args:
-        dataset, observation, picture, action, relabel, labels, cache, window: see
-            `knotgym.loaders`.
+        dataset, opening: see `knotgym.loaders`.
 
     Returns:
         observations, next_observations: uint8 (N, views * size, 2 size, 3 or 4), float32
@@ -47,7 +36,7 @@ def arrays(
         negatives: (N, negatives, ...), with `negatives` only: the halves of observations that show
             a goal.
     """
-    return rows(Transitions(dataset, observation, picture, action, relabel, labels, cache, window))
+    return rows(Transitions(dataset, **opening))
 
 
 def rows(transitions: Transitions) -> dict[str, Any]:

@@ -6,7 +6,7 @@ rendered on demand.
 """
 
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,18 @@ class Columns(NamedTuple):
     rewards: NDArray[np.float64]
     terminals: NDArray[np.bool_]
     timeouts: NDArray[np.bool_]
+
+
+class Opening(TypedDict, total=False):
+    """The keywords of every loader, see `knotgym.loaders`."""
+
+    observation: str | None
+    picture: Any
+    action: str | None
+    relabel: str | None
+    labels: bool
+    cache: Any
+    window: Window | None
 
 
 class Segments:

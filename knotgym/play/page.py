@@ -8,12 +8,15 @@ and nothing that a browser sends is used as a path, a name to import, or a size.
 from __future__ import annotations
 
 import hmac
+import io
 import logging
 import secrets
 import socket
 import threading
 import time
+import warnings
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,11 +44,13 @@ background to turn, scroll to zoom.
 
 | key | | key | |
 | --- | --- | --- | --- |
-| `U` | undo | `H` | hint |
+| `Z` | undo | `H` | hint |
 | `R` | reset | `P` | one pull by the policy |
 | `N` | next start | `V` | view from above |
-| `J` `L` | select the bead before, after | `W` `A` `S` `D` | pull it up, left, down, right |
-| `E` `Q` | pull it over, under | `K` | walk the code |
+| `B` `F` | select the bead before, after | `I` `J` `K` `L` | pull it up, left, down, right |
+| `O` `U` | pull it over, under | `C` | walk the code |
+
+`W` `A` `S` `D` and the arrows move the camera.
 """
 
 
@@ -104,9 +109,10 @@ class Player:
     def _panel(self) -> None:
         gui, task = self._client.gui, self.session.task
         self._status = gui.add_markdown("")
-        self._goal = gui.add_image(np.zeros((192, 192, 3), dtype=np.uint8), label="goal")
+        self._goal = gui.add_image(np.zeros((64, 64, 3), dtype=np.uint8))
+        self._lift = gui.add_slider("Height of drags", -1.0, 1.0, 0.1, 0.0)
         row = (
-            ("Undo", "U", lambda: self._after(self.session.undo)),
+            ("Undo", "Z", lambda: self._after(self.session.undo)),
             ("Reset", "R", lambda: self._after(self.session.reset)),
             ("Next start", "N", self._next),
             ("Hint", "H", lambda: self._foresee([self._config.policy])),
@@ -118,7 +124,8 @@ class Player:
         if self._config.compared:
             both = [self._config.policy, self._config.compared]
             self._offer(f"Compare with {self._config.compared}", None, lambda: self._foresee(both))
-        self._lift = gui.add_slider("Height of drags", -1.0, 1.0, 0.1, 0.0)
+        self._offer("View from above", "V", lambda: self.scene.look_from_above(self.session.points))
+        self._offer("Walk the code", "C", self._start_walk)
         with gui.add_folder("Another task", expand_by_default=False):
             tasks = gui.add_dropdown("Task", tuple(TASKS), initial_value=task.task)
             sizes = gui.add_dropdown("Crossings", ("1", "2", "3", "4"), initial_value=str(task.nx))
@@ -127,20 +134,18 @@ class Player:
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_markdown(_KEYS)
         for key, label, wish in (
-            ("V", "View from above", lambda: self.scene.look_from_above(self.session.points)),
-            ("K", "Walk the code", self._start_walk),
-            ("J", "Select the bead before", lambda: self._select(-1)),
-            ("L", "Select the bead after", lambda: self._select(1)),
-            ("W", "Pull up", lambda: self._push(0, 1, 0)),
-            ("A", "Pull left", lambda: self._push(-1, 0, 0)),
-            ("S", "Pull down", lambda: self._push(0, -1, 0)),
-            ("D", "Pull right", lambda: self._push(1, 0, 0)),
-            ("E", "Pull over", lambda: self._push(0, 0, 1)),
-            ("Q", "Pull under", lambda: self._push(0, 0, -1)),
+            ("B", "Select the bead before", lambda: self._select(-1)),
+            ("F", "Select the bead after", lambda: self._select(1)),
+            ("I", "Pull up", lambda: self._push(0, 1, 0)),
+            ("J", "Pull left", lambda: self._push(-1, 0, 0)),
+            ("K", "Pull down", lambda: self._push(0, -1, 0)),
+            ("L", "Pull right", lambda: self._push(1, 0, 0)),
+            ("O", "Pull over", lambda: self._push(0, 0, 1)),
+            ("U", "Pull under", lambda: self._push(0, 0, -1)),
         ):
             self._hotkey(label, key, wish)
         for modifier, lift in ((None, None), ("shift", 1.0), ("alt", -1.0)):
-            self.scene.beads.on_drag("left", modifier=modifier)(self._dragging(lift))
+            self.scene.grips.on_drag("left", modifier=modifier)(self._dragging(lift))
 
     def _offer(self, label: str, key: str | None, wish: Callable[[], None]) -> None:
         self._client.gui.add_button(label).on_click(lambda _: self._wants(wish))
@@ -276,7 +281,7 @@ class Player:
     # what the tab shows ------------------------------------------------------------------
 
     def _show_start(self) -> None:
-        self._goal.image = draw_diagram(self.session.episodes.goal_points(0), 192)
+        self._goal.image = draw_diagram(self.session.episodes.goal_points(0), self.scene.goal_size)
         self.scene.look_from_above(self.session.points)
         self._show()
 
@@ -332,13 +337,19 @@ class Page:
         import viser
 
         logging.getLogger("websockets").setLevel(logging.CRITICAL)  # garbage needs no traceback
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a tab that left
         self._config, self._recorder = config, recorder
         self.token = "" if config.host in _LOOPBACK else secrets.token_urlsafe(12)
         self.players: dict[int, Any] = {}
         self._lock = threading.Lock()
-        self._server = viser.ViserServer(
-            host=config.host, port=config.port, label="knotgym play", verbose=False
-        )
+        with redirect_stdout(io.StringIO()):  # viser prints its address, which the command says too
+            self._server = viser.ViserServer(
+                host=config.host, port=config.port, label="knotgym play", verbose=False
+            )
+        # before a tab connects: a camera that is set while the world turns is lost
+        self._server.scene.set_up_direction("+y")
+        start = self._server.initial_camera
+        start.position, start.look_at, start.up = (0.0, 0.0, 4.5), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)
         self._server.gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, control_width="medium"
         )
@@ -352,7 +363,8 @@ class Page:
     def __exit__(self, *error: object) -> None:
         for number in list(self.players):
             self._leave(number)
-        self._server.stop()
+        with redirect_stdout(io.StringIO()):
+            self._server.stop()
 
     def _open(self, client: Any) -> Any:
         return Player(client, self._config, self._recorder)

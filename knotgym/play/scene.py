@@ -18,6 +18,9 @@ from knotgym.topology.crossings import find_crossings
 
 SCALE = 10.0  # scene units per metre
 _SIDES = 10  # of a bead's drawn capsule
+_HEIGHT = 4.5  # scene units above the rope from which viser's camera, of 75 degrees, sees all
+_NARROW = 0.8  # width by height of a tab, below which it is a phone's
+_GRIP = 3.0  # radius within which a finger takes a bead on a phone, in rope radii
 _HINT, _OTHER = (255, 214, 80), (120, 200, 255)  # RGB of foreseen paths
 
 
@@ -25,44 +28,64 @@ class RopeScene:
     """A rope in one client's scene.
 
     Attributes:
-        beads: the handle of the batched mesh, on which drags arrive with the bead's index.
+        narrow: whether the tab is a phone's, over the lower 60 % of which viser lays its panel.
+        goal_size: pixels of a goal's picture that leave room for the buttons.
+        grips: the handle of the batched mesh on which drags arrive with the bead's index.
     """
 
     def __init__(self, client: Any, points: Array, rope: RopeConfig) -> None:
         self._client = client
-        client.scene.set_up_direction("+y")
         client.scene.add_light_ambient("/light", intensity=0.6)
-        vertices, faces = _capsule(rope.radius * SCALE, rope.bead_length * SCALE)
-        turns, middles = _poses(points)
-        self.beads = client.scene.add_batched_meshes_simple(
-            "/rope",
-            vertices,
-            faces,
-            turns,
-            middles,
-            batched_colors=bead_colours(len(points)),
-            lod="off",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        self.narrow = client.camera.image_width < _NARROW * client.camera.image_height
+        self.goal_size = 128 if self.narrow else 192
+        self._meshes = [self._capsules("/rope", points, rope, rope.radius, None)]
+        if self.narrow:
+            self._meshes.append(self._capsules("/grips", points, rope, _GRIP * rope.radius, 0.0))
+        self.grips = self._meshes[-1]
         self._marks: list[Any] = []
         self._walker = client.scene.add_icosphere(
             "/walker", radius=1.6 * rope.radius * SCALE, color=(255, 255, 255), visible=False
         )
 
+    def _capsules(
+        self, name: str, points: Array, rope: RopeConfig, radius: float, opacity: float | None
+    ) -> Any:
+        vertices, faces = _capsule(radius * SCALE, rope.bead_length * SCALE)
+        turns, middles = _poses(points)
+        return self._client.scene.add_batched_meshes_simple(
+            name,
+            vertices,
+            faces,
+            turns,
+            middles,
+            batched_colors=bead_colours(len(points)),
+            opacity=opacity,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
     def look_from_above(self, points: Array) -> None:
-        """Move the camera above the rope, as the published pictures are taken."""
+        """Move the camera above the rope, as the published pictures are taken.
+
+        On a phone the rope is shown in the upper 40 %, above the panel.
+        """
         middle, camera = SCALE * points.mean(axis=0), self._client.camera
+        height = _HEIGHT
+        if self.narrow:
+            height *= 2
+            middle[1] -= 0.6 * height * np.tan(np.radians(75 / 2))
         camera.up_direction = (0.0, 1.0, 0.0)
-        camera.position = middle + np.array([0.0, 0.0, 0.45 * SCALE])
+        camera.position = middle + np.array([0.0, 0.0, height])
         camera.look_at = middle
 
     def move(self, points: Array) -> None:
         """Show the rope with other vertices, float64 (beads, 3), metres."""
         turns, middles = _poses(points)
         with self._client.atomic():
-            self.beads.batched_wxyzs = turns
-            self.beads.batched_positions = middles
+            for mesh in self._meshes:
+                mesh.batched_wxyzs = turns
+                mesh.batched_positions = middles
 
     def mark(self, points: Array) -> None:
         """Write each crossing's number and sign beside it, in the order of a walk."""

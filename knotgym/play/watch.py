@@ -4,6 +4,9 @@ import threading
 import time
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.play.page import FRAMES, Page, PlayConfig, number
 from knotgym.play.scene import RopeScene
@@ -22,7 +25,7 @@ class Viewer:
         self._scene = RopeScene(client, self._episode.points[0], rope)
         gui, last = client.gui, len(self._reader) - 1
         self._status = gui.add_markdown("")
-        self._goal = gui.add_image(draw_diagram(self._episode.goal_points, 192), label="goal")
+        self._goal = gui.add_image(self._drawn_goal())
         self._number = gui.add_slider("Episode", 0, max(1, last), 1, 0, disabled=not last)
         self._time = gui.add_slider("Pull", 0.0, float(len(self._episode)), 0.05, 0.0)
         self._playing = gui.add_checkbox("Play", True)
@@ -57,9 +60,12 @@ class Viewer:
     def _open(self, wanted: int) -> None:
         self._opened, self._shown = wanted, -1
         self._episode = self._reader.episode(wanted)
-        self._goal.image = draw_diagram(self._episode.goal_points, 192)
+        self._goal.image = self._drawn_goal()
         self._time.value, self._time.max = 0.0, float(len(self._episode))
         self._scene.look_from_above(self._episode.points[0])
+
+    def _drawn_goal(self) -> NDArray[np.uint8]:
+        return draw_diagram(self._episode.goal_points, self._scene.goal_size)
 
     def _show(self, place: float) -> None:
         episode = self._episode

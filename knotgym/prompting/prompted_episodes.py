@@ -21,11 +21,11 @@ from knotgym.prompting.answers import read_actions, read_code
 from knotgym.prompting.chat import ChatConfig, InvalidPrompting, Reply
 from knotgym.prompting.kept_replies import Asking
 from knotgym.prompting.prompts import (
-    GOAL,
     MODES,
     OPEN,
     READ,
     STATEFUL,
+    TEXTS,
     Picture,
     Turn,
     caption,
@@ -109,7 +109,7 @@ def begin_episode(config: PromptConfig, number: int) -> EpisodeBatch:
 def goal_picture(episodes: EpisodeBatch) -> Picture:
     """Encode the goal's picture."""
     size = episodes.config.image_size
-    return encode_picture(episodes.picture(0)[:, size:], "goal", GOAL)
+    return encode_picture(episodes.picture(0)[:, size:], "goal", TEXTS["goal"])
 
 
 def current_picture(episodes: EpisodeBatch, config: PromptConfig) -> Picture:

@@ -1,4 +1,4 @@
-"""Prompts: texts and pictures in the published order, in our own words.
+"""Prompts: texts (`prompts.toml`) and pictures in the published order, in our own words.
 
     the task in one line
     the first picture
@@ -14,62 +14,24 @@ answer, and then for the current turn. Source of the order: arXiv 2505.18028.
 
 import base64
 import hashlib
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.image_table import encode
-from knotgym.prompting.first_picture import first_picture
 
 MODES = ("open", "stateless", "stateful", "read")
 OPEN, STATELESS, STATEFUL, READ = MODES
 
-_TASK = (
-    "Task: pull at single points of the closed rope in the current picture until it is tangled in"
-    " the way in which the rope in the goal picture is."
-)
-_FIRST = (
-    "This picture explains pulls and codes. Left: three pulls of full force on a flat loop, along"
-    " x, y and z, each with the rope before it, the action, and the rope after it (where it lay"
-    " before is grey); the pull along z is seen from the front. Right: a rope as you will see it,"
-    " from above, with its Gauss code."
-)
-_CODE = (
-    "Walk along the rope once, from the white bead towards red. Number the crossings 1, 2, 3 and so"
-    " on, in the order in which you first come to them. Each time that you pass a crossing, write"
-    " its number, and + if you are on the strand that lies over the other, or - if you are on the"
-    " one that lies under it. So every number is written twice, once with + and once with -. A flat"
-    " loop has no crossing, and its code is empty."
-)
-_SUCCESS = (
-    "You succeed when the rope's Gauss code is the same as the goal's. Nothing else counts: not"
-    f" where the rope lies, nor its shape. This is how a Gauss code is read: {_CODE}"
-)
-_ACTION = (
-    "An action is six numbers [x, y, z, fx, fy, fz], each in [-1, 1]. The axes are right-"
-    " handed: x points right in the picture, y up in it, and z out of it, towards you. (x, y, z)"
-    " is a point near the rope, and is rounded to the nearest bead; the origin is the centre of"
-    " the space, near the rope, and the camera follows the rope; the whole width of a picture is"
-    " 0.33. (fx, fy, fz) is the force that pulls this bead; a force of 1 moves it by about 0.02"
-    " in an action, and what hangs on it follows. For example, [0.1, 0, 0, 0, -0.5, 1] takes the"
-    " bead nearest to a point right of the centre, lifts it with full force, and pulls it down"
-    " in the picture with half the force."
-)
-GOAL = "The goal:"
-_READ_TASK = "Task: read the Gauss code of the rope in the last picture."
-_READ_FORM = (
-    "The code is written like that in the first picture: visits with commas between them, a number"
-    " and + or - each."
-)
-_READ_QUESTION = (
-    "What is the Gauss code of this rope? Think it through step by step. Then give the code in one"
-    " block and write nothing after it, such as <answer>1+,1-,2-,2+</answer>, or for a flat loop"
-    " <answer></answer>."
-)
+_FOLDER = files("knotgym.prompting")
+TEXTS = tomllib.loads((_FOLDER / "prompts.toml").read_text("utf-8"))
+_SUCCESS = TEXTS["success"].format(code=TEXTS["code"])
 
 
 @dataclass(frozen=True)
@@ -115,37 +77,27 @@ def caption(centre: Sequence[float] | None) -> str:
     'The rope now; the middle of this picture is at x = 0.012, y = -0.100:'
     """
     if centre is None:
-        return "The rope now:"
+        return str(TEXTS["now"])
     x, y = centre
-    return f"The rope now; the middle of this picture is at x = {x:.3f}, y = {y:.3f}:"
+    return str(TEXTS["now_at"].format(x=x, y=y))
 
 
 @lru_cache(maxsize=1)
 def first() -> Picture:
-    """Return the explanatory picture with which every prompt begins."""
-    return encode_picture(first_picture(), "first")
+    """Return the explanatory picture with which every prompt begins; see docs/first_picture.py."""
+    return Picture((_FOLDER / "first-picture.png").read_bytes(), "first")
 
 
 def question(mode: str, most: int) -> str:
     """Return a mode's question; `most` is the maximum number of actions."""
-    if mode == OPEN:
-        return (
-            "Which actions, one after the other, bring the rope to the goal? You see no picture in"
-            " between. Think it through step by step. Then give the actions in one block and write"
-            f" nothing after it: from 1 to {most} lists of six numbers, such as"
-            " <answer>[0.1, 0, 0, 0, -0.5, 1] [0, 0.1, 0, 1, 0, 0]</answer>."
-        )
-    return (
-        "Which action is the next one on the way to the goal? Afterwards you are shown the rope"
-        f" again; {most} actions in all may be taken. Think it through step by step. Then give the"
-        " one action in one block and write nothing after it, such as"
-        " <answer>[0.1, 0, 0, 0, -0.5, 1]</answer>."
-    )
+    text = TEXTS["open_question" if mode == OPEN else "step_question"]
+    return str(text.format(most=most))
 
 
 def opening(goal: Picture) -> list[Part]:
     """Return the parts with which all requests of an episode begin."""
-    return [_TASK, _FIRST, first(), _SUCCESS, _ACTION, goal.caption, goal]
+    beginning = [TEXTS["task"], TEXTS["first"], first(), _SUCCESS, TEXTS["action"]]
+    return [*beginning, goal.caption, goal]
 
 
 def turn_parts(mode: str, most: int, now: Picture) -> list[Part]:
@@ -155,7 +107,8 @@ def turn_parts(mode: str, most: int, now: Picture) -> list[Part]:
 
 def reading(picture: Picture) -> list[Part]:
     """Return the parts of the request for a picture's code."""
-    return [_READ_TASK, _FIRST, first(), _CODE, _READ_FORM, "The rope:", picture, _READ_QUESTION]
+    before = [TEXTS["read_task"], TEXTS["first"], first(), TEXTS["code"], TEXTS["read_form"]]
+    return [*before, TEXTS["rope"], picture, TEXTS["read_question"]]
 
 
 def messages(

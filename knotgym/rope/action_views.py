@@ -14,12 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.rope.actions import CHOICES, choices, chosen_forces
-from knotgym.rope.macro_actions import (
-    LONGEST,
-    MacroActionConfig,
-    WaypointController,
-    pass_straight,
-)
+from knotgym.rope.macro_actions import LONGEST, MacroActionConfig, WaypointController, pass_straight
 from knotgym.rope.simulation import InvalidAction, Simulation
 
 

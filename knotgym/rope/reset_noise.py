@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.rope.model import Array, Rope, clearance, closed_directions
+from knotgym.rope.closed_curves import clearance, closed_directions
+from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 

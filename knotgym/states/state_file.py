@@ -32,14 +32,7 @@ from knotgym.common.hdf5_files import (
 )
 from knotgym.rope.engines import MUJOCO
 from knotgym.states.near_duplicates import repeated
-from knotgym.states.schema import (
-    ATTRIBUTES,
-    COLUMNS,
-    DIGEST,
-    FORMAT,
-    FORMAT_VERSION,
-    ROOT,
-)
+from knotgym.states.schema import ATTRIBUTES, COLUMNS, DIGEST, FORMAT, FORMAT_VERSION, ROOT
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.notation import dt_text, pd_text
 from knotgym.topology.symmetry import diagram_form

@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,14 @@ import numpy as np
 import pytest
 
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_verification import replay
+from knotgym.datasets.episode_verification import replay, verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
-from knotgym.loaders import arrays
+from knotgym.loaders import arrays, torch_dataset
+from knotgym.play.recorder import Recorder
+from knotgym.play.session import Session
 
 from ..datasets.test_episodes import record
 
@@ -57,6 +60,20 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
+@pytest.fixture(scope="module")
+def played_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a home folder in which the dataset of the page was pulled by hand in the chain."""
+    home = tmp_path_factory.mktemp("played")
+    task = replace(TASK, engine="chain")
+    with Recorder(task, 0, ID, "Ann", home / "minari") as recorder:
+        for number in range(12):  # OGBench's files put every tenth episode aside
+            session = Session(task, 0, number)
+            for bead in range(1 + number % 3):
+                session.pull(20 * bead, (1, 0.5, 0.5))
+            recorder.finish(number, session.actions)
+    return home
+
+
 def test_the_page_has_lines_for_every_client_of_its_table() -> None:
     table = re.findall(r"^\| \[(.+?)\]", PAGE, re.M)
     assert table == [*NEEDS] == [*SECTIONS]
@@ -72,9 +89,8 @@ def test_readme_gives_lines_of_that_page() -> None:
         assert all(line in SECTIONS[client] for line in re.findall(r"`(.+?)`", lines)), client
 
 
-@pytest.mark.clients
-@pytest.mark.parametrize("client", [*NEEDS])
-def test_the_lines_of_the_page_run(client: str, room: Path) -> None:
+def run_lines(client: str, room: Path) -> None:
+    """Run the page's commands and code for a client."""
     pytest.importorskip(NEEDS[client])
     environment = {
         **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
@@ -90,6 +106,30 @@ def test_the_lines_of_the_page_run(client: str, room: Path) -> None:
     for words in [*commands, *([sys.executable, "-c", block] for block in blocks)]:
         ended = subprocess.run(words, cwd=room, env=environment, capture_output=True, text=True)
         assert ended.returncode == 0, ended.stderr[-2000:]
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize("client", [*NEEDS])
+def test_the_lines_of_the_page_run(client: str, room: Path) -> None:
+    run_lines(client, room)
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize("client", ["Minari", "TorchRL", "d3rlpy", "OGBench", "LeRobot"])
+def test_every_reader_of_datasets_takes_a_hand_played_one(client: str, played_room: Path) -> None:
+    run_lines(client, played_room)
+
+
+@pytest.mark.clients
+def test_torch_reads_a_hand_played_dataset_that_replays_bit_for_bit(played_room: Path) -> None:
+    torch = pytest.importorskip("torch")
+    folder = played_room / "minari" / ID
+    assert verify_episodes(folder, act_out=True) == []
+    rows = arrays(folder, observation="state")
+    assert len(rows["actions"]) == EpisodeReader(folder).lengths.sum()
+    held = torch_dataset(folder, kind="transitions", observation="state")
+    got = torch.stack([held[row]["action"] for row in range(len(held))])
+    np.testing.assert_array_equal(got, rows["actions"])
 
 
 @pytest.mark.clients

@@ -104,9 +104,8 @@ def test_a_training_on_states_goes_on_for_as_many_steps_as_an_unbroken_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    chain = ("--engine", "chain", "--tow-limit", 0.04)
-    words = (*SMALL, *chain, "--observation", "state", "--every", 128, "--episodes", 0)
-    words = (*words, "--out", out)
+    chain = ("--engine", "chain", "--tow-limit", 0.04, "--observation", "state")
+    words = (*SMALL, *chain, "--every", 128, "--episodes", 0, "--out", out)
     run_script(SCRIPT, *words, "--steps", 128)
     held = "isn't empty; name a new folder, or --resume the training in it"
     assert held in refused(capsys, *words)

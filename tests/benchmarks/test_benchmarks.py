@@ -95,6 +95,18 @@ def test_the_expert_benchmark_plays_and_goes_on_after_what_is_done(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("kind", ["knot", "walks", "recorded", "pictures"])
+def test_the_same_small_run_has_the_same_digests(
+    tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words, before = ("--kinds", kind, "--out"), tmp_path / "before.json"
+    run_script(FOLDER / "golden.py", *words, before)
+    with pytest.raises(SystemExit) as ended:
+        run_script(FOLDER / "golden.py", *words, tmp_path / "after.json", "--compare", before)
+    assert ended.value.code == 0 and "nothing differs" in capsys.readouterr().out
+
+
+@pytest.mark.slow
 def test_every_variant_of_the_model_is_stepped_and_ours_is_where_ours_is(tmp_path: Path) -> None:
     models = figures("physics", tmp_path, "--starts", 1, "--repeats", 1)["models"]
     assert len(models) == 11

@@ -36,7 +36,7 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, distinct_id
 from knotgym.generate.episodes.results import Result, reference_lines, show
 from knotgym.rope.engines import warn_of_compilation
-from knotgym.runs.engine import CHECKPOINT, Batch, run
+from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
@@ -400,10 +400,9 @@ def test_what_makes_no_sense_is_one_line(
     assert told in line and not list(tmp_path.iterdir())
 
 
-class Empty:
+class Empty(Recipe):
     """A recipe of nothing."""
 
-    flexible: tuple[str, ...] = ()
     engine = "mujoco"
 
     def request(self) -> dict[str, Any]:

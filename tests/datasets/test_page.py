@@ -214,7 +214,7 @@ def test_a_finger_turns_a_state(tab: Chromium, run_page: Path) -> None:
     tab.open(run_page, "#states/6")
     before, box = tab.ask(LOOKS.format("stage")), "document.getElementById('stage')"
     x, y = (tab.ask(f"{box}.getBoundingClientRect().{side} + 60") for side in ("left", "top"))
-    tab.swipe((x, y), (x + 80, y + 60))
+    tab.touch([(x, y), (x + 80, y + 60)])
     tab.until(f"{LOOKS.format('stage')} !== '{before}'")
 
 

@@ -160,6 +160,19 @@ def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
     assert weights(tmp_path / "broken") == weights(tmp_path / "whole")
 
 
+def test_a_training_goes_on_from_an_earlier_clone(
+    macros: Path, tmp_path: Path, clone: Path
+) -> None:
+    from knotgym.learn.clone_policy import load_clone
+
+    policy = train_tiny(macros, tmp_path / "more", start=str(clone), steps=1, rate=1e-9)
+    earlier = load_clone(clone).network.state_dict()
+    for name, own in policy.network.state_dict().items():
+        assert np.allclose(own, earlier[name], atol=1e-3), name
+    with pytest.raises(KnotgymError, match="another width or layers than 32 and 1"):
+        train_tiny(macros, tmp_path / "wider", start=str(clone), width=32)
+
+
 def test_the_commands_train_and_evaluate_a_clone(
     macros: Path, tmp_path: Path, clone: Path, states_path: str
 ) -> None:
@@ -187,10 +200,28 @@ def test_loops_are_left_out_and_codes_on_the_way_become_goals() -> None:
     )
     assert [step.macro[0] for step in way] == [2, 4]
     kept = gathered(way, way, c, 7, CloneConfig(hindsight=2, copies=0))
-    told = zip(kept.macros[:, 0].tolist(), kept.goals.tolist(), kept.asked.tolist(), strict=True)
+    told = zip(kept.macros[:, 0, 0].tolist(), kept.goals.tolist(), kept.asked.tolist(), strict=True)
     assert list(told) == [(2, str(c.plain), True), (4, str(c.plain), True), (2, "1+,1-", False)]
     assert set(kept.episodes.tolist()) == {7}
     assert len(gathered(way, [], c, 7, CloneConfig(hindsight=0)).points) == 0
+
+
+def test_what_was_tried_in_vain_is_judged_but_not_imitated() -> None:
+    import torch
+
+    from knotgym.learn.clone_data import NONE, DecidedStep, examples, gathered
+    from knotgym.learn.clone_network import CloneNetwork, inputs
+
+    turn = 2 * np.pi * np.arange(100) / 100
+    points = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1).astype(np.float32)
+    goal = GaussCode.parse("1+,1-")
+    step = DecidedStep(points, points, GaussCode(), GaussCode(), (5, 50, 1), ((7, 40, -1),))
+    kept = gathered([], [step], goal, 0, CloneConfig(copies=0), vain=[step])
+    assert kept.macros[0, :2].tolist() == [[5, 50, 1], [7, 40, -1]]
+    assert kept.macros[1, :2, 0].tolist() == [NONE, 5]
+    data, network = examples(kept), CloneNetwork(16, 1)
+    losses = network.macro_loss(inputs(data.seen), torch.from_numpy(data.macros))
+    assert (losses[0] > 0).all() and losses[1, :3].tolist() == [0, 0, 0] and losses[1, 3] > 0
 
 
 def test_copies_lead_to_the_goal_as_their_own_first_bead_reads_it(states: States) -> None:
@@ -201,7 +232,9 @@ def test_copies_lead_to_the_goal_as_their_own_first_bead_reads_it(states: States
     step = DecidedStep(before, landed, codes[0], codes[1], (10, 60, 1))
     kept = gathered([], [step], codes[1], 3, CloneConfig(copies=3))
     assert kept.asked.tolist() == [True, False, False, False]
-    for points, goal, macro in zip(kept.points[1:], kept.goals[1:], kept.macros[1:], strict=True):
+    for points, goal, macro in zip(
+        kept.points[1:], kept.goals[1:], kept.macros[1:, 0], strict=True
+    ):
         base = (10 - macro[0]) % 100
         assert np.array_equal(points, np.roll(before, -base, axis=0))
         assert goal == str(label(np.roll(landed, -base, axis=0).astype(float)).plain)

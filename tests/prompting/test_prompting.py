@@ -19,7 +19,7 @@ from urllib.parse import quote
 import pytest
 
 from knotgym.datasets.image_rows import Row, record
-from knotgym.datasets.image_table import encode, write_rows
+from knotgym.datasets.image_table import decode, encode, write_rows
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.chat import (
     Chat,
@@ -29,7 +29,6 @@ from knotgym.prompting.chat import (
     _spellings,
     retry_after,
 )
-from knotgym.prompting.first_picture import first_picture
 from knotgym.prompting.prompt_run import run
 from knotgym.prompting.prompted_episodes import PromptConfig, play, read
 from knotgym.prompting.prompts import first
@@ -453,7 +452,8 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
     server = ChatServer(always(PULL))
     texts = []
     with server.serving():
-        own = config(server.url, states_path, "open", episodes=3)
+        chat = ChatConfig(model="m", base_url=server.url)  # retries are in the transcripts
+        own = config(server.url, states_path, "open", episodes=3, chat=chat)
         for count in (1, 3):
             out = tmp_path / str(count)
             run(
@@ -483,7 +483,7 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
 
 
 def test_a_picture_s_code_is_asked_for_and_scored() -> None:
-    picture = encode(first_picture()[:16, :16])
+    picture = encode(decode(first().png)[:16, :16])
     row = {"image": picture, "gauss_code": "1+,1-,2-,2+", "nx": 2, "grade": "easy"}
     answers = ["<answer>1+,1-,2-,2+</answer>", "<answer>1+,1-</answer>", "it is a loop"]
     server = ChatServer(lambda number, body: answers[number])

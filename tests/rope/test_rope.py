@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.rope.model import InvalidCurve, Rope, RopeConfig, clearance, sub_chains
+from knotgym.rope.closed_curves import clearance
+from knotgym.rope.model import InvalidCurve, Rope, RopeConfig, sub_chains
 from knotgym.topology.crossings import label
 
 from ..conftest import curled, trefoil

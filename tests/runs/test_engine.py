@@ -16,7 +16,7 @@ import pytest
 
 from knotgym.common.atomic_files import Occupied, atomic_write
 from knotgym.runs import engine
-from knotgym.runs.engine import CHECKPOINT, Batch
+from knotgym.runs.engine import CHECKPOINT, Batch, Recipe
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.runs.staging import staging_folder
@@ -30,10 +30,9 @@ def squared(number: int) -> int:
     return number * number
 
 
-class Squares:
+class Squares(Recipe):
     """A recipe of squares, saved after each."""
 
-    flexible: tuple[str, ...] = ()
     engine = "mujoco"
     done: list[int]
 

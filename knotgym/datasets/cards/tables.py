@@ -140,8 +140,12 @@ def image_tables(facts: Mapping[str, Any]) -> dict[str, Table]:
             "pictures",
             ("", "pictures", "codes", "chiral", "of a code", "accepted"),
             [
-                (name, *(one[key] for key in whole), " / ".join(map(str, one["of_a_code"])))
-                + (one["accepted"],)
+                (
+                    name,
+                    *(one[key] for key in whole),
+                    " / ".join(map(str, one["of_a_code"])),
+                    one["accepted"],
+                )
                 for name, one in parts.items()
             ],
             "chiral: codes with chirality; of a code: fewest / most pictures; accepted: within the"

@@ -95,7 +95,7 @@ def best_learner(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]
     ]
     best = max(own, key=lambda row: float(row["success_rate"]), default=None)
     told = ("policy", "success_rate", "interval", "episodes")
-    return best and {key: best[key] for key in told}
+    return None if best is None else {key: best[key] for key in told}
 
 
 def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list[str]:

@@ -21,11 +21,7 @@ from knotgym.common.streams import Stream, generator
 from knotgym.datasets.finished_folders import finish_images, write_used_walks
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
 from knotgym.datasets.image_table import arrow, shard_name
-from knotgym.generate.images.images_config import (
-    ImagesConfig,
-    held_out,
-    quotas,
-)
+from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
 from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Chooser, ChosenFrame
 from knotgym.generate.images.unit_files import UnitFile, load_frames, walked

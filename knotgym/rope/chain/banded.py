@@ -21,6 +21,8 @@ rounds once on every processor, so results don't depend on how a compiler contra
 All arrays end with an axis of LANES ropes, see `simd`.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -29,117 +31,47 @@ from knotgym.rope.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array, Array]  # diag, near, far, arrow, corner
+Row = tuple[Any, Any, Any, Any]  # lanes
+Pivot = tuple[Any, ...]  # 10 lanes: a packed lower triangle with inverse pivots on its diagonal
 
 
 @njit(nogil=True)
 def factor(system: System) -> None:
     """Factor in place, right-looking: each column, once done, is subtracted from what follows.
 
-    Write S = l d l^T for the pivot block, and M for a block below it. Then y = M l^-T are its rows
-    before they are scaled and z = y d^-1 is the block of L; M S^-1 M'^T = y z'^T.
+    Write S = l d l^T for the pivot block of column k, and M, M' for blocks below it. The rows
+    y = M l^-T and z = y d^-1 give M S^-1 M'^T = y z'^T, which is subtracted from the block that
+    has M's rows and the columns of M'; z is the block of L.
     """
     diag, near, far, arrow, corner = system
     n = len(diag)
     for k in range(n):
-        # pivot block: l_ij below the diagonal, inverse pivots d on it
-        d0 = 1.0 / load(diag, (k, 0))
-        a10, a20, a30 = load(diag, (k, 1)), load(diag, (k, 3)), load(diag, (k, 6))
-        l10, l20, l30 = a10 * d0, a20 * d0, a30 * d0
-        d1 = 1.0 / fma(-a10, l10, load(diag, (k, 2)))
-        a21, a31 = fma(-a20, l10, load(diag, (k, 4))), fma(-a30, l10, load(diag, (k, 7)))
-        l21, l31 = a21 * d1, a31 * d1
-        d2 = 1.0 / fma(-a21, l21, fma(-a20, l20, load(diag, (k, 5))))
-        a32 = fma(-a31, l21, fma(-a30, l20, load(diag, (k, 8))))
-        l32 = a32 * d2
-        d3 = 1.0 / fma(-a32, l32, fma(-a31, l31, fma(-a30, l30, load(diag, (k, 9)))))
-        put(diag, (k, 0), d0)
-        put(diag, (k, 1), l10)
-        put(diag, (k, 2), d1)
-        put(diag, (k, 3), l20)
-        put(diag, (k, 4), l21)
-        put(diag, (k, 5), d2)
-        put(diag, (k, 6), l30)
-        put(diag, (k, 7), l31)
-        put(diag, (k, 8), l32)
-        put(diag, (k, 9), d3)
+        pivot = _pivot(diag, k)
         if k + 1 < n:
-            for r in range(4):  # rows of block k + 1
-                y0 = load(near, (k, 4 * r))
-                y1 = fma(-l10, y0, load(near, (k, 4 * r + 1)))
-                y2 = fma(-l21, y1, fma(-l20, y0, load(near, (k, 4 * r + 2))))
-                y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(near, (k, 4 * r + 3)))))
-                put(near, (k, 4 * r), y0 * d0)
-                put(near, (k, 4 * r + 1), y1 * d1)
-                put(near, (k, 4 * r + 2), y2 * d2)
-                put(near, (k, 4 * r + 3), y3 * d3)
-                # D_(k + 1) -= y z^T, the lower triangle: rows of z up to r are done
-                at = r * (r + 1) // 2
+            for r in range(4):
+                y = _divide(near, k, r, pivot)
+                # only the lower triangle of the symmetric D_(k + 1): rows of z up to r are done
                 for c in range(r + 1):
-                    s = load(diag, (k + 1, at + c))
-                    s = fma(-y0, load(near, (k, 4 * c)), s)
-                    s = fma(-y1, load(near, (k, 4 * c + 1)), s)
-                    s = fma(-y2, load(near, (k, 4 * c + 2)), s)
-                    s = fma(-y3, load(near, (k, 4 * c + 3)), s)
-                    put(diag, (k + 1, at + c), s)
+                    _subtract(diag, (k + 1, r * (r + 1) // 2 + c), y, near, k, c)
         if k + 2 < n:
-            for r in range(3):  # rows of block k + 2
-                y0 = load(far, (k, 4 * r))
-                y1 = fma(-l10, y0, load(far, (k, 4 * r + 1)))
-                y2 = fma(-l21, y1, fma(-l20, y0, load(far, (k, 4 * r + 2))))
-                y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(far, (k, 4 * r + 3)))))
-                put(far, (k, 4 * r), y0 * d0)
-                put(far, (k, 4 * r + 1), y1 * d1)
-                put(far, (k, 4 * r + 2), y2 * d2)
-                put(far, (k, 4 * r + 3), y3 * d3)
-                at = r * (r + 1) // 2
+            for r in range(3):
+                y = _divide(far, k, r, pivot)
                 for c in range(r + 1):
-                    s = load(diag, (k + 2, at + c))
-                    s = fma(-y0, load(far, (k, 4 * c)), s)
-                    s = fma(-y1, load(far, (k, 4 * c + 1)), s)
-                    s = fma(-y2, load(far, (k, 4 * c + 2)), s)
-                    s = fma(-y3, load(far, (k, 4 * c + 3)), s)
-                    put(diag, (k + 2, at + c), s)
+                    _subtract(diag, (k + 2, r * (r + 1) // 2 + c), y, far, k, c)
                 for c in range(4):
-                    s = load(near, (k + 1, 4 * r + c))
-                    s = fma(-y0, load(near, (k, 4 * c)), s)
-                    s = fma(-y1, load(near, (k, 4 * c + 1)), s)
-                    s = fma(-y2, load(near, (k, 4 * c + 2)), s)
-                    s = fma(-y3, load(near, (k, 4 * c + 3)), s)
-                    put(near, (k + 1, 4 * r + c), s)
-        for r in range(3):  # rows of the corner
-            y0 = load(arrow, (k, 4 * r))
-            y1 = fma(-l10, y0, load(arrow, (k, 4 * r + 1)))
-            y2 = fma(-l21, y1, fma(-l20, y0, load(arrow, (k, 4 * r + 2))))
-            y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(arrow, (k, 4 * r + 3)))))
-            put(arrow, (k, 4 * r), y0 * d0)
-            put(arrow, (k, 4 * r + 1), y1 * d1)
-            put(arrow, (k, 4 * r + 2), y2 * d2)
-            put(arrow, (k, 4 * r + 3), y3 * d3)
-            at = r * (r + 1) // 2
+                    _subtract(near, (k + 1, 4 * r + c), y, near, k, c)
+        for r in range(3):
+            y = _divide(arrow, k, r, pivot)
             for c in range(r + 1):
-                s = load(corner, (at + c,))
-                s = fma(-y0, load(arrow, (k, 4 * c)), s)
-                s = fma(-y1, load(arrow, (k, 4 * c + 1)), s)
-                s = fma(-y2, load(arrow, (k, 4 * c + 2)), s)
-                s = fma(-y3, load(arrow, (k, 4 * c + 3)), s)
-                put(corner, (at + c,), s)
+                _subtract(corner, (r * (r + 1) // 2 + c,), y, arrow, k, c)
             if k + 1 < n:
                 for c in range(4):
-                    s = load(arrow, (k + 1, 4 * r + c))
-                    s = fma(-y0, load(near, (k, 4 * c)), s)
-                    s = fma(-y1, load(near, (k, 4 * c + 1)), s)
-                    s = fma(-y2, load(near, (k, 4 * c + 2)), s)
-                    s = fma(-y3, load(near, (k, 4 * c + 3)), s)
-                    put(arrow, (k + 1, 4 * r + c), s)
+                    _subtract(arrow, (k + 1, 4 * r + c), y, near, k, c)
             if k + 2 < n:
+                # F_k has no row of spin, so the arrow's fourth column of k + 2 stays as it is
                 for c in range(3):
-                    s = load(arrow, (k + 2, 4 * r + c))
-                    s = fma(-y0, load(far, (k, 4 * c)), s)
-                    s = fma(-y1, load(far, (k, 4 * c + 1)), s)
-                    s = fma(-y2, load(far, (k, 4 * c + 2)), s)
-                    s = fma(-y3, load(far, (k, 4 * c + 3)), s)
-                    put(arrow, (k + 2, 4 * r + c), s)
-    # the corner, 3 x 3
+                    _subtract(arrow, (k + 2, 4 * r + c), y, far, k, c)
+    # what is left in the corner is its Schur complement, 3 x 3
     d0 = 1.0 / load(corner, (0,))
     a10, a20 = load(corner, (1,)), load(corner, (3,))
     l10, l20 = a10 * d0, a20 * d0
@@ -156,6 +88,54 @@ def factor(system: System) -> None:
 
 
 @njit(nogil=True)
+def _pivot(diag: Array, k: int) -> Pivot:
+    """Factor block k in place: l_ij below the diagonal, inverse pivots d on it; return it."""
+    d0 = 1.0 / load(diag, (k, 0))
+    a10, a20, a30 = load(diag, (k, 1)), load(diag, (k, 3)), load(diag, (k, 6))
+    l10, l20, l30 = a10 * d0, a20 * d0, a30 * d0
+    d1 = 1.0 / fma(-a10, l10, load(diag, (k, 2)))
+    a21, a31 = fma(-a20, l10, load(diag, (k, 4))), fma(-a30, l10, load(diag, (k, 7)))
+    l21, l31 = a21 * d1, a31 * d1
+    d2 = 1.0 / fma(-a21, l21, fma(-a20, l20, load(diag, (k, 5))))
+    a32 = fma(-a31, l21, fma(-a30, l20, load(diag, (k, 8))))
+    l32 = a32 * d2
+    d3 = 1.0 / fma(-a32, l32, fma(-a31, l31, fma(-a30, l30, load(diag, (k, 9)))))
+    # by rows of the lower triangle, as `diag` is packed: element (i, j) is i (i + 1) / 2 + j
+    pivot = (d0, l10, d1, l20, l21, d2, l30, l31, l32, d3)
+    for item in range(10):
+        put(diag, (k, item), pivot[item])
+    return pivot
+
+
+@njit(nogil=True)
+def _divide(block: Array, k: int, r: int, pivot: Pivot) -> Row:
+    """Replace row r of a block below pivot k by its row of L, z = y d^-1; return y."""
+    d0, l10, d1, l20, l21, d2, l30, l31, l32, d3 = pivot
+    y0 = load(block, (k, 4 * r))
+    y1 = fma(-l10, y0, load(block, (k, 4 * r + 1)))
+    y2 = fma(-l21, y1, fma(-l20, y0, load(block, (k, 4 * r + 2))))
+    y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(block, (k, 4 * r + 3)))))
+    put(block, (k, 4 * r), y0 * d0)
+    put(block, (k, 4 * r + 1), y1 * d1)
+    put(block, (k, 4 * r + 2), y2 * d2)
+    put(block, (k, 4 * r + 3), y3 * d3)
+    return y0, y1, y2, y3
+
+
+@njit(nogil=True)
+def _subtract(
+    target: Array, position: tuple[int, ...], y: Row, block: Array, k: int, c: int
+) -> None:
+    """Subtract y z^T from an element, z being row c of a block of L in column k."""
+    s = load(target, position)
+    s = fma(-y[0], load(block, (k, 4 * c)), s)
+    s = fma(-y[1], load(block, (k, 4 * c + 1)), s)
+    s = fma(-y[2], load(block, (k, 4 * c + 2)), s)
+    s = fma(-y[3], load(block, (k, 4 * c + 3)), s)
+    put(target, position, s)
+
+
+@njit(nogil=True)
 def forward(system: System, right: Array, first: int) -> None:
     """Substitute forwards, in place: `right` becomes L^-1 `right`.
 
@@ -166,8 +146,10 @@ def forward(system: System, right: Array, first: int) -> None:
     """
     diag, near, far, arrow, corner = system
     n = len(diag)
+    # the corner is last in the elimination, so it gathers what every column's arrow takes from it
     c0, c1, c2 = load(right, (n, 0)), load(right, (n, 1)), load(right, (n, 2))
     for k in range(first, n):
+        # the unit lower triangle of the pivot block, then its blocks below, column by column
         y0 = load(right, (k, 0))
         y1 = fma(-load(diag, (k, 1)), y0, load(right, (k, 1)))
         y2 = fma(-load(diag, (k, 4)), y1, fma(-load(diag, (k, 3)), y0, load(right, (k, 2))))
@@ -207,6 +189,8 @@ def backward(system: System, right: Array) -> None:
     """Substitute backwards, in place: right = L^-1 b becomes the solution."""
     diag, near, far, arrow, corner = system
     n = len(diag)
+    # Solve L^T x = D^-1 y. The diagonals hold inverse pivots, so D^-1 is a multiplication. The
+    # corner comes first, as the last unknown.
     a2 = load(right, (n, 2)) * load(corner, (5,))
     a1 = fma(load(right, (n, 1)), load(corner, (2,)), -load(corner, (4,)) * a2)
     a0 = fma(load(right, (n, 0)), load(corner, (0,)), -load(corner, (1,)) * a1)
@@ -219,6 +203,7 @@ def backward(system: System, right: Array) -> None:
         w1 = load(right, (k, 1)) * load(diag, (k, 2))
         w2 = load(right, (k, 2)) * load(diag, (k, 5))
         w3 = load(right, (k, 3)) * load(diag, (k, 9))
+        # rows below block k are known by now: the arrow's, then those of blocks k + 2 and k + 1
         for r in range(3):
             x = load(right, (n, r))
             w0 = fma(-load(arrow, (k, 4 * r)), x, w0)
@@ -239,6 +224,7 @@ def backward(system: System, right: Array) -> None:
                 w1 = fma(-load(near, (k, 4 * r + 1)), x, w1)
                 w2 = fma(-load(near, (k, 4 * r + 2)), x, w2)
                 w3 = fma(-load(near, (k, 4 * r + 3)), x, w3)
+        # the transposed unit triangle of the pivot block, from its last row up
         w2 = fma(-load(diag, (k, 8)), w3, w2)
         w1 = fma(-load(diag, (k, 4)), w2, fma(-load(diag, (k, 7)), w3, w1))
         w0 = fma(-load(diag, (k, 1)), w1, fma(-load(diag, (k, 3)), w2, w0))

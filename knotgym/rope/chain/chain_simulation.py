@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.rope.chain.contact import DAMPING as CONTACT_DAMPING
-from knotgym.rope.chain.contact import FLOOR, RADIUS, STIFFNESS, longest_edge
+from knotgym.rope.chain.contact import FLOOR, RADIUS, STIFFNESS
 from knotgym.rope.chain.dynamics import (
     ACROSS,
     ALONG,
@@ -27,6 +27,7 @@ from knotgym.rope.chain.dynamics import (
     TURN,
     set_lengths,
 )
+from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import LOST, SCHEDULE, STATE, TICKS, advance
 from knotgym.rope.model import Array, InvalidRope, Rope, RopeConfig, sub_chains

@@ -1,4 +1,4 @@
-"""Contact between edges, and the proof that no strands passed through each other.
+"""Contact between edges.
 
 Beads are capsules about the edges of the polyline, of radius r; every two may touch that aren't
 neighbours along the rope, as in MuJoCo's model. There is no friction.
@@ -16,14 +16,6 @@ the substep (implicit): with u = n . (v_q - v_p), the speed at which the nearest
 The last keeps strands apart at any force. The velocities answer by v = v* + A^-1 J^T f, with the
 matrix A of the substep and J of the row vectors n; J A^-1 J^T takes one forward substitution per
 contact, and the forces are found by projected Gauss-Seidel.
-
-*Proof of passage.* Let vertices move on straight lines in a substep, and two edges be d0 apart when
-it begins and d1 when it ends. A point of one moves by at most m against a point of the other, m
-being the largest such motion of their vertices. At time t in [0, 1] their distance is at least
-d0 - t m and at least d1 - (1 - t) m; if d0 + d1 > m, one of the two is positive at all times and
-the edges never met. A substep is accepted only if this holds for all pairs of edges that aren't
-neighbours. Then the polyline was moved by an isotopy, and the knot is the same. (Neighbours share a
-vertex; they could only meet by folding flat onto each other, which a motion misses.)
 
 *Pairs.* Edges are compared by their midpoints first. Pairs nearer than LISTED in any lane are
 listed; the list is made again when a vertex has moved by DRIFT. Which pairs are in the list never
@@ -48,24 +40,12 @@ RADIUS, STIFFNESS, DAMPING, FLOOR = range(4)
 
 LISTED = 0.048  # m, between midpoints
 DRIFT = 0.004  # m
-# Edges not listed are LISTED - L = 34.6 mm apart when the list is made and 34.6 - 2 DRIFT = 26.6 mm
-# when a substep begins: out of reach of contact, and they can't meet if vertices move by < 13.3 mm.
-STROLL = 0.013  # m: if a vertex moves further, all pairs within FAR_APART are checked
-FAR_APART = 0.080  # m; 80 mm - L > 2 LEAP
-LEAP = 0.022  # m, that a vertex may move in one substep
 LOOKAHEAD = 0.008  # m, largest gap at which two edges may meet in a substep
 SHARP = 0.05  # cosine of a joint's angle; neighbours' neighbours may touch only if it is below 0
 ROWS = 40  # contacts of a rope in a substep at most
 ROUNDS = 60  # of Gauss-Seidel at most
-SAFE = 1e-5  # m, margin of the proof; rounding is below 1e-12
 _NEXT = 3  # edges nearer than this along the rope are not in the list
-_STRETCH = 1.01  # no edge is longer than this times its length
-
-
-def longest_edge(radius: float) -> float:
-    """The longest edge, metres, for which the distances above prove what they are meant to."""
-    listed = LISTED - 2.0 * DRIFT - max(2.0 * STROLL, 2.0 * radius + LOOKAHEAD)
-    return min(listed, FAR_APART - 2.0 * LEAP) / _STRETCH
+STRETCH = 1.01  # no edge is longer than this times its length
 
 
 @njit(nogil=True)
@@ -128,25 +108,6 @@ def closest(x: Array, i: int, j: int) -> Any:
 
 
 @njit(nogil=True)
-def relative_motion(x: Array, new: Array, i: int, j: int) -> Any:
-    """How far a point of edge i moves against a point of edge j at most, as vertices move straight.
-
-    Both points' motions are mixtures of their vertices', so the largest is between two vertices.
-    """
-    n, most = len(x), 0.0 * load(x, (i, 0))
-    for p in (i, i + 1 if i + 1 < n else 0):
-        a = load(new, (p, 0)) - load(x, (p, 0))
-        b = load(new, (p, 1)) - load(x, (p, 1))
-        c = load(new, (p, 2)) - load(x, (p, 2))
-        for q in (j, j + 1 if j + 1 < n else 0):
-            d = a - (load(new, (q, 0)) - load(x, (q, 0)))
-            e = b - (load(new, (q, 1)) - load(x, (q, 1)))
-            f = c - (load(new, (q, 2)) - load(x, (q, 2)))
-            most = max(most, fma(d, d, fma(e, e, f * f)))
-    return math.sqrt(most)
-
-
-@njit(nogil=True)
 def find_rows(
     x: Array,
     v: Array,
@@ -180,7 +141,7 @@ def find_rows(
     spot = np.empty((8, LANES))
     _vertex_most(v, motion)
     found[:] = 0
-    close = _STRETCH * length + touch
+    close = STRETCH * length + touch
     for i in range(n):
         mx, my, mz = load(middle, (i, 0)), load(middle, (i, 1)), load(middle, (i, 2))
         way = fma(h, load(motion, (i,)), close)
@@ -197,9 +158,9 @@ def find_rows(
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
         k = j + 1 if j + 1 < n else 0
-        sharpness = _sharpness(tangent, i, j, k)
-        if any_below(sharpness, SHARP):
-            put(spot, (7,), sharpness - SHARP)
+        least = sharpness(tangent, i, j, k)
+        if any_below(least, SHARP):
+            put(spot, (7,), least - SHARP)
             _try_row(x, v, i, k, h, touch, spot, rows, found)
 
 
@@ -358,94 +319,9 @@ def _solve_forces(
 
 
 @njit(nogil=True)
-def judge(
-    x: Array,
-    new: Array,
-    tangent: Array,
-    middle: Array,
-    motion: Array,
-    start: Ints,
-    other: Ints,
-    start_far: Ints,
-    other_far: Ints,
-    length: float,
-    accepted: NDArray[np.bool_],
-) -> None:
-    """Decide for each lane whether a substep may be taken, see the module.
-
-    Args:
-        x, new: where vertices are and would be.
-        tangent: of the edges at x.
-        middle, motion: (n, 3, LANES) and (n, LANES), overwritten.
-        start, other: pairs, as of `list_pairs`.
-        start_far, other_far: for more pairs, overwritten.
-        length: of an edge, metres.
-        accepted: bool (LANES,); written. False too where something is not finite, a vertex would
-            move by LEAP or an edge's length be off by 0.1 %.
-    """
-    n = len(x)
-    turn, spot = np.empty((n, LANES)), np.empty((2, LANES))
-    widest, worst = 0.0 * load(x, (0, 0)), 0.0 * load(x, (0, 0))
-    a0, a1 = load(new, (0, 0)) - load(x, (0, 0)), load(new, (0, 1)) - load(x, (0, 1))
-    a2 = load(new, (0, 2)) - load(x, (0, 2))
-    last = math.sqrt(fma(a0, a0, fma(a1, a1, a2 * a2)))
-    for i in range(n):
-        j = i + 1 if i + 1 < n else 0
-        b0, b1 = load(new, (j, 0)) - load(x, (j, 0)), load(new, (j, 1)) - load(x, (j, 1))
-        b2 = load(new, (j, 2)) - load(x, (j, 2))
-        own = math.sqrt(fma(b0, b0, fma(b1, b1, b2 * b2)))
-        put(motion, (i,), max(last, own))
-        widest = where_below(own, widest, widest, own)  # max() would pass by a NaN
-        d0, d1, d2 = b0 - a0, b1 - a1, b2 - a2
-        put(turn, (i,), math.sqrt(fma(d0, d0, fma(d1, d1, d2 * d2))))
-        e0, e1 = load(new, (j, 0)) - load(new, (i, 0)), load(new, (j, 1)) - load(new, (i, 1))
-        e2 = load(new, (j, 2)) - load(new, (i, 2))
-        off = abs(fma(e0, e0, fma(e1, e1, fma(e2, e2, -length * length))))
-        worst = where_below(off, worst, worst, off)
-        a0, a1, a2, last = b0, b1, b2, own
-    put(spot, (0,), widest)
-    put(spot, (1,), worst)
-    for lane in range(LANES):
-        accepted[lane] = spot[0, lane] < LEAP and spot[1, lane] < 2e-3 * length * length
-    if any_below(-widest, -STROLL):
-        middles(x, middle)
-        list_pairs(middle, FAR_APART, start_far, other_far)
-        start, other = start_far, other_far
-    middles(new, middle)
-    for i in range(n):
-        mx, my, mz = load(middle, (i, 0)), load(middle, (i, 1)), load(middle, (i, 2))
-        way = load(motion, (i,)) + (_STRETCH * length + SAFE)
-        for p in range(start[i], start[i + 1]):
-            j = other[p]
-            dx, dy = load(middle, (j, 0)) - mx, load(middle, (j, 1)) - my
-            dz = load(middle, (j, 2)) - mz
-            # d1 > m already, by the midpoints alone, unless they are nearer than this
-            reach = way + load(motion, (j,))
-            if any_below(fma(dx, dx, fma(dy, dy, dz * dz)), reach * reach):
-                _check(x, new, i, j, spot, accepted)
-    for i in range(n):
-        j = i + 1 if i + 1 < n else 0
-        k = j + 1 if j + 1 < n else 0
-        # d0 = L where no joint is sharp, see `find_rows`, and m is at most the three edges' changes
-        most = load(turn, (i,)) + load(turn, (j,)) + load(turn, (k,))
-        if any_below(-most, -0.5 * length) or any_below(_sharpness(tangent, i, j, k), SHARP):
-            _check(x, new, i, k, spot, accepted)
-
-
-@njit(nogil=True)
-def _sharpness(tangent: Array, i: int, j: int, k: int) -> Any:
+def sharpness(tangent: Array, i: int, j: int, k: int) -> Any:
     """The smaller cosine of the angles between edge j and its neighbours i and k."""
     x, y, z = load(tangent, (j, 0)), load(tangent, (j, 1)), load(tangent, (j, 2))
     one = fma(load(tangent, (i, 0)), x, fma(load(tangent, (i, 1)), y, load(tangent, (i, 2)) * z))
     two = fma(load(tangent, (k, 0)), x, fma(load(tangent, (k, 1)), y, load(tangent, (k, 2)) * z))
     return min(one, two)
-
-
-@njit(nogil=True)
-def _check(x: Array, new: Array, i: int, j: int, spot: Array, accepted: NDArray[np.bool_]) -> None:
-    """Reject the lanes where it isn't proved that edges i and j didn't meet."""
-    both = closest(x, i, j)[0] + closest(new, i, j)[0]
-    put(spot, (0,), both - relative_motion(x, new, i, j))
-    for lane in range(LANES):
-        if not spot[0, lane] > SAFE:
-            accepted[lane] = False

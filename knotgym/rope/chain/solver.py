@@ -3,7 +3,7 @@
 An action lasts 0.192 s and its force is constant. `SCHEDULE` cuts it into substeps, short ones
 first, as velocities jump when the force does and settle within 20 ms. Each solves the linear system
 of `dynamics`, adds the contact forces of `contact`, moves the vertices by h v, sets the lengths of
-the edges and turns the beads' sides. If `contact.judge` can't prove that no strands passed each
+the edges and turns the beads' sides. If `passage.judge` can't prove that no strands passed each
 other, nothing of that is kept and the substep is tried again with half its length. A rope whose
 shortest substep is rejected stays where it was and comes to rest: the rest of its action is taken
 back, and counted.
@@ -24,12 +24,12 @@ from knotgym.rope.chain.contact import (
     LISTED,
     ROWS,
     find_rows,
-    judge,
     list_pairs,
     middles,
     push_apart,
 )
 from knotgym.rope.chain.dynamics import LENGTH, assemble, set_lengths, tangents, turn_sides
+from knotgym.rope.chain.passage import judge
 from knotgym.rope.chain.simd import LANES, any_below, fma, load, put
 
 Array = NDArray[np.float64]
@@ -37,11 +37,13 @@ Ints = NDArray[np.int64]
 Group = tuple[Array, Array, Array, Array]  # x, v, side, spin of LANES ropes
 
 SCHEDULE = (1, 2, 3, 4, 4, 5, 5)  # lengths of the substeps, in shares of an action
-TICKS = 64  # a substep is halved at most until it is a 64th of one share
+# Time is counted in whole ticks, so that halved substeps add up to the action exactly. A tick is a
+# 64th of a share, and the shortest substep.
+TICKS = 64
 STATE = 10  # numbers of a vertex: position, velocity; of the bead that begins there: side, spin
-ROPE, STAGE, LEFT, TICK = range(
-    4
-)  # a lane's clock: rope or -1, stage, its ticks left, next substep
+# rows of a lane's clock: its rope or -1, its entry of the schedule, ticks left of that entry, ticks
+# of its next substep
+ROPE, STAGE, LEFT, TICK = range(4)
 SUBSTEPS, REJECTED, CONTACTS, LOST = range(4)  # counted for each rope; LOST in ticks
 
 
@@ -85,6 +87,7 @@ def advance(
     for share in schedule:
         shares += share
     unit = duration / (shares * TICKS)
+    # `waiting` is the next rope without a lane; `stale`: the list of near pairs must be made anew
     waiting, stale = 0, True
     counts[:] = 0
     while True:
@@ -115,6 +118,7 @@ def advance(
             found,
             accepted,
         )
+        # nearly always every lane's substep is accepted: both groups change places, without a copy
         whole = True
         for lane in range(LANES):
             whole = whole and (accepted[lane] or clock[ROPE, lane] < 0)
@@ -181,11 +185,14 @@ def _substep(
         spare
     )
     n, length = len(x), numbers[LENGTH]
+    # Directions of the edges now, for contact and for turning the sides, and at x + h v / 2, the
+    # middle of the substep, for the system: so edges keep their length to second order in h.
     ahead = np.zeros((1, LANES))
     tangents(x, v, ahead, tangent)
     put(ahead, (0,), 0.5 * load(step, (0,)))
     tangents(x, v, ahead, tangent1)
-    # velocities without contact
+    # Velocities without contact, A v* = b. The forward half of the solution is kept in `loaded`:
+    # contact forces are added to it there, so that A is factored once.
     assemble(tangent1, side, v, spin, v, spin, pull, step, numbers, damping, system, right)
     factor(system)
     forward(system, right, 0)
@@ -194,7 +201,7 @@ def _substep(
             put(loaded, (i, c), load(right, (i, c)))
     backward(system, right)
     _read(right, v1, spin1)
-    # with contact
+    # velocities with contact: L^-1 (b + J^T f), then the backward half once more
     middles(x, middle)
     find_rows(x, v1, tangent, middle, start, other, step, contact, length, motion, rows, found)
     most = 0
@@ -204,6 +211,9 @@ def _substep(
         push_apart(rows, found, most, v1, step, contact, system, loaded)
         backward(system, loaded)
         _read(loaded, v1, spin1)
+    # Implicit Euler: vertices move at the velocities of the substep's end. The directions t in
+    # t . a = 0 came from the old velocities, so edges still grow by h^2 a . (a - a_old) / 2L, which
+    # `set_lengths` undoes.
     h = load(step, (0,))
     for i in range(n):
         for c in range(3):
@@ -229,6 +239,7 @@ def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) 
             clock[LEFT, lane] = clock[TICK, lane] = schedule[clock[STAGE, lane]] * TICKS
         clock[TICK, lane] = min(clock[TICK, lane], clock[LEFT, lane])
         return False
+    # half of one tick is 0: nothing shorter is tried, and the rest of the action is lost
     counts[REJECTED] += 1
     clock[TICK, lane] //= 2
     if clock[TICK, lane] > 0:
@@ -278,6 +289,7 @@ def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: 
             x[i, c, lane], v[i, c, lane] = state[i, c], state[i, 3 + c]
             side[i, c, lane], pull[i, c, lane] = state[i, 6 + c], 0.0
         spin[i, lane] = state[i, 9]
+    # f on the bead's centre does the work f . (v_i + v_j) / 2: half of it pulls each end
     for c in range(3):
         pull[bead, c, lane] = pull[(bead + 1) % n, c, lane] = 0.5 * force[c]
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
 from knotgym.rope.chain.contact import closest
 from knotgym.rope.chain.simd import LANES, put
-from knotgym.rope.model import Rope, RopeConfig, clearance
+from knotgym.rope.closed_curves import clearance
+from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import InvalidAction
 from knotgym.topology.crossings import find_crossings, label, label_many

@@ -1,19 +1,25 @@
-"""Draw the picture with which every prompt begins.
+"""Draw the picture with which every prompt begins, for the package and the page on prompting.
+
+    python docs/first_picture.py
 
 It shows a plain loop before and after a unit pull along each axis, and a rope with its Gauss code.
 Nothing in it comes from a state file, so it can't show a goal.
 """
 
 from functools import lru_cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.datasets.image_table import encode
 from knotgym.rendering.picture import PictureConfig, crossing_pixels, draw, project
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.topology.crossings import find_crossings
+
+PAGES = Path(__file__).parent
 
 Canvas = NDArray[np.uint8]
 Pixel = tuple[float, float]
@@ -152,3 +158,8 @@ def _write(
     letters: float = 0.45,
 ) -> None:
     cv2.putText(picture, text, at, _FONT, letters, colour, 1, cv2.LINE_AA)
+
+
+if __name__ == "__main__":
+    for folder in (PAGES, PAGES.parent / "knotgym" / "prompting"):
+        (folder / "first-picture.png").write_bytes(encode(first_picture()))
