@@ -3,11 +3,13 @@
     knotgym suite --policies noisy,expert --split train --states readable --resume --out FOLDER
     python benchmarks/recordings.py FOLDER
     OMP_NUM_THREADS=1 python benchmarks/recordings.py FOLDER --measure --nx 2
+    python benchmarks/recordings.py FOLDER --scores LEARNER/evaluation.json...
 
 The second records every demonstrator's dataset of the suite in the folder; the same datasets give
-the same bytes. `--measure` trains a clone on each of them, which needs torch and takes minutes of a
-core, and writes how often it guesses the bead of a held-out macro-action. Figures of datasets that
-aren't measured again are kept while they fit the recording.
+the same bytes. `--measure` trains a clone on each of them, which needs torch and takes a minute of
+a core, and writes how often it guesses the bead of a held-out macro-action. `--scores` writes which
+learner of the evaluations was the best of those trained on each. Figures that aren't measured again
+are kept while they fit the recording.
 """
 
 import argparse
@@ -25,6 +27,7 @@ from knotgym.generate.episodes.recordings import (
     write_recordings,
 )
 from knotgym.generate.episodes.suite import SuiteConfig
+from knotgym.generate.episodes.suite_scores import best_learner, read_scores
 
 POLICIES = ("noisy", "expert", "play")
 
@@ -35,32 +38,39 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path, help="--out of knotgym suite")
     parser.add_argument("--measure", action="store_true")
+    parser.add_argument("--scores", type=Path, nargs="+", default=[], help="of learners")
     parser.add_argument("--task", nargs="+", default=["tie", "convert", "unknot"])
     parser.add_argument("--nx", type=int, nargs="+", default=[2, 3, 4], help="to measure")
     parser.add_argument("--out", type=Path, default=RECORDINGS)
     args = parser.parse_args()
     console, figures = Console(), args.out.with_suffix(".json")
-    if not args.measure:
+    if not args.measure and not args.scores:
         sets = SuiteConfig(policies=POLICIES).sets()
         there = [args.folder / one.dataset_id for one in sets]
         write_recordings(args.out, [record(made) for made in there if made.exists()])
         size = args.out.stat().st_size
         console.print(f"{args.out.name}: {len(recorded_ids(args.out))} datasets, {size:,} bytes")
         return
-    from knotgym.learn.clone_training import predictability  # recording needs no torch
-
     told = json.loads(figures.read_text(encoding="utf-8")) if figures.is_file() else {}
     digests = {name: read_recording(name, args.out).digest for name in recorded_ids(args.out)}
     told = {name: one for name, one in told.items() if one["recording_sha256"] == digests.get(name)}
+    for name, digest in digests.items():
+        told.setdefault(name, {"recording_sha256": digest})
+    scores = read_scores(args.scores)
     config = SuiteConfig(policies=POLICIES, tasks=tuple(args.task), nx=tuple(args.nx))
     for name in [one.dataset_id for one in config.sets() if one.dataset_id in digests]:
-        share, decisions = predictability([args.folder / name])
-        told[name] = {
-            "bead_top1": round(share, 4),
-            "decisions": decisions,
-            "recording_sha256": digests[name],
-        }
-        console.print(f"{name}: bead top-1 {100 * share:.1f} % of {decisions} held out")
+        if args.measure:
+            from knotgym.learn.clone_training import predictability  # recording needs no torch
+
+            found = predictability([args.folder / name])
+            told[name]["predictability"] = {
+                "bead_top1": round(found.bead_top1, 4),
+                "r2": [round(share, 2) for share in found.r2],
+                "decisions": found.decisions,
+            }
+            console.print(f"{name}: {found}")
+        if best := best_learner(name, scores):
+            told[name]["learner"] = best
         with atomic_write(figures) as temporary:
             temporary.write_text(json.dumps(told, indent=1, sort_keys=True) + "\n", "utf-8")
 

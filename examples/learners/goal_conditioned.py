@@ -1,15 +1,15 @@
-"""Train OGBench's goal-conditioned agents on state observations: GCBC, GCIVL, GCIQL, CRL, HIQL.
+"""Train OGBench's goal-conditioned agents: GCBC, GCIVL, GCIQL, CRL, HIQL.
 
     git clone https://github.com/seohongpark/ogbench
-    knotgym suite --task tie,convert --nx 2,3 --states readable --out benchmark
-    python examples/learners/goal_conditioned.py gcivl benchmark/knotgym/*/noisy-v0 \\
-        --ogbench ogbench --out gcivl
+    knotgym suite --recorded --task tie --nx 2 --out sets
+    python examples/learners/goal_conditioned.py gcbc sets/knotgym/*/{expert,noisy}-v0 \\
+        --ogbench ogbench --task tie --nx 2 --out gcbc
 
-Needs jax, flax, optax, distrax and ml_collections, and a checkout of OGBench, because its `impls`
-can't be installed as a package; its agents and data loader are used unchanged. The data are what
-`knotgym dataset export --to ogbench` writes. Training goals are states of the episodes, so rewards
-are unused; in evaluation the agent gets the goal's exemplar. Writes `agent.msgpack` and
-`evaluation.json`.
+Needs torch, jax, flax, optax, distrax and ml_collections, and a checkout of OGBench, because its
+`impls` can't be installed as a package; its agents and their networks are used unchanged. An action
+is a decision, see `decisions.py`: where to pull and the forces until the macro-action ends. A goal
+is a Gauss code, in training that of a later state or of another episode's. Writes `agent.msgpack`
+and `evaluation.json`.
 """
 
 from __future__ import annotations
@@ -17,62 +17,87 @@ from __future__ import annotations
 import importlib
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from decisions import BEADS, ChunkPolicy, Decisions, Floats, decision_options, nearest, read
 from protocol import Training, measure, parser
 
-from knotgym.control.learned_policies import ModelPolicy
-from knotgym.datasets.exports.ogbench_export import to_ogbench
-
 LEARNERS = ("gcbc", "gcivl", "gciql", "crl", "hiql")
-SCALE = 5.0  # scales metres to values of about 1
-BATCH = 8  # episodes evaluated at once; a fixed batch size is compiled only once
+CODE = 12 * 14  # numbers that an observation ends with: the goal's code; before it, the rope's own
+ARCS = slice(8 * BEADS, 9 * BEADS)  # of an observation, numbers of arcs
+BATCH = 16  # decisions made at once; a fixed batch size is compiled only once
 
 
-def arrays_of(datasets: list[str]) -> dict[str, NDArray[Any]]:
-    """Concatenate the exported training files in the layout that the agents need.
+def states_and_goals(observations: Floats) -> tuple[Floats, Floats]:
+    """Split observations; a goal has the size of a state, and shows nothing but its code."""
+    states = observations[:, :-CODE].copy()
+    states[:, ARCS] /= 10
+    return states, _only_code(np.concatenate([states[:, :-CODE], observations[:, -CODE:]], axis=1))
 
-    An episode of T actions has T rows, and the last of them is terminal.
+
+def _only_code(states: Floats) -> Floats:
+    return np.where(np.arange(states.shape[1]) < states.shape[1] - CODE, 0, states)
+
+
+def trajectories(rows: Decisions) -> dict[str, Any]:
+    """Return decisions in the layout of OGBench: a row each, and one for the goal reached.
+
+    That row shows its code alone, and its action is no pull.
     """
-    parts: dict[str, list[NDArray[Any]]] = {}
-    for dataset in datasets:
-        with TemporaryDirectory() as folder:
-            to_ogbench(dataset, folder)
-            (path,) = Path(folder).glob("*-train.npz")
-            with np.load(path) as file:
-                ends = file["terminals"]
-                states, actions = SCALE * file["observations"], file["actions"]
-        acted = np.flatnonzero(~ends)
-        for name, values in {
-            "observations": states[acted],
-            "actions": actions[acted],
-            "next_observations": states[acted + 1],
-            "terminals": ends[acted + 1].astype(np.float32),
-        }.items():
-            parts.setdefault(name, []).append(values)
-    return {name: np.concatenate(values) for name, values in parts.items()}
+    own = rows.rows(~rows.hindsight)
+    states, goals = states_and_goals(own.observations)
+    reached = np.flatnonzero(own.terminals)
+    order = np.argsort(np.concatenate([np.arange(len(states)), reached + 0.5]), kind="stable")
+    observations = np.concatenate([states, goals[reached]])[order]
+    nothing = np.zeros((len(reached), own.chunks.shape[1]), dtype=np.float32)
+    terminals = np.concatenate([own.ends & ~own.terminals, np.ones(len(reached), bool)])[order]
+    following = np.arange(len(order)) + 1
+    following[terminals] -= 1
+    return {
+        "observations": observations,
+        "next_observations": observations[following],
+        "actions": np.concatenate([own.chunks, nothing])[order],
+        "terminals": terminals.astype(np.float32),
+    }
 
 
-def acting(agent: Any, key: Any) -> Any:
-    """Return a policy from observations (n, 600), vertices of rope and goal, to actions (n, 6)."""
+def drawing(loader: Any) -> Any:
+    """Return how a loader of OGBench's draws batches whose goals are codes, reached where shown."""
+    loader.get_observations = lambda rows: _only_code(loader.dataset["observations"][rows])
 
-    def act(observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        count = len(observations)
-        several = np.resize(SCALE * observations, (max(count, BATCH), 600))
-        rope, goal = np.split(several, 2, axis=1)
-        # temperature 0, as in OGBench's evaluation; the key then hardly matters
-        actions = agent.sample_actions(observations=rope, goals=goal, seed=key, temperature=0.0)
-        return np.clip(np.asarray(actions)[:count], -1, 1)
+    def draw(count: int) -> Any:
+        batch = loader.sample(count)
+        shown = _only_code(batch["observations"]) == batch["value_goals"]
+        batch["masks"] = 1.0 - shown.all(axis=1)
+        batch["rewards"] = -batch["masks"] + (not loader.config["gc_negative"])
+        return batch
 
-    return act
+    return draw
+
+
+class AgentPolicy(ChunkPolicy):
+    """Decides as an agent does at temperature 0."""
+
+    def __init__(self, name: str, agent: Any, key: Any) -> None:
+        super().__init__(name)
+        self._agent, self._key = agent, key
+
+    def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
+        count = len(seen)
+        padded = np.resize(seen, (-(-count // BATCH) * BATCH, seen.shape[1]))
+        chunks = [
+            self._agent.sample_actions(states, goals, seed=self._key, temperature=0.0)
+            for states, goals in map(states_and_goals, np.split(padded, len(padded) // BATCH))
+        ]
+        return nearest(np.concatenate(chunks)[:count], points)
 
 
 def main() -> None:
-    options = parser(__doc__ or "", LEARNERS)
+    options = decision_options(parser(__doc__ or "", LEARNERS))
     options.add_argument("--ogbench", type=Path, required=True, help="checkout of OGBench")
+    options.add_argument("--agent", nargs="*", default=[], help="settings, as in alpha=1.0")
+    options.set_defaults(steps=5000, batch=256, rate=3e-4)
     given = options.parse_args()
     if not (given.ogbench / "impls" / "agents").is_dir():
         options.error(f"{given.ogbench} isn't a checkout of OGBench: it has no impls/agents")
@@ -86,25 +111,25 @@ def main() -> None:
     training = Training(f"OGBench's agents, jax {jax.__version__}", given, given.datasets)
     np.random.seed(given.seed)  # OGBench draws batches from the global generator
     config = module.get_config()
-    config.batch_size = given.batch
-    batches = getattr(data, config.dataset_class)(
-        data.Dataset.create(**arrays_of(given.datasets)), config
-    )
-    first = batches.sample(1)
+    config.batch_size, config.lr = given.batch, given.rate
+    if given.learner == "hiql":
+        config.subgoal_steps = 1  # decisions
+    for setting in given.agent:
+        name, _, value = setting.partition("=")
+        config[name] = type(config[name])(value)
+    rows = trajectories(read(given.datasets, given.chunk, given.copies, given.seed))
+    loader = getattr(data, config.dataset_class)(data.Dataset.create(**rows), config)
+    draw = drawing(loader)
+    first = draw(1)
     agent = agents[given.learner].create(
         given.seed, first["observations"], first["actions"], config
     )
     for _ in range(given.steps):
-        agent, _ = agent.update(batches.sample(given.batch))
+        agent, _ = agent.update(draw(given.batch))
     (given.out / "agent.msgpack").write_bytes(serialization.to_bytes(agent.network.params))
     name = f"ogbench-{given.learner}"
-    measure(
-        name,
-        ModelPolicy(acting(agent, jax.random.PRNGKey(given.seed)), name),
-        given,
-        training.ended(),
-        "agent.msgpack",
-    )
+    policy = AgentPolicy(name, agent, jax.random.PRNGKey(given.seed))
+    measure(name, policy, given, training.ended(), "agent.msgpack")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -42,6 +42,7 @@ from knotgym.learn.clone_policy import ClonePolicy, load_clone, save_clone
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.train_config import InvalidTraining
 from knotgym.learn.training import begin_training, draw_curve, keep_training, run_training
+from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, pass_straight
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import REFUSE_EXISTING, Existing
 from knotgym.states.state_file import ships
@@ -319,21 +320,49 @@ def fit_clone(
     return network, training.curve, facts
 
 
-def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -> tuple[float, int]:
-    """Train a clone on a demonstrator's datasets and judge it on held-out episodes.
+class Predictability(NamedTuple):
+    """How well a clone predicts the macro-actions of held-out episodes.
 
-    Returns:
-        The share of the held-out decisions whose bead is the network's first guess, and their
-        number.
+    Attributes:
+        bead_top1: share of the decisions whose bead is the network's first guess.
+        r2: of the six numbers of the pull that begins the macro-action (x, y, z of the bead and of
+            the force, canonical frame), the share of the variance that the guess explains.
+        decisions: number of decisions.
     """
+
+    bead_top1: float
+    r2: tuple[float, ...]
+    decisions: int
+
+
+def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -> Predictability:
+    """Train a clone on a demonstrator's datasets and judge it on held-out episodes."""
     config = config or CloneConfig(steps=_JUDGING_STEPS, held_out=0.2, hindsight=0, copies=0)
     decisions = read_decisions(datasets, config)
     network, _, _ = fit_clone(decisions, config)
     held = np.flatnonzero(_held_out(decisions.episodes, config) & decisions.asked)
     aside = examples(decisions.rows(held))
+    count = len(held)
     with torch.no_grad():
-        guesses = network(inputs(aside.seen)).logits.argmax(1).numpy()
-    return float((guesses == aside.macros[:, 0, 0]).mean()), len(held)
+        states = inputs(aside.seen)
+        first = network(states).logits.argmax(1).numpy()
+        chosen = network.choose(states, torch.zeros(count, network.noise), torch.zeros(count))
+    taken = aside.macros[:, 0]
+    guess, wanted = (_first_pulls(aside.seen.points, one) for one in (chosen.numpy(), taken))
+    left = ((guess - wanted) ** 2).mean(0) / wanted.var(0)
+    share = float((first == taken[:, 0]).mean())
+    return Predictability(share, tuple((1 - left).tolist()), count)
+
+
+def _first_pulls(points: NDArray[Any], macros: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return where macro-actions (n, 3) first pull, and the force, float64 (n, 6)."""
+    ropes, config = points.astype(np.float64), MacroActionConfig()
+    controller = WaypointController(len(ropes), config)
+    for row, (bead, target, over) in enumerate(macros.tolist()):
+        macro_action = pass_straight(ropes[row], bead, target, 2 * over - 1, config)
+        controller.begin(row, macro_action, ropes[row])
+    pulled = ropes[np.arange(len(ropes)), macros[:, 0]]
+    return np.concatenate([pulled, controller.forces(ropes)], axis=1)
 
 
 def _with_demonstrations(

@@ -22,7 +22,7 @@ from knotgym.generate.episodes.recordings import (
     write_recordings,
 )
 from knotgym.generate.episodes.suite import DiffersFromRecording, SuiteConfig, make_suite
-from knotgym.generate.episodes.suite_facts import agreement
+from knotgym.generate.episodes.suite_facts import agreement, measured
 from knotgym.runs.run_options import NotEnough, RunOptions
 
 from ..small_job import knotgym
@@ -133,6 +133,15 @@ def test_episodes_that_differ_because_of_other_states_are_told_so(
     assert agreement(NOISY, collected / NOISY, path) == differs
 
 
+def test_figures_of_another_recording_are_not_shown(collected: Path, recordings: Path) -> None:
+    learner = {"policy": "bc", "success_rate": 0.5}
+    for digest, known in ((read_recording(NOISY, recordings).digest, learner), ("0" * 64, None)):
+        told = {NOISY: {"recording_sha256": digest, "learner": learner}}
+        recordings.with_suffix(".json").write_text(json.dumps(told))
+        found = measured(NOISY, collected / NOISY, recordings)
+        assert found == {"predictability": None, "learner": known}
+
+
 def test_recordings_say_what_is_wrong_with_them(recordings: Path, tmp_path: Path) -> None:
     one = read_recording(NOISY, recordings)
     path = tmp_path / "wrong.h5"
@@ -159,8 +168,7 @@ def test_differing_is_a_failure_and_no_mistake_of_the_user() -> None:
 def test_the_recordings_that_ship_are_those_of_the_suite() -> None:
     sets = {one.dataset_id: one for one in SuiteConfig().sets()}
     known = recorded_ids()
-    # the release gate refuses that of convert, see docs/learning.md
-    clean = {f"knotgym/{task}-nx2/expert-v0" for task in ("tie", "unknot")}
+    clean = {f"knotgym/{task}-nx2/expert-v0" for task in ("tie", "convert", "unknot")}
     assert clean <= set(known) <= set(sets)
     assert all(len(read_recording(name)) == sets[name].episodes for name in known)
     assert RECORDINGS.stat().st_size < 5e6

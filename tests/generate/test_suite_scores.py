@@ -16,7 +16,12 @@ from knotgym.generate.episodes.evaluate import (
     report,
     sources_of,
 )
-from knotgym.generate.episodes.suite_scores import InvalidScores, read_scores, score_tables
+from knotgym.generate.episodes.suite_scores import (
+    InvalidScores,
+    best_learner,
+    read_scores,
+    score_tables,
+)
 from knotgym.runs.intervals import cluster_interval
 
 STARTS = 8
@@ -60,6 +65,19 @@ def test_files_of_one_cell_with_other_seeds_are_counted_together(tmp_path: Path)
     clusters = [[number % count for number, _ in episodes] for count in (STARTS, 5)]
     assert row["interval"] == list(cluster_interval(success, *clusters))
     assert read_scores(files[::-1]) == [row]
+
+
+def test_the_best_learner_of_a_set_was_trained_on_it_and_tested_on_its_setup(
+    tmp_path: Path,
+) -> None:
+    name = "knotgym/tie-nx2/expert-v0"
+    files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 1, 32, 64, hold=2)]
+    (other,) = read_scores([told(tmp_path / "c", 1, 64, 64)])  # trained on something else
+    rows = [other, *({**row, "training": {"datasets": [name]}} for row in read_scores(files))]
+    best = best_learner(name, rows)
+    assert best is not None and (best["success_rate"], best["episodes"]) == (0.5, 64)
+    for unlike in ("tie-nx3/expert-v0", "tie-nx2/expert-train-code-v0"):
+        assert best_learner(f"knotgym/{unlike}", rows) is None
 
 
 def test_the_same_episodes_twice_are_refused(tmp_path: Path) -> None:

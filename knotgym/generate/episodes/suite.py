@@ -36,7 +36,12 @@ from knotgym.generate.episodes.recordings import (
 )
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_facts import describe_set
-from knotgym.generate.episodes.suite_scores import SUITE, read_scores, score_tables
+from knotgym.generate.episodes.suite_scores import (
+    SUITE,
+    best_learner,
+    read_scores,
+    score_tables,
+)
 from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.runs.engine import is_finished, request_of, require_resumable, run, whole_request
 from knotgym.runs.executors import cores
@@ -50,8 +55,8 @@ SETUPS = tuple(product(SUITE["tasks"], SUITE["nx"]))
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
 _PLAY = (
-    *("id", "reached the goal, %", "first choices, %", "planner, %", "bead predicted, %"),
-    *("goal codes, train", "test", "in both", "classes in both"),
+    *("id", "reached the goal, %", "first choices, %", "planner, %", "bead predicted, %", "R2"),
+    *("goal codes, train", "test", "in both", "classes in both", "best learner, %"),
 )
 
 
@@ -129,7 +134,8 @@ class SuiteConfig:
                 **SUITE["settings"].get(task, {}),
                 **SUITE["settings"].get(name, {}),
             )
-            size = SUITE["episodes"][name][SUITE["nx"].index(nx)]
+            sizes = SUITE["episodes"] | SUITE["episodes"].get(task, {})
+            size = sizes[name][SUITE["nx"].index(nx)]
             yield CollectConfig(
                 task=setup,
                 policy=policy,
@@ -323,6 +329,7 @@ def suite_card(report: Mapping[str, Any]) -> str:
             )
         )
         codes, guessed = one["codes"] or {}, one["predictability"]
+        learner = best_learner(name, report["results"]) or one["learner"]
         play.append(
             (
                 code_span(name),
@@ -330,7 +337,11 @@ def suite_card(report: Mapping[str, Any]) -> str:
                 _percent(one["first_choices"]),
                 _percent(one["planner"]),
                 f"{_percent(guessed['bead_top1'])} of {guessed['decisions']}" if guessed else "",
+                " ".join(f"{share:.2f}" for share in guessed["r2"]) if guessed else "",
                 *(codes.get(key, "") for key in ("train", "test", "shared", "shared_classes")),
+                f"{_percent(learner['success_rate'])}, {plain(learner['policy'])}"
+                if learner
+                else "",
             )
         )
     references = [

@@ -33,7 +33,8 @@ def describe_set(made: Path, recordings: Path = RECORDINGS) -> dict[str, Any]:
         Size, seed, checksums and versions; `first_choices`, the share of macro-actions that were
         the first of the demonstrator's order, and `planner`, the share of episodes in which the
         planner acted, None for policies without macro-actions; `codes`, see `goal_overlap`;
-        `recorded`, see `agreement`; and `predictability`, see `predictability_of`.
+        `recorded`, see `agreement`; `predictability`, and `learner`, the best that was trained on
+        it, see `measured`.
 
     Raises:
         InvalidConfig: it isn't such a dataset.
@@ -66,7 +67,7 @@ def describe_set(made: Path, recordings: Path = RECORDINGS) -> dict[str, Any]:
         **_choices(made),
         "codes": goal_overlap(task) if ships(task.states) else None,
         "recorded": agreement(name, made, recordings),
-        "predictability": predictability_of(name, made, recordings),
+        **measured(name, made, recordings),
     }
 
 
@@ -122,21 +123,23 @@ def agreement(name: str, made: Path, recordings: Path = RECORDINGS) -> str:
     return f"differs from episode {first}{reason}"
 
 
-def predictability_of(
+def measured(
     name: str, made: Path, recordings: Path = RECORDINGS
-) -> Mapping[str, Any] | None:
-    """Return how well a clone predicts the demonstrator of a recorded dataset; None if unknown.
+) -> dict[str, Mapping[str, Any] | None]:
+    """Return what was measured once, on the whole dataset as recorded.
 
-    It was measured once, on the whole dataset as recorded: `bead_top1`, the share of the held-out
-    `decisions` whose bead was the network's first guess.
+    Returns:
+        `predictability`: `bead_top1`, the share of the held-out `decisions` whose bead was the
+        first guess of a clone, and `r2`, see `learn.clone_training.Predictability`; and `learner`,
+        see `suite_scores.best_learner`. Each is None if unknown.
     """
-    measured = Path(recordings).with_suffix(".json")
-    if agreement(name, made, recordings) != "same" or not measured.is_file():
-        return None
+    unknown = dict.fromkeys(("predictability", "learner"))
+    figures = Path(recordings).with_suffix(".json")
+    if agreement(name, made, recordings) != "same" or not figures.is_file():
+        return unknown
     recording = read_recording(name, recordings)
-    figures = json.loads(measured.read_text(encoding="utf-8")).get(name)
+    own = json.loads(figures.read_text(encoding="utf-8")).get(name, {})
     whole = len(EpisodeReader(made)) == len(recording)
-    if not whole or figures is None or figures["recording_sha256"] != recording.digest:
-        return None
-    found: dict[str, Any] = figures
-    return found
+    if not whole or own.get("recording_sha256") != recording.digest:
+        return unknown
+    return {key: own.get(key) for key in unknown}
