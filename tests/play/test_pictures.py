@@ -37,6 +37,7 @@ TOLD = (
     "THREE.Clock",
     "Tried to send ViewerCameraMessage",
     "Unable to preventDefault",
+    "[Performance]",
 )
 
 
