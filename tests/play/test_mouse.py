@@ -25,13 +25,14 @@ from .test_page import browser, free_port, until
 
 __all__ = ["browser"]  # the fixture
 pytestmark = pytest.mark.slow
+SO3 = pytest.importorskip("viser.transforms").SO3
 TASK = TaskConfig(task="tie", nx=2, observation="state", engine="chain")
 
 
 def pixel(player: Player, point: Any) -> tuple[float, float]:
     """Where a point, metres, is seen by the tab's camera, of OpenCV's conventions."""
     camera = player._client.camera
-    turn = pytest.importorskip("viser.transforms").SO3(np.asarray(camera.wxyz)).as_matrix()  # columns: right, down and ahead
+    turn = SO3(np.asarray(camera.wxyz)).as_matrix()  # columns: right, down and ahead
     right, down, ahead = turn.T @ (SCALE * np.asarray(point) - camera.position)
     scale = camera.image_height / 2 / np.tan(camera.fov / 2) / ahead
     return (
