@@ -65,8 +65,12 @@ def test_every_example_says_how_to_use_it(
         monkeypatch.setitem(sys.modules, name, module)
     encoders = mock.MagicMock(EncoderFactory=object)
     safetensors = mock.MagicMock(SafetensorError=OSError)
-    monkeypatch.setitem(sys.modules, "safetensors", safetensors)
-    monkeypatch.setitem(sys.modules, "safetensors.torch", safetensors.torch)
+    for name, module in (
+        ("safetensors", safetensors),
+        ("safetensors.numpy", safetensors.numpy),
+        ("safetensors.torch", safetensors.torch),
+    ):
+        monkeypatch.setitem(sys.modules, name, module)
     for name in ("d3rlpy", "d3rlpy.dataset", "d3rlpy.models", "structlog"):
         monkeypatch.setitem(sys.modules, name, mock.MagicMock())
     monkeypatch.setitem(sys.modules, "d3rlpy.models.encoders", encoders)
