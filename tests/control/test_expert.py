@@ -264,6 +264,7 @@ def test_a_plan_made_in_the_chain_ends_in_the_goal_in_mujoco(states_path: str) -
     assert planned.spent >= len(met) >= len(planned.pulls)
 
 
+@pytest.mark.slow
 def test_a_hard_unknot_is_hauled_loose() -> None:
     states = read_states(shipped("hard-unknots"), images=False)
     simulation = MujocoSimulation(8)
