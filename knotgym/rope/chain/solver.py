@@ -87,7 +87,7 @@ def advance(
     for share in schedule:
         shares += share
     unit = duration / (shares * TICKS)
-    # `waiting` is the next rope without a lane; `stale`: the list of near pairs must be made anew
+    # `waiting` is the next rope without a lane; `stale`: the list of near pairs must be made again
     waiting, stale = 0, True
     counts[:] = 0
     while True:
