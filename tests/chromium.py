@@ -123,10 +123,11 @@ class Chromium:
         )  # fmt: skip
 
     def press(self, key: str) -> None:
-        """Press a key."""
+        """Press a key; a letter is also sent as its place on the keyboard, which viser asks for."""
         text = {"text": key} if len(key) == 1 else {}
-        self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
-        self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
+        code = f"Key{key.upper()}" if key.isalpha() and text else key
+        self.call("Input.dispatchKeyEvent", type="keyDown", key=key, code=code, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", key=key, code=code)
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Drag the mouse from one place to another, pixels."""

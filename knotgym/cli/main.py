@@ -4,6 +4,7 @@ import copy
 import errno
 import functools
 import os
+import re
 import signal
 import sys
 import traceback
@@ -31,7 +32,7 @@ from knotgym.runs.run_options import NotEnough
 
 
 class Command(DerivedCommand):
-    """A command whose --help shows flags without a type and keeps square brackets."""
+    """A command whose --help shows flags without a type, keeps square brackets and wraps once."""
 
     def get_params(self, ctx: Any) -> Any:
         return _flags_bare(super().get_params(ctx))
@@ -40,7 +41,8 @@ class Command(DerivedCommand):
         plain: Any = copy.copy(self)
         plain.params = [copy.copy(one) for one in self.params]
         for part in [plain, *plain.params]:
-            part.help = escape(part.help or "")  # rich would read '.[video]' as a style
+            unwrapped = re.sub(r"(?<=\S)\n(?=\S)", " ", part.help or "")
+            part.help = escape(unwrapped)  # rich would read '.[video]' as a style
         TyperCommand.format_help(plain, ctx, formatter)
 
 
