@@ -2,7 +2,7 @@
 
 import importlib.util
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 from knotgym.cli.options import (
     ACTING,
@@ -97,5 +97,6 @@ def play(given: Given) -> None:
         progress.say(f"open {page.address} in a browser; Ctrl-C ends it")
         if page.token:
             progress.say(f"token: {page.token}")
-        while True:
-            time.sleep(3600)
+        with suppress(KeyboardInterrupt):
+            while True:
+                time.sleep(3600)

@@ -1,6 +1,9 @@
 """The page in a real browser: pulled by mouse alone, attacked, and left."""
 
+import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -150,6 +153,18 @@ def test_every_other_host_asks_for_a_token(page: Page) -> None:
 def test_a_taken_port_is_one_line(page: Page) -> None:
     with pytest.raises(PlayError, match="choose another with --port"):
         require_port("127.0.0.1", port_of(page))
+
+
+def test_ctrl_c_ends_the_page_with_status_0() -> None:
+    words = [sys.executable, "-m", "knotgym", "play", "--port", str(free_port())]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None and run.stderr is not None
+        while "Ctrl-C ends it" not in run.stdout.readline():
+            assert run.poll() is None
+        time.sleep(1)
+        run.send_signal(signal.SIGINT)
+        assert run.wait(60) == 0
+        assert run.stderr.read() == ""
 
 
 def test_a_dataset_is_watched(browser: Chromium, tmp_path: Path) -> None:
