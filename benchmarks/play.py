@@ -39,9 +39,12 @@ def frames(engine: str, seconds: float) -> float:
             client.send(msgspec.msgpack.encode(camera))
             while not page.players:
                 time.sleep(0.1)
-            page.players[0]._auto.value = True
+            player = page.players[0]
+            player._auto.value = True
             end_of_warmup, seen = time.monotonic() + 3, 0
             while (now := time.monotonic()) < end_of_warmup + seconds:
+                if player.session.ended:
+                    player._wants(player._next)
                 # messages are compressed; only those that move the rope are this long
                 moved = len(client.recv(timeout=60)) > _LONG
                 seen += moved and now > end_of_warmup
