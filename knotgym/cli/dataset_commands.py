@@ -122,6 +122,8 @@ def merge(
 
         knotgym dataset merge runs/nx4-shard-*-of-8 --out runs/nx4
 
+        knotgym dataset merge tie-shard-*-of-4.json --out tie.json
+
         knotgym dataset merge a/states.h5 b/states.h5 --out states.h5
 
         knotgym dataset merge knotgym/tie-nx2/a-v0 knotgym/tie-nx2/b-v0 --id knotgym/both-v0

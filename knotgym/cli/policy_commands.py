@@ -149,7 +149,7 @@ def _evaluate_options() -> list[Option]:
             " or .onnx model gets what it was trained on.",
         ),
         *options_of(config, "seed", RUN),
-        *run_options(f"{EXECUTION} {EXISTING}"),
+        *run_options(f"{EXECUTION} shard {EXISTING}"),
     ]
 
 

@@ -72,6 +72,15 @@ class Shard:
 
     def folder(self, out: Path) -> Path:
         """Return the folder of this shard if the whole run is written to `out`."""
-        return (
-            out if self.is_whole else out.with_name(f"{out.name}-shard-{self.number}-of-{self.of}")
-        )
+        return self._beside(out, out.name, "")
+
+    def file(self, out: Path) -> Path:
+        """Return the file of this shard if the whole run is written to `out`."""
+        return self._beside(out, out.stem, out.suffix)
+
+    def _beside(self, out: Path, stem: str, suffix: str) -> Path:
+        own = f"{stem}-shard-{self.number}-of-{self.of}{suffix}"
+        return out if self.is_whole else out.with_name(own)
+
+
+WHOLE = Shard()

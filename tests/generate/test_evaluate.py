@@ -27,9 +27,12 @@ from knotgym.generate.episodes.evaluate import (
     sources_of,
 )
 from knotgym.generate.episodes.results import show
+from knotgym.generate.merge_evaluations import merge_evaluations
+from knotgym.generate.merge_shards import InvalidMerge
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.executors import InProcess
 from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.shards import Shard
 from knotgym.runs.staging import staging_folder
 from knotgym.states.state_file import States, write_states
 
@@ -393,3 +396,35 @@ def test_a_result_says_in_which_view_the_policy_acted(states_path: str) -> None:
     console = Console(record=True, width=80, file=io.StringIO())
     show([result], console)
     assert "random (macro)" in console.export_text()
+
+
+def test_merged_shards_say_what_one_evaluation_says(states_path: str, tmp_path: Path) -> None:
+    asked, out = config(states_path, episodes=7, nx=(1, 2)), tmp_path / "one.json"
+    run(asked, QUIET, out=out)
+    parts = [Shard(number, 3).file(out) for number in (2, 1, 3)]
+    for number in (2, 1, 3):
+        run(asked, replace(QUIET, shard=Shard(number, 3)), out=out)
+    merge_evaluations(parts, tmp_path / "merged.json")
+    one, merged = (
+        json.loads((tmp_path / name).read_text()) for name in ("one.json", "merged.json")
+    )
+    for rows in (one["results"], merged["results"]):
+        for row in rows:
+            for name in ("mean_return", "planned_actions"):
+                row[name] = pytest.approx(row[name])
+            del row["planning_seconds"]  # wall time
+    assert merged == one
+
+    for chosen, why in (
+        (parts[:2], "all 3 shards are needed"),
+        ([*parts, parts[0]], "each once; got 1, 2, 2, 3"),
+        ([out], "isn't a shard"),
+    ):
+        with pytest.raises(InvalidMerge, match=why):
+            merge_evaluations(chosen, tmp_path / "none.json")
+    with pytest.raises(InvalidMerge, match="their settings differ"):
+        run(replace(asked, seed=5), replace(QUIET, shard=Shard(1, 3), overwrite=True), out=out)
+        merge_evaluations(parts, tmp_path / "none.json")
+    with pytest.raises(InvalidConfig, match="a shard needs the --out"):
+        run(asked, replace(QUIET, shard=Shard(1, 3)))
+    assert not (tmp_path / "none.json").exists()

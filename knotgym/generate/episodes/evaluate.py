@@ -32,6 +32,7 @@ from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, Status, compile_first, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
+from knotgym.runs.shards import WHOLE, Shard
 
 SIDE_BY_SIDE = 8  # episodes per piece of work
 
@@ -132,11 +133,21 @@ class EvaluationRecipe(Recipe):
     """
 
     def __init__(
-        self, config: EvaluateConfig, video: Path | None = None, overwrite: bool = False
+        self,
+        config: EvaluateConfig,
+        video: Path | None = None,
+        overwrite: bool = False,
+        shard: Shard = WHOLE,
     ) -> None:
         for policy, task in config.setups():  # refuses before any work is done
             make_policy(policy).suited(task)
         self.config, self.video, self.overwrite = config, video, overwrite
+        self.shard, self.numbers = shard, shard.share(config.episodes)
+        if not self.numbers:
+            raise InvalidConfig(
+                f"shard {shard} of {config.episodes} episodes has none: split the evaluation into"
+                " fewer shards"
+            )
         self.engine, self.source = config.task.engine, sources_of(config)
         self.played: dict[_Piece, list[PlayedEpisode]] = {}
         self.films: list[Episode] = []
@@ -150,9 +161,9 @@ class EvaluationRecipe(Recipe):
             require_output(self.video, folder=False, overwrite=self.overwrite)
 
     def batches(self, folder: Path | None) -> Iterator[Batch]:
-        numbers, setups = range(self.config.episodes), list(self.config.setups())
+        numbers, setups = self.numbers, list(self.config.setups())
         for policy, task in setups:
-            for first in numbers[::SIDE_BY_SIDE]:
+            for first in range(0, len(numbers), SIDE_BY_SIDE):
                 few, name = numbers[first : first + SIDE_BY_SIDE], f"{len(self.played):06d}.json"
                 path = None if folder is None else folder / name
                 piece = _Piece(policy, task, few, self.config.seed, self.config.filmed, path)
@@ -186,7 +197,7 @@ class EvaluationRecipe(Recipe):
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
         require_unchanged(self.source, sources_of(self.config))
         self.write_film()  # before the output, which says that all is done
-        text = as_text(report(self.config, self.results, self.source))
+        text = as_text(report(self.config, self.results, self.source, self.shard))
         folder.write_text(text, encoding="utf-8")
         return folder
 
@@ -200,7 +211,7 @@ class EvaluationRecipe(Recipe):
                 write_film(temporary, frames)
 
     def summary(self) -> str:
-        return f"{len(self.results)} results of {self.config.episodes} episodes each"
+        return f"{len(self.results)} results of {len(self.numbers)} episodes each"
 
 
 def _finished(path: Path | None) -> list[PlayedEpisode]:
@@ -221,27 +232,35 @@ def sources_of(config: EvaluateConfig) -> dict[str, Any]:
 
 
 def report(
-    config: EvaluateConfig, results: Sequence[Result], source: dict[str, Any]
+    config: EvaluateConfig, results: Sequence[Result], source: dict[str, Any], shard: Shard = WHOLE
 ) -> dict[str, Any]:
     """Return the content of the result file; `source` is `sources_of(config)` before playing."""
+    learners = {
+        one.policy: {name: card[name] for name in _TRAINING}
+        for one in config.policies
+        if (card := training_card(one.policy)) is not None
+    }
+    made_by = {"settings": asdict(config), "digests": digests(source), "learners": learners}
+    return {
+        "version": knotgym.__version__,
+        **totals(results),
+        **made_by,
+        **({} if shard.is_whole else {"shard": asdict(shard)}),
+        "results": [asdict(one) for one in results],
+    }
+
+
+def totals(results: Sequence[Result]) -> dict[str, Any]:
+    """Return the success rate over all setups, its 95 % interval and the number of episodes."""
     columns: dict[str, list[Any]] = {"success": [], "start": [], "goal": []}
     for one in results:
         columns["success"] += one.outcomes["success"]
         for side, origin in (("start", one.start_states), ("goal", one.goal_states)):
             columns[side] += [f"{origin} {row}" for row in one.outcomes[side]]
     return {
-        "version": knotgym.__version__,
         "success_rate": float(np.mean(columns["success"])),
         "interval": list(cluster_interval(*columns.values())),
         "episodes": len(columns["success"]),
-        "settings": asdict(config),
-        "digests": digests(source),
-        "learners": {
-            one.policy: {name: card[name] for name in _TRAINING}
-            for one in config.policies
-            if (card := training_card(one.policy)) is not None
-        },
-        "results": [asdict(one) for one in results],
     }
 
 
@@ -263,11 +282,11 @@ def run(
 
     Args:
         options: how to execute the run; with `resume`, a finished evaluation is only printed.
-        out: JSON file to write, see `report`.
+        out: JSON file to write, see `report`; a shard writes its own beside it.
         video: film to write, of `config.filmed` episodes per setup, or 2.
 
     Raises:
-        InvalidConfig: resume or restart is requested without `out`.
+        InvalidConfig: resume, restart or a shard is requested without `out`, or a film of a shard.
         InvalidRun, Occupied, Unwritable: as in `runs.engine.run`, and for `video`.
         PictureError: the video format can't be written here.
         InvalidSetting: the state file lacks states that a task needs.
@@ -281,8 +300,13 @@ def run(
 
         require_film(video)
         config = replace(config, filmed=config.filmed or 2)
-    recipe = EvaluationRecipe(config, video, options.overwrite)
-    spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
+    if not options.shard.is_whole:
+        if out is None or video is not None:
+            wrong = "needs the --out of the evaluation" if out is None else "can't be filmed"
+            raise InvalidConfig(f"a shard {wrong}")
+        out = options.shard.file(out)
+    recipe = EvaluationRecipe(config, video, options.overwrite, options.shard)
+    spent = sum(policy.core_seconds for policy, _ in config.setups()) * len(recipe.numbers)
     tell_if_long(progress, spent, options.workers)
     if out is not None:
         run_recipe(recipe, out, options, progress, is_folder=False, made_by=_request_in)
@@ -312,7 +336,7 @@ def _request_in(out: Path) -> dict[str, Any] | None:
         content = read_json(out)
         found = content["digests"]
         source = {name: found.pop(name) for name in ("states", "policies")}
-        shard = {"number": 1, "of": 1}
+        shard = content.get("shard", asdict(WHOLE))
         [Result(**row) for row in content["results"]]
         return {"config": content["settings"], "source": source, "shard": shard, **found}
     except (OSError, KeyError, TypeError, ValueError, AttributeError):
