@@ -5,11 +5,11 @@
     OMP_NUM_THREADS=1 python benchmarks/recordings.py FOLDER --measure --nx 2
     python benchmarks/recordings.py FOLDER --scores LEARNER/evaluation.json...
 
-The second records every demonstrator's dataset of the suite in the folder; the same datasets give
-the same bytes. `--measure` trains a clone on each of them, which needs torch and takes a minute of
-a core, and writes how often it guesses the bead of a held-out macro-action. `--scores` writes which
-learner of the evaluations was the best of those trained on each. Figures that aren't measured again
-are kept while they fit the recording.
+The second records every demonstrator's dataset of the suite in the folder, and keeps what --out has
+of others; the same datasets give the same bytes. `--measure` trains a clone on each dataset in the
+folder, which needs torch and takes a minute of a core or more, and writes how often it guesses the
+bead of a held-out macro-action. `--scores` writes which learner of the evaluations was the best of
+those trained on each. Figures that aren't measured again are kept while they fit the recording.
 """
 
 import argparse
@@ -47,7 +47,13 @@ def main() -> None:
     if not args.measure and not args.scores:
         sets = SuiteConfig(policies=POLICIES).sets()
         there = [args.folder / one.dataset_id for one in sets]
-        write_recordings(args.out, [record(made) for made in there if made.exists()])
+        made = {one.name: one for one in map(record, filter(Path.exists, there))}
+        kept = [
+            one for one in (recorded_ids(args.out) if args.out.exists() else []) if one not in made
+        ]
+        write_recordings(
+            args.out, [*made.values(), *(read_recording(one, args.out) for one in kept)]
+        )
         size = args.out.stat().st_size
         console.print(f"{args.out.name}: {len(recorded_ids(args.out))} datasets, {size:,} bytes")
         return
@@ -59,7 +65,7 @@ def main() -> None:
     scores = read_scores(args.scores)
     config = SuiteConfig(policies=POLICIES, tasks=tuple(args.task), nx=tuple(args.nx))
     for name in [one.dataset_id for one in config.sets() if one.dataset_id in digests]:
-        if args.measure:
+        if args.measure and (args.folder / name).exists():
             from knotgym.learn.clone_training import predictability  # recording needs no torch
 
             found = predictability([args.folder / name])
