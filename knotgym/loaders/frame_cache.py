@@ -1,4 +1,4 @@
-"""Uncompressed pictures of a dataset, in a memory-mapped file.
+"""Uncompressed pictures of a dataset, in a memory-mapped file, and its vertices in memory.
 
     {folder}/{key}.frames       uint8 (frames, views * size, size, 3 or 4), without a header
 
@@ -29,6 +29,8 @@ from knotgym.common.atomic_files import Unwritable, atomic_write, require_own, s
 from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import EpisodeReader, goal_axis
 
+_MOST_HELD = 1e9  # bytes of vertices that are held in memory
+
 
 class NoCache(KnotgymError, ValueError):
     """The cache can't be used: there are no pictures to keep, or no room for them."""
@@ -52,11 +54,55 @@ class FrameCache:
             raise NoCache(f"a cache's limit must be a number of bytes above 0, got {self.limit!r}")
 
 
-class CachedFrames:
-    """The pictures of one dataset, at `path`. Can be pickled: each process maps the file itself.
+class _Frames:
+    """Consecutive frames of states and goals: an episode of T actions has T + 2.
 
     `offsets`, int64 (episodes + 1,), has the first frame of each episode, then their total.
     """
+
+    offsets: NDArray[np.int64]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "frames"}
+
+    def goal(self, episode: NDArray[np.int64], goal_step: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the frames of goals: a state of the episode, or its own goal for a step < 0."""
+        return np.where(
+            goal_step < 0, self.offsets[episode + 1] - 1, self.offsets[episode] + goal_step
+        )
+
+
+class HeldVertices(_Frames):
+    """The vertices of one dataset in memory, read when first needed.
+
+    Can be pickled: each process reads them itself.
+    """
+
+    def __init__(self, reader: EpisodeReader) -> None:
+        self._reader, self.offsets = reader, np.cumsum([0, *(reader.lengths + 2)])
+
+    @property
+    def fits(self) -> bool:
+        """Whether they are small enough to be held."""
+        return self._reader.task.rope.beads * 12 * int(self.offsets[-1]) <= _MOST_HELD
+
+    @cached_property
+    def frames(self) -> NDArray[np.float32]:
+        """float32 (frames, 3 beads), metres."""
+        held = np.empty((int(self.offsets[-1]), 3 * self._reader.task.rope.beads), np.float32)
+        for index, first in enumerate(self.offsets[:-1].tolist()):
+            seen = self._reader.observations(index, observation="state")
+            ropes, goals = np.split(seen, 2, axis=1)
+            held[first : first + len(ropes)], held[first + len(ropes)] = ropes, goals[0]
+        return held
+
+    def joined(self, ropes: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Join n frames of ropes with n of goals into observations, float32 (n, 6 beads)."""
+        return np.concatenate([self.frames[ropes], self.frames[goals]], axis=1)
+
+
+class CachedFrames(_Frames):
+    """The pictures of one dataset, at `path`. Can be pickled: each process maps the file itself."""
 
     def __init__(self, reader: EpisodeReader, picture: Any, cache: FrameCache) -> None:
         """Open the file, or write it first, which takes about a millisecond per picture.
@@ -71,7 +117,7 @@ class CachedFrames:
         folder = Path(cache.folder)
         require_own(folder, NoCache)
         self.path = folder / f"{_key(reader, picture)}.frames"
-        self.offsets: NDArray[np.int64] = np.cumsum([0, *(reader.lengths + 2)])
+        self.offsets = np.cumsum([0, *(reader.lengths + 2)])
         self._goal_axis = goal_axis(reader.task.layout)
         first = reader.observations(0, slice(0, 1), observation="pixels", picture=picture)
         frame = np.split(first, 2, axis=self._goal_axis)[0].shape[1:]
@@ -87,9 +133,6 @@ class CachedFrames:
         if os.access(self.path, os.W_OK):
             os.utime(self.path)  # _make_room deletes the oldest files first
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "frames"}
-
     @cached_property
     def frames(self) -> NDArray[np.uint8]:
         """uint8 (frames, views * size, size, 3 or 4), read-only."""
@@ -100,13 +143,7 @@ class CachedFrames:
             raise NoCache(f"{self.path} is missing or truncated: open the dataset again") from error
         return mapped.view(np.ndarray)
 
-    def goal(self, episode: NDArray[np.int64], goal_step: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the frames of goals: a state of the episode, or its own goal for a step < 0."""
-        return np.where(
-            goal_step < 0, self.offsets[episode + 1] - 1, self.offsets[episode] + goal_step
-        )
-
-    def pictures(self, ropes: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.uint8]:
+    def joined(self, ropes: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Join n frames of ropes with n frames of goals into observations.
 
         uint8 (n, views * size, 2 size, 3 or 4), or (n, views * size, size, 6 or 8) in layout

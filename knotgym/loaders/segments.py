@@ -343,7 +343,7 @@ class Segments:
             return self._reader.observations(episode, steps, **named, **self._seen)
         goals = self._frames.goal(*np.array([goal or (episode, -1)]).T)
         ropes = self._frames.offsets[episode] + steps
-        pictures = self._frames.pictures(ropes, np.broadcast_to(goals, ropes.shape))
+        pictures = self._frames.joined(ropes, np.broadcast_to(goals, ropes.shape))
         if self._shown == "pixels":
             return pictures
         state = self._reader.observations(episode, steps, **named, observation="state")

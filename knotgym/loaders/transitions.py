@@ -1,6 +1,7 @@
 """Transitions of a dataset in batches, through windows of several steps and with sampled goals."""
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.datasets.episode_reader import goal_axis
 from knotgym.envs.tasks import InvalidSetting
-from knotgym.loaders.frame_cache import CachedFrames
+from knotgym.loaders.frame_cache import CachedFrames, HeldVertices
 from knotgym.loaders.segments import Segments
 from knotgym.loaders.windows import InvalidWindow, Window, other_codes, returns
 
@@ -23,7 +24,10 @@ class Transitions(Segments):
         apart: bool = False,
         rng: np.random.Generator | None = None,
     ) -> dict[str, Any]:
-        """Return n transitions, such as a random batch. A `cache` of pictures makes this fast.
+        """Return n transitions, such as a random batch.
+
+        A `cache` of pictures makes this fast. Vertices are held in memory from the first batch on,
+        if they take at most a gigabyte.
 
         Args:
             rows: int (n,), indices of transitions.
@@ -182,8 +186,9 @@ class Transitions(Segments):
             goal = self.episode[segments], self.goal_step[segments]
         else:
             goal = self.episode[self._segment_of[goals]], self._step_of[goals]
-        if self._frames is not None and self._shown == "pixels":
-            return self._cached_pictures(self._frames, shown, self._frames.goal(*goal), apart)
+        frames = {"pixels": self._frames, "state": self._vertices}.get(self._shown)
+        if frames is not None and len(first):
+            return self._gathered(frames, shown, frames.goal(*goal), apart)
         filled: dict[str, list[NDArray[Any]]] = {}
         # rows with the same segment and goal are read at once, each state once
         alike = segments if goals is None else segments * len(self._step_of) + goals
@@ -215,25 +220,30 @@ class Transitions(Segments):
             return filled.get("", [{}, {}, {}])
         return [dict(zip(filled, each, strict=True)) for each in zip(*filled.values(), strict=True)]
 
-    def _cached_pictures(
+    @cached_property
+    def _vertices(self) -> HeldVertices | None:
+        held = HeldVertices(self._reader)
+        return held if held.fits else None
+
+    def _gathered(
         self,
-        frames: CachedFrames,
+        frames: CachedFrames | HeldVertices,
         shown: list[NDArray[np.int64]],
         goals: NDArray[np.int64],
         apart: bool,
-    ) -> list[NDArray[np.uint8]]:
+    ) -> list[NDArray[Any]]:
         """Gather what `_observed` returns from the frames of states and goals."""
         offsets = frames.offsets[self.episode]
         ropes = [offsets[self._segment_of[one]] + self._step_of[one] for one in shown]
-        seen = []
+        seen: list[NDArray[Any]] = []
         for one in (*ropes, goals) if apart else ropes:
             # along one axis, which NumPy copies many times faster than along two
             flat = one.ravel()
             if apart:
-                pictures = frames.frames[flat]
+                taken = frames.frames[flat]
             else:
-                pictures = frames.pictures(flat, np.repeat(goals, flat.size // len(goals)))
-            seen.append(pictures.reshape(*one.shape, *pictures.shape[1:]))
+                taken = frames.joined(flat, np.repeat(goals, flat.size // len(goals)))
+            seen.append(taken.reshape(*one.shape, *taken.shape[1:]))
         return seen
 
     def _halves(self, name: str, seen: NDArray[Any]) -> list[NDArray[Any]]:
