@@ -46,6 +46,8 @@ def merge_evaluations(files: Sequence[Path], out: Path, *, overwrite: bool = Fal
         rows = zip(*(results for _, _, results in parts), strict=True)
         results = [_joined(row) for row in rows]
         content = {"version": first.pop("version"), **totals(results), **first}
+    except InvalidMerge:
+        raise
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise InvalidMerge(f"these results can't be merged: {one_line(error)}") from error
     with atomic_write(out, overwrite=overwrite) as temporary:
@@ -70,12 +72,12 @@ def _joined(parts: Sequence[Result]) -> Result:
         name: getattr(first, name) for name in ("policy", "task", "nx", "split", "action")
     }
     if any(getattr(part, name) != value for part in parts for name, value in setup.items()):
-        raise ValueError("rows of different setups")
+        raise InvalidMerge("these are not shards of one evaluation: their rows differ")
     outcomes = {name: sum((part.outcomes[name] for part in parts), []) for name in first.outcomes}
     won = np.array(outcomes["success"], dtype=bool)
     episodes = [part.episodes for part in parts]
     if len(won) != sum(episodes):
-        raise ValueError("a row has not as many outcomes as episodes")
+        raise InvalidMerge("a row of a shard has more or fewer outcomes than episodes")
     low, high = cluster_interval(outcomes["success"], outcomes["start"], outcomes["goal"])
     means: dict[str, Any] = {
         name: float(np.average([getattr(part, name) for part in parts], weights=episodes))
