@@ -112,6 +112,8 @@ class _Look:
         """Find the first way to the goal, depth first; None if there is none within the limits."""
         crossings = find_crossings(points)
         diagram = seen_diagram(points, crossings)
+        # The chance that the goal can be reached from here, as counted; only passes that raise it
+        # are followed, so a way never comes back to a diagram.
         here = self.values.reach(self.goal, diagram)
         missed = list[Pass]()
         # many passes tow the rope, and the order doesn't know which
@@ -119,17 +121,21 @@ class _Look:
         for move in passes_in_order(self.values, self.goal, points):
             if len(missed) >= candidates or self.spent >= self.config.budget:
                 return None
+            # A generator yields what it wants simulated, so that many looks share the lanes.
             pulls = min(LONGEST, steps)
             outcome: Landing = yield Trial(state, move, self.goal, pulls, self.bound)
             self.spent += outcome.pulls
             decision = Decision(points, diagram.code, move, tuple(missed), outcome)
             missed.append(move)
+            # The goal may be shown before the pass is over, which then ends there; see `Trial`.
             if not outcome.towed and outcome.code.matches(self.goal):
                 return [decision]
             left = steps - outcome.pulls
             if left > 0 and not outcome.towed and outcome.code != diagram.code:
                 there = seen_diagram(outcome.points, find_crossings(outcome.points))
                 if self.values.reach(self.goal, there) > here:
+                    # Depth first: all ways through this landing come before the next pass from
+                    # here.
                     rest = yield from self.way(outcome.state, outcome.points, left)
                     if rest is not None:
                         return [decision, *rest]
@@ -144,6 +150,8 @@ def passes_in_order(values: DiagramValues, goal: GaussCode, points: Array) -> It
     known: set[Pass] = set()
     for choice in values.order(goal, diagram):
         template = templates(diagram.nx)[choice.template]
+        # Several templates may name the same two beads where arcs are short; and both beads may
+        # be the same.
         move = template.on(arcs, choice.element, diagram.nx, len(points))
         if move not in known and move.bead != move.target:
             known.add(move)
@@ -204,6 +212,7 @@ class Demonstrator(Policy):
         self.config = config or DemonstratorConfig()
         self._values = values
         planner = planner or PlannerConfig()
+        # in the last resort the planner may simulate less than where it is the policy
         least = min(planner.budget, self.config.last_resort)
         self._planner = Expert(replace(planner, budget=least))
         self._progress: dict[int, _Acting] = {}
@@ -218,8 +227,11 @@ class Demonstrator(Policy):
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         simulation, controller = episodes.simulation, self._controller
+        # Waypoints that were reached are passed before anything is decided, so that a pass that
+        # is over leads to a look in this very action.
         controller.advance(simulation.points)
         looking = [index for index in ids.tolist() if self._is_over(episodes, index)]
+        # Looks depend on the rope alone, so how many are made together changes nothing.
         for first in range(0, len(looking), _LANES):
             self._look(episodes, np.array(looking[first : first + _LANES]))
         forces = controller.forces(simulation.points)[ids] * simulation.max_force
@@ -231,9 +243,11 @@ class Demonstrator(Policy):
                 chosen = self._planner.act(episodes, ids[[row]])
                 actions[row], why = chosen.actions[0], f"{PLANNER} {chosen.moves[0]}"
             elif progress.move is None:
+                # the goal is shown: a pull without force lets the rope settle
                 actions[row] = simulation.actions([0], np.zeros((1, 3)), [index])[0]
                 why = REST
             else:
+                # what a dataset stores as `infos/macro_*`: whether a pass begins here, and which
                 macros[row] = (progress.pulls == 0, *progress.move)
                 progress.pulls += 1
                 why = progress.why
@@ -295,6 +309,8 @@ class Demonstrator(Policy):
             rope = episodes.simulation.rope
             self._lanes = MacroLanes(_LANES, self.config.macro_actions, rope)
         values = self._values or shipped_values(episodes.config.split)
+        # Looks begin from the rope at rest in the chain engine, whichever engine the episode has:
+        # velocities fade within 20 ms, and a look must not depend on them.
         states, points = self._lanes.at_rest(episodes.simulation.qpos(ids))
         searches = [
             find_way(

@@ -75,6 +75,7 @@ class PassTemplate(NamedTuple):
         """Return the pass of a rope whose diagram is image `element` of the template's diagram."""
         reverse, switch, _ = ELEMENTS[element]
         flip = 2 * nx + 1 if reverse else 0
+        # Walked backwards, what lay at position p along the 2 nx + 1 arcs lies at 2 nx + 1 - p.
         bead = arcs.bead(abs(flip - self.bead))
         if self.apart:
             target = (bead + (-self.apart if reverse else self.apart)) % beads
@@ -113,6 +114,7 @@ def templates(nx: int) -> tuple[PassTemplate, ...]:
                 reached = [bead + apart, bead - apart]
                 places += [(bead / 100, end / 100, 0) for end in reached if 0 < end < 100]
     else:
+        # The more arcs there are, the fewer places on each: templates grow with the square.
         fractions = {1: (0.2, 0.5, 0.8), 2: (0.25, 0.5, 0.75)}.get(nx, (0.3, 0.7))
         along = [arc + part for arc in range(2 * nx + 1) for part in fractions]
         places = [(bead, end, 0) for bead in along for end in along if bead != end]
@@ -162,6 +164,7 @@ class PassCounts:
     def record(self, before: SeenDiagram, choice: PassChoice, after: SeenDiagram | None) -> None:
         """Count a pass, which ended at a diagram; None if the code is the same."""
         if after is not None:
+            # The same symmetry for both diagrams, so that counts of all eight images add up.
             after = after.image(choice.element) if after.nx <= COUNTED_NX else None
         self.seen[before.image(choice.element), choice.template, after] += 1
 
@@ -275,6 +278,7 @@ class DiagramValues:
     def __init__(self, counts: PassCounts) -> None:
         self._diagrams: list[SeenDiagram] = []
         self._index: dict[SeenDiagram, int] = {}  # the first index of each diagram
+        # How often each pass was made, and where it led.
         tried = Counter[tuple[int, int]]()
         outcomes = Counter[tuple[int, int, int]]()
         for (before, template, after), count in counts.seen.items():
@@ -285,9 +289,12 @@ class DiagramValues:
                 tried[index, image] += count
                 if after is not None:
                     outcomes[index, image, self._add(after.image(element))] += count
+        # Rows (before, template, after, count), sorted: the outcomes of a pass lie together, the
+        # passes of a diagram too. All values are computed on these arrays at once.
         led = [(*key, outcomes[key]) for key in sorted(outcomes)]
         table = np.array(led, dtype=np.int64).reshape(-1, 4)
         passes = np.array([tried[before, template] for before, template, _, _ in led], dtype=float)
+        # Estimated chance of each outcome, p = discount * count / (tried + doubt).
         self._chance = self._DISCOUNT * table[:, 3] / (passes + self._DOUBT)
         # outcomes of one pass lie together; `start` is where each pass begins
         _, self._start = np.unique(table[:, 0] << 16 | table[:, 1], return_index=True)
@@ -295,6 +302,8 @@ class DiagramValues:
         self._pass_of[self._start[1:]] = 1
         self._pass_of = self._pass_of.cumsum()
         self._template = table[self._start, 1]
+        # Image k of the diagram at index i stands at i xor k, because blocks of eight begin at
+        # multiples of eight; of equal diagrams the first index counts.
         first = np.array([self._index[one] for one in self._diagrams], dtype=np.int64)
         self._before = [first[table[:, 0] ^ element] for element in range(len(ELEMENTS))]
         self._after = [first[table[:, 2] ^ element] for element in range(len(ELEMENTS))]
@@ -368,9 +377,12 @@ class DiagramValues:
     def _of(self, goal: GaussCode) -> _GoalValues:
         if goal not in self._values:
             shown = np.array([float(one.code.matches(goal)) for one in self._diagrams])
+            # Value iteration: V(d) = max over passes of the sum of p V(after), V = 1 where the
+            # goal is shown. After k sweeps, ways of up to k passes count.
             reach = shown
             for _ in range(self._SWEEPS if len(self._start) else 0):
                 reach = self._swept(shown, [self._chance * reach[after] for after in self._after])
+            # The same once more, with only those outcomes that `reach` calls nearer.
             first = shown
             for _ in range(self._SWEEPS if len(self._start) else 0):
                 outcomes = [self._worth(first, reach, k) for k in range(len(ELEMENTS))]
@@ -384,6 +396,7 @@ class DiagramValues:
         """Take the best pass of every diagram; `outcomes` are their parts, by image."""
         values = shown.copy()
         for element, worth in enumerate(outcomes):
+            # sums over the outcomes of each pass, then the best pass of each diagram
             sums = np.add.reduceat(worth, self._start)
             np.maximum.at(values, self._before[element][self._start], sums)
         return values

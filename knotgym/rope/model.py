@@ -124,6 +124,7 @@ def rope_of(beads: int) -> RopeConfig:
     Sub-chains keep their size, so that closing errors do too.
     """
     usual = RopeConfig()
+    # As many beads to a metre, and closures as far apart, as in the usual rope.
     share = beads / usual.beads
     chains = max(2, round(share * usual.sub_chains))
     return replace(usual, beads=beads, length=share * usual.length, sub_chains=chains)
@@ -155,6 +156,7 @@ class Rope:
         self._dof_at = self.model.jnt_dofadr[joints].astype(np.int64)
         # orientation relative to the parent at zero joint angle
         self._rest = self.model.body_quat[self.bodies].copy()
+        # Chords between two sub-chains may have any length up to the gap that closures leave.
         self._next_in_chain = np.ones(beads, dtype=bool)
         self._next_in_chain[[last for _, last in sub_chains(self.config)]] = False
 
@@ -292,11 +294,13 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
     """
     spec = mujoco.MjSpec()
     spec.modelname = "rope"
+    # The rope floats in a dense medium, whose drag brings it to rest.
     spec.option.gravity = [0.0, 0.0, 0.0]
     spec.option.density = config.medium_density
     spec.option.timestep = config.timestep
     # MuJoCo's Euler integrator treats joint damping implicitly
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    # Projected Gauss-Seidel, as published: results depend on the solver.
     spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
     for first, last in sub_chains(config):
         _add_chain(spec, config, first, last)
@@ -319,6 +323,7 @@ def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -
             fromto=[0.0, 0.0, 0.0, length, 0.0, 0.0],
             size=[config.radius, 0.0, 0.0],
             density=config.density,
+            # without friction
             condim=1,
         )
         return body
@@ -327,6 +332,8 @@ def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -
     # the next vertex, which is the tangent half a bead further on.
     root = (first + last + 1) // 2 if config.rooted == "middle" else first
     start = [radius * np.cos(turn * root), radius * np.sin(turn * root), 0.0]
+    # The root in the middle halves the longest lever from root to end, and with it the errors
+    # that add up on the way.
     free = add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
     free.add_freejoint()
     body = free
@@ -349,6 +356,7 @@ def _join(spec: mujoco.MjSpec, config: RopeConfig, last: int, after: int) -> Non
         name1=f"bead{last}",
         name2=f"bead{after}",
     )
+    # the anchor in the frame of the first body: the end of bead `last`
     joined.data[0:3] = [config.bead_length, 0.0, 0.0]
     joined.solref = list(config.closure_solref)
     joined.solimp = list(config.closure_solimp)

@@ -72,6 +72,7 @@ def factor(system: System) -> None:
                 for c in range(3):
                     _subtract(arrow, (k + 2, 4 * r + c), y, far, k, c)
     # what is left in the corner is its Schur complement, 3 x 3
+    # no square roots: pivots are inverted once, so that substitution multiplies
     d0 = 1.0 / load(corner, (0,))
     a10, a20 = load(corner, (1,)), load(corner, (3,))
     l10, l20 = a10 * d0, a20 * d0

@@ -60,6 +60,8 @@ class ChainSimulation(Simulation):
         `schedule` are the relative lengths of an action's substeps.
         """
         super().__init__(count, rope, threads)
+        # The proof that no strand passes another holds for edges up to this length, see
+        # `passage`.
         longest = longest_edge(self.rope.config.radius)
         if self.rope.config.bead_length > longest:
             raise InvalidRope(
@@ -73,6 +75,7 @@ class ChainSimulation(Simulation):
                     f"the chain engine closes the rope exactly and has no {name}; leave it at"
                     f" {usual}, got {given}"
                 )
+        # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
         self._schedule = np.array(schedule, dtype=np.int64)
         self._numbers, self._damping, self._contact = parameters(self.rope)
         workers = min(threads or cpu_count() or 1, -(-count // LANES))
@@ -107,6 +110,7 @@ class ChainSimulation(Simulation):
     def at_rest(self, ids: Ids = None) -> Array:
         """Copy of the states without their velocities: float64 (len(ids), beads * STATE)."""
         states = self._states[self._all(ids)]
+        # velocities of vertices and spins; positions and sides stay
         states[:, :, 3:6] = states[:, :, 9:] = 0.0
         return states.reshape(len(states), -1)
 
@@ -148,6 +152,7 @@ class ChainSimulation(Simulation):
     def _with_lengths(self, points: Array) -> Array:
         """Move vertices a little, so that all edges are as long as the beads."""
         lanes = -(-len(points) // LANES) * LANES
+        # Whole groups of lanes: places without a rope hold a copy of the first, which is dropped.
         padded = np.empty((lanes, *points.shape[1:]))
         padded[: len(points)], padded[len(points) :] = points, points[:1]
         for first in range(0, lanes, LANES):
@@ -160,6 +165,8 @@ class ChainSimulation(Simulation):
         where = self._all(ids)
         states, pulled = self._states[where], np.ascontiguousarray(beads, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=np.float64)
+        # Threads get whole groups of lanes. `advance` runs without the interpreter's lock, and no
+        # rope's result depends on those beside it, so the number of threads changes nothing.
         counts = np.zeros((len(where), 4), dtype=np.int64)
         sizes = -(-len(where) // (self._workers * LANES)) * LANES
 
@@ -204,11 +211,14 @@ def parameters(rope: Rope) -> tuple[Array, Array, Array]:
     numbers[TURN] = density * wide * (wide**4 + long**4) / 64
     numbers[ROLL] = density * long * 2 * wide**4 / 64
     damping = np.full(config.beads, config.joint_damping)
+    # no joint where MuJoCo joins two sub-chains, and none at vertex 0, where `banded` cuts the
+    # loop
     damping[[first for first, _ in sub_chains(config)]] = 0.0
     # a contact of two beads far from the ends of their sub-chains
     geom = int(model.body_geomadr[body])
     constant, impedance = model.geom_solref[geom, 0], model.geom_solimp[geom, 1]
     weight = 2 * np.median(model.body_invweight0[rope.bodies, 0])
+    # R of the constraint; MuJoCo's documentation, "Computation", on the parameters of constraints
     soft = (1 - impedance) / impedance * weight
     contact = np.empty(4)
     contact[[RADIUS, FLOOR]] = config.radius, _FLOOR * 2 * config.radius
@@ -224,6 +234,7 @@ def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
         qpos: float64 (ropes, nq).
         points: float64 (ropes, beads, 3), metres.
     """
+    # Beads are rows, x along the bead: column 1 of a bead's matrix is its y axis.
     data, sides = mujoco.MjData(rope.model), np.empty_like(points)
     for row, positions in enumerate(qpos):
         data.qpos[:] = positions
@@ -244,6 +255,8 @@ def to_qpos(rope: Rope, points: Array, sides: Array) -> Array:
         float64 (ropes, nq).
     """
     along, model = _along(points), rope.model
+    # Each bead's orientation in the world; a ball joint holds that relative to the parent's,
+    # q_joint = (q_parent q_rest)^-1 q_world.
     world = _quaternions(np.stack([along, sides, np.cross(along, sides)], axis=-1))
     qpos = np.empty((len(points), rope.nq))
     bead_of = {int(body): bead for bead, body in enumerate(rope.bodies)}

@@ -65,6 +65,8 @@ def list_pairs(middle: Array, within: float, start: Ints, other: Ints) -> None:
     for i in range(n):
         start[i] = count
         x, y, z = load(middle, (i, 0)), load(middle, (i, 1)), load(middle, (i, 2))
+        # Every pair once. The last edges are near the first along the loop, so for i < _NEXT the
+        # range ends before those that are within _NEXT of i on the other side.
         for j in range(i + _NEXT, n if i >= _NEXT else n - _NEXT + 1 + i):
             a, b = load(middle, (j, 0)) - x, load(middle, (j, 1)) - y
             c = load(middle, (j, 2)) - z
@@ -93,6 +95,8 @@ def closest(x: Array, i: int, j: int) -> Any:
     uu, vv = fma(ux, ux, fma(uy, uy, uz * uz)), fma(vx, vx, fma(vy, vy, vz * vz))
     uv, uw = fma(ux, vx, fma(uy, vy, uz * vz)), fma(ux, wx, fma(uy, wy, uz * wz))
     vw = fma(vx, wx, fma(vy, wy, vz * wz))
+    # Least |w + s u - t v|^2. For endless lines s = (uv vw - uw vv) / det, with det = |u x v|^2;
+    # then each place is clamped to its edge, and the other found anew for the clamped one.
     both = uu * vv
     det = fma(-uv, uv, both)
     s = min(max(fma(uv, vw, -uw * vv) / max(det, 1e-30), 0.0), 1.0)
@@ -144,6 +148,8 @@ def find_rows(
     close = STRETCH * length + touch
     for i in range(n):
         mx, my, mz = load(middle, (i, 0)), load(middle, (i, 1)), load(middle, (i, 2))
+        # Edges meet in the substep only if their midpoints are nearer than an edge's length, a
+        # diameter and the way that both go; LOOKAHEAD bounds that way.
         way = fma(h, load(motion, (i,)), close)
         for p in range(start[i], start[i + 1]):
             j = other[p]
@@ -187,6 +193,7 @@ def _try_row(
     k, m = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
     far, s, t, nx, ny, nz = closest(x, i, j)
     shrink = 1.0 / far
+    # Speed at which the nearest points part, along the line between them.
     apart = 0.0 * far
     for c in range(3):
         one = fma(s, load(v, (k, c)) - load(v, (i, c)), load(v, (i, c)))
@@ -237,6 +244,7 @@ def push_apart(
         right: (n + 1, 4, LANES), changed in place.
     """
     n, diag, corner = len(v), system[0], system[4]
+    # L^-1 J^T of all contacts, D^-1 L^-1 J^T of one, and J A^-1 J^T.
     column = np.zeros((most, n + 1, 4, LANES))
     scaled = np.zeros((n + 1, 4, LANES))
     weight = np.empty((most, most, LANES))
@@ -249,6 +257,9 @@ def push_apart(
                 i, j = int(rows[r, 6, lane]), int(rows[r, 7, lane])
                 k, m = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
                 s, t = rows[r, 0, lane], rows[r, 1, lane]
+                # The point at s of edge i moves at (1 - s) v_i + s v_k, so J has -(1 - s) n and
+                # -s n there, and (1 - t) n and t n at the other edge. Vertex 0 is the corner,
+                # block n.
                 for vertex, share in ((i, s - 1.0), (k, -s), (j, 1.0 - t), (m, t)):
                     block = vertex if vertex > 0 else n
                     first = min(first, block)
@@ -263,6 +274,8 @@ def push_apart(
         for c, e in enumerate((0, 2, 5)):
             put(scaled, (n, c), load(column, (r, n, c)) * load(corner, (e,)))
         for q in range(r + 1):
+            # Two sums side by side, so that the processor doesn't wait for each; their order is
+            # fixed.
             a, b = 0.0 * load(step, (0,)), 0.0 * load(step, (0,))
             for i in range(first, n + 1):
                 a = fma(load(scaled, (i, 0)), load(column, (q, i, 0)), a)
@@ -310,6 +323,7 @@ def _solve_forces(
                 soft = -slope * (gap / h + without) / (1.0 + slope * own)
             else:
                 soft = -(contact[STIFFNESS] * gap + slope * without) / (1.0 + slope * own)
+            # What keeps the distance at FLOOR at the end of the substep, whatever pulls.
             hard = (-(distance - contact[FLOOR]) / h - without) / own
             new = max(0.0, max(soft, hard))
             change = max(change, abs(new - force[r, lane]))

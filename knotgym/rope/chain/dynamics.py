@@ -97,6 +97,8 @@ def assemble(
     n = len(tangent)
     joint, bead = np.empty((n, 13, LANES)), np.empty((n, 12, LANES))
     length = numbers[LENGTH]
+    # Everything is divided by the substep: inertia becomes m / h, in kg/s, and stands beside
+    # damping. Half of a bead's motion belongs to either vertex, hence the quarter.
     rate = 1.0 / load(step, (0,))
     centre = 0.25 * numbers[MASS] * rate
     tumble = numbers[TUMBLE] / (length * length) * rate
@@ -181,6 +183,8 @@ def assemble(
             back = fma(o1, p, fma(o2, q, ot * load(tangent, (i, c))))
             vi, vj = load(v, (i, c)), load(v, (j, c))
             back = fma(centre, vi + vj, back)
+            # Right side: momenta of the old velocities, and the part -|u'| u' of the drag. The
+            # centre's share is the same for both vertices, that of turning opposite.
             swing = fma(tumble, vj - vi, whirl * (load(guess, (j, c)) - load(guess, (i, c))))
             put(right, (i, c), load(right, (i, c)) + (back - swing))
             put(right, (j, c), load(right, (j, c)) + (back + swing))
@@ -224,6 +228,7 @@ def _cut(system: System, right: Array) -> None:
     for k in range(n):
         for c in range(12):
             put(arrow, (k, c), 0.0)
+    # The 3 x 3 of vertex 0 moves to the corner; a unit matrix stays, so that it can be factored.
     for e in range(6):
         put(corner, (e,), load(diag, (0, e)))
         put(diag, (0, e), 1.0 if e == 0 or e == 2 or e == 5 else 0.0)
@@ -232,6 +237,8 @@ def _cut(system: System, right: Array) -> None:
         put(right, (n, a), load(right, (0, a)))
         put(right, (0, a), 0.0)
         for b in range(4):
+            # Neighbours of vertex 0 are blocks 1 and 2 on one side, whose parts are turned over
+            # because the corner comes after them, and n - 1 and n - 2 on the other.
             put(arrow, (1, 4 * a + b), load(near, (0, 4 * b + a)))
             put(near, (0, 4 * b + a), 0.0)
             put(arrow, (n - 1, 4 * a + b), load(near, (n - 1, 4 * a + b)))
@@ -272,6 +279,8 @@ def set_lengths(x: Array, length: float, rounds: int) -> None:
             put(edge, (i, 3), far - length)
         for i in range(n):
             j = i + 1 if i + 1 < n else 0
+            # The matrix has 2 on its diagonal and -cos of the joint's angle beside it, so it is
+            # positive definite unless the rope is straight all round, which no closed rope is.
             cosine = load(edge, (i, 2)) * load(edge, (j, 2))
             cosine = fma(load(edge, (i, 1)), load(edge, (j, 1)), cosine)
             put(beside, (i,), -fma(load(edge, (i, 0)), load(edge, (j, 0)), cosine))
@@ -320,6 +329,7 @@ def turn_sides(side: Array, old: Array, new: Array, spin: Array, step: Array) ->
         # smallest rotation from t to u, of p across t: p - (p . u) / (1 + t . u) (t + u)
         k = fma(px, ux, fma(py, uy, pz * uz)) / fma(tx, ux, fma(ty, uy, fma(tz, uz, 1.0)))
         px, py, pz = fma(-k, tx + ux, px), fma(-k, ty + uy, py), fma(-k, tz + uz, pz)
+        # Then by the spin: p + angle (t x p), made perpendicular and of unit length below.
         angle = h * load(spin, (i,))
         px, py, pz = (
             fma(angle, fma(uy, pz, -uz * py), px),

@@ -44,6 +44,7 @@ class _LanesModel(models.PrimitiveModel):
 def _spread(context: Any, builder: Any, given: Any, to: Any, value: Any) -> Any:
     """The same number in every lane."""
     value = context.cast(builder, value, given, types.float64)
+    # Inserted one by one; LLVM makes a single broadcast of it.
     vector = ir.Constant(_VECTOR, ir.Undefined)
     for lane in range(LANES):
         vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), lane))
@@ -61,6 +62,8 @@ class _LaneByLane(AbstractTemplate):
 
 def _teach(function: Any, arguments: int, emit: Callable[..., Any]) -> None:
     """Let Numba apply a function to lanes."""
+    # Numba asks templates for the result's type, then looks for code by the types of the
+    # arguments, plain numbers cast to lanes by `_spread`.
     infer_global(function)(type("_LaneByLane", (_LaneByLane,), {}))
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -74,6 +77,7 @@ def _of_one(name: str) -> Callable[..., Any]:
 
     def emit(builder: Any, value: Any) -> Any:
         kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        # LLVM's vector intrinsics, such as llvm.sqrt.v4f64; one instruction where there is one.
         function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
         return builder.call(function, [value])
 
@@ -81,6 +85,7 @@ def _of_one(name: str) -> Callable[..., Any]:
 
 
 def _larger(builder: Any, one: Any, other: Any) -> Any:
+    # An ordered comparison is false at a NaN, so `one` stays, in every lane by itself.
     return builder.select(builder.fcmp_ordered(">", other, one), other, one)
 
 
@@ -107,6 +112,7 @@ _teach(abs, 1, _of_one("fabs"))
 
 def _pointer(context: Any, builder: Any, type_: Any, array: Any, place: Any) -> Any:
     made = context.make_array(type_)(context, builder, array)
+    # The address of lane 0 at the place; the other lanes follow it in memory.
     indices = [*cgutils.unpack_tuple(builder, place), ir.Constant(ir.IntType(64), 0)]
     start = cgutils.get_item_pointer(context, builder, type_, made, indices)
     return builder.bitcast(start, _VECTOR.as_pointer())
@@ -125,6 +131,7 @@ def load(typing: Any, array: Any, place: Any) -> Any:
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _pointer(context, builder, sig.args[0], *args)
+        # Arrays of NumPy are aligned to one number only, not to a vector.
         return builder.load(pointer, align=_ITEM)
 
     return _LANES(array, _at(array, place)), emit
@@ -170,6 +177,7 @@ def any_below(typing: Any, value: Any, bound: Any) -> Any:
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         below = builder.fcmp_ordered("<", args[0], args[1])
+        # A vector of LANES booleans read as an integer of as many bits.
         bits = builder.bitcast(below, ir.IntType(LANES))
         return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
 

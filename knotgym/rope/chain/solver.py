@@ -86,6 +86,8 @@ def advance(
     shares = 0
     for share in schedule:
         shares += share
+    # Time is counted in ticks, whole numbers, so that halved substeps add up exactly to the
+    # action.
     unit = duration / (shares * TICKS)
     # `waiting` is the next rope without a lane; `stale`: the list of near pairs must be made again
     waiting, stale = 0, True
