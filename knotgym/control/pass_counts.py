@@ -145,6 +145,7 @@ def template_images(nx: int, element: int) -> dict[int, int]:
     }
 
 
+@lru_cache(maxsize=10_000)
 def own_symmetries(diagram: SeenDiagram) -> list[int]:
     """Return the numbers of the elements that leave a diagram as it is."""
     return [element for element in range(len(ELEMENTS)) if diagram.image(element) == diagram]

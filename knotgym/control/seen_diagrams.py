@@ -40,7 +40,7 @@ class SeenDiagram(NamedTuple):
 
     def image(self, number: int) -> SeenDiagram:
         """Apply element `number` of ELEMENTS."""
-        return _images(self)[number]
+        return _images(self)[number] if number else self  # the first element is the identity
 
 
 def seen_diagram(points: Array, crossings: Crossings) -> SeenDiagram:

@@ -25,7 +25,7 @@ from knotgym.rope.chain.dynamics import (
     STRETCH,
     TUMBLE,
     TURN,
-    set_lengths,
+    set_all_lengths,
 )
 from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
@@ -150,16 +150,10 @@ class ChainSimulation(Simulation):
         return self._states[self._all(ids), :, 3:6].copy()
 
     def _with_lengths(self, points: Array) -> Array:
-        """Move vertices a little, so that all edges are as long as the beads."""
-        lanes = -(-len(points) // LANES) * LANES
-        # Whole groups of lanes: places without a rope hold a copy of the first, which is dropped.
-        padded = np.empty((lanes, *points.shape[1:]))
-        padded[: len(points)], padded[len(points) :] = points, points[:1]
-        for first in range(0, lanes, LANES):
-            group = np.ascontiguousarray(padded[first : first + LANES].transpose(1, 2, 0))
-            set_lengths(group, self.rope.config.bead_length, 6)
-            padded[first : first + LANES] = group.transpose(2, 0, 1)
-        return padded[: len(points)]
+        """Move vertices a little, so that all edges are as long as the beads; a new array."""
+        moved = np.array(points)
+        set_all_lengths(moved, self.rope.config.bead_length, 6)
+        return moved
 
     def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
         where = self._all(ids)

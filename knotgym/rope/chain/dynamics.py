@@ -318,6 +318,24 @@ def set_lengths(x: Array, length: float, rounds: int) -> None:
                 put(x, (i, c), load(x, (i, c)) + moved)
 
 
+@njit(cache=True, nogil=True)
+def set_all_lengths(points: Array, length: float, rounds: int) -> None:
+    """Apply `set_lengths` to any number of ropes (ropes, n, 3), in place."""
+    ropes, n = points.shape[0], points.shape[1]
+    group = np.empty((n, 3, LANES))
+    for first in range(0, ropes, LANES):
+        for lane in range(LANES):
+            rope = min(first + lane, ropes - 1)  # lanes left over hold the last rope, too
+            for i in range(n):
+                for c in range(3):
+                    group[i, c, lane] = points[rope, i, c]
+        set_lengths(group, length, rounds)
+        for rope in range(first, min(first + LANES, ropes)):
+            for i in range(n):
+                for c in range(3):
+                    points[rope, i, c] = group[i, c, rope - first]
+
+
 @njit(nogil=True)
 def turn_sides(side: Array, old: Array, new: Array, spin: Array, step: Array) -> None:
     """Turn the beads' sides, in place, with their edges from `old` to `new`, and by their spins."""
