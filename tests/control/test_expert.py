@@ -31,6 +31,7 @@ from knotgym.control.transition_graph import (
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.chain.chain_simulation import ChainSimulation
+from knotgym.rope.engines import ENGINES
 from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
@@ -238,6 +239,23 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
     assert planned.solved and len(planned.pulls) == len(planned.moves) <= 50
     act_out(episodes.simulation, planned)
     assert label(episodes.simulation.points[0]).matches(goal)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_plans_are_checked_in_the_engine_of_the_episode(states_path: str, engine: str) -> None:
+    task = TaskConfig(
+        task="tie", nx=1, states=states_path, split="test", observation="state", engine=engine
+    )
+    episodes, expert = EpisodeBatch(task), Expert(PlannerConfig(budget=600))
+    episodes.begin(0, np.random.default_rng(3))
+    expert.begin(episodes, 0, np.random.default_rng(0))
+    for _ in range(task.horizon):
+        choice = expert.act(episodes, np.array([0]))
+        assert not choice.moves[0].startswith(BLIND)
+        episodes.step(choice.actions, np.array([0]))
+        if episodes.codes[0].matches(episodes.goals[0]):
+            return
+    pytest.fail(f"the plan doesn't end in the goal in the engine {engine}")
 
 
 def test_a_plan_made_in_the_chain_ends_in_the_goal_in_mujoco(states_path: str) -> None:
