@@ -70,7 +70,7 @@ def verify(
     """
     with Progress(quiet, lines=False) as progress:
         from knotgym.cli.inspection import checked, faults
-        from knotgym.runs.progress import compile_first
+        from knotgym.runs.compilation import compile_first
 
         compile_first(progress)
         found = 0

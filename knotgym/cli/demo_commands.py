@@ -36,7 +36,7 @@ def demo(given: Given) -> None:
     from knotgym.generate.episodes.collect import CollectConfig, collect
     from knotgym.generate.episodes.evaluate import film
     from knotgym.rendering.video import write_film
-    from knotgym.runs.progress import compile_first
+    from knotgym.runs.compilation import compile_first
     from knotgym.runs.run_options import RunOptions
 
     require_output(out, folder=True, overwrite=overwrite)

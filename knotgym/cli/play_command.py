@@ -75,7 +75,7 @@ def play(given: Given) -> None:
     from knotgym.play.page import Page, PlayConfig
     from knotgym.play.recorder import Recorder
     from knotgym.play.watch import WatchPage
-    from knotgym.runs.progress import compile_first
+    from knotgym.runs.compilation import compile_first
 
     config, dataset, progress = given.config(PlayConfig), given["dataset"], given.progress
     compile_first(progress, config.task.engine)

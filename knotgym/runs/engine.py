@@ -32,9 +32,10 @@ from knotgym.common.atomic_files import (
 )
 from knotgym.common.configuration import differences, read_json
 from knotgym.rope.model import RopeConfig
+from knotgym.runs.compilation import compile_first
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
-from knotgym.runs.progress import Progress, Status, compile_first
+from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import Existing, InvalidRun, RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.runs.staging import (

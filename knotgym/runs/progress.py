@@ -12,8 +12,6 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from knotgym.rope.engines import MUJOCO, compile_engine, is_compiled
-
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
 _LONG = 3600.0  # seconds; a run that would take longer prints an estimate first
 
@@ -170,11 +168,3 @@ def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
             f"this would take about {duration(core_seconds / count)} with {count} workers; Ctrl-C"
             " stops it"
         )
-
-
-def compile_first(progress: Progress, engine: str = MUJOCO) -> None:
-    """Compile an engine's kernels, if they aren't, before several processes wait for them."""
-    if not is_compiled(engine):
-        progress.stage("compiling, only on the first run")
-        compile_engine(engine)
-    progress.stage("starting")

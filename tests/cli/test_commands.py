@@ -36,9 +36,10 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, distinct_id
 from knotgym.generate.episodes.results import Result, reference_lines, show
 from knotgym.rope.engines import warn_of_compilation
+from knotgym.runs.compilation import compile_first
 from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
 from knotgym.runs.executors import InProcess
-from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
+from knotgym.runs.progress import Progress, Status, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 

@@ -24,12 +24,13 @@ from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.generate.episodes.results import Result, show
+from knotgym.runs.compilation import compile_first
 from knotgym.runs.engine import Batch, Recipe
 from knotgym.runs.engine import run as run_recipe
 from knotgym.runs.executors import executor
 from knotgym.runs.intervals import cluster_interval
 from knotgym.runs.pools import Pool
-from knotgym.runs.progress import Progress, Status, compile_first, tell_if_long
+from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.shards import WHOLE, Shard
