@@ -54,9 +54,9 @@ def main() -> None:
     }
     given.out.mkdir(parents=True, exist_ok=True)
     for name, words in cells(given.only.split(","), episodes, given.seed):
-        told = ["-m", "knotgym", "evaluate", *words, "--workers", "1", "--quiet", "--resume"]
+        command = ["-m", "knotgym", "evaluate", *words, "--workers", "1", "--quiet", "--resume"]
         print(" ".join(["knotgym evaluate", *words]), flush=True)
-        subprocess.run([sys.executable, *told, "--out", str(given.out / name)], check=True)
+        subprocess.run([sys.executable, *command, "--out", str(given.out / name)], check=True)
     files = sorted(map(str, given.out.glob("*.json")))
     subprocess.run([sys.executable, str(ROOT / "benchmarks" / "results.py"), *files], check=True)
 

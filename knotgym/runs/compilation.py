@@ -7,15 +7,17 @@ from knotgym.runs.progress import Progress
 _PICTURES = "pictures"
 
 
-def compile_first(progress: Progress, engine: str = MUJOCO) -> None:
-    """Compile an engine's kernels, and beside them those that draw pictures, if they aren't yet.
+def compile_first(progress: Progress, engine: str = MUJOCO, workers: int = 1) -> None:
+    """Compile an engine's kernels, if they aren't; beside them, those that draw pictures.
 
-    Both take about as long, so they are compiled by two processes where there are two cores.
+    Both take about as long, so two processes compile them; with one worker (0: one per core),
+    pictures wait until one is drawn.
     """
     if not is_compiled(engine):
         progress.stage("compiling, only on the first run")
-        with executor(min(2, cores())) as pool:
-            list(pool.map(_compile, (engine, _PICTURES)))
+        count = min(2, workers or cores())
+        with executor(count) as pool:
+            list(pool.map(_compile, (engine, _PICTURES)[:count]))
     progress.stage("starting")
 
 

@@ -151,7 +151,7 @@ def run(
         return out
     require_output(out, folder=is_folder, overwrite=options.overwrite)
     require_startable(out, request, options, recipe.flexible, progress)
-    compile_first(progress, recipe.engine)
+    compile_first(progress, recipe.engine, options.workers)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()
     with _staging(out, options, request) as folder:

@@ -320,7 +320,7 @@ def run(
             )
     else:
         recipe.begin()
-        compile_first(progress, recipe.engine)
+        compile_first(progress, recipe.engine, options.workers)
         with executor(options.workers, options.scheduler) as pool:
             recipe.play(pool, progress)
         recipe.write_film()
