@@ -219,8 +219,8 @@ def _end(stopped: Callable[[], str], number: int, frame: object) -> None:
 
 def _trouble(error: OSError) -> str:
     """Return the operating system's message, without what a library adds to it."""
-    said = os.strerror(error.errno) if error.errno else str(error)
-    return f"{said} {error.filename or ''}"
+    message = os.strerror(error.errno) if error.errno else str(error)
+    return f"{message} {error.filename or ''}"
 
 
 def _say(text: str, status: int) -> int:

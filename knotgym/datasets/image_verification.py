@@ -242,7 +242,11 @@ def _walk_batches(folder: Path, table: Any) -> tuple[list[_WalkBatch], list[str]
     try:
         manifest, _ = read_manifest(folder)
         relaxation = from_json(RelaxationConfig, manifest["config"]["walk"]["relaxation"])
-    except (KeyError, TypeError, KnotgymError):  # a fault of the manifest, told by _folder_faults
+    except (
+        KeyError,
+        TypeError,
+        KnotgymError,
+    ):  # a fault of the manifest, which _folder_faults reports
         relaxation = RelaxationConfig()
     states = walks.state[walks.start]
     batches = []

@@ -33,7 +33,7 @@ from knotgym.topology.gauss import GaussCode
 # a goal and the way to it: empty if none was found, None if the passes before led there already
 _Found = tuple[GaussCode, list[Decision] | None]
 
-_TOLD, _FIRST = 0.6, 3  # share of the passes before that are among the first of the order
+_IN_ORDER, _FIRST = 0.6, 3  # share of the passes before that are among the first of the order
 
 
 def demonstrated_tasks(config: DemonstrationsConfig) -> list[TaskConfig]:
@@ -64,7 +64,7 @@ def demonstrate(
     config, values = clone.demonstrations, shipped_values(clone.demonstrations.split)
     demonstrator = DemonstratorConfig(budget=config.budget)
     lanes = MacroLanes(config.lanes, demonstrator.macro_actions)
-    parts, told = [none()], dict[str, Any]()
+    parts, rates = [none()], dict[str, Any]()
     tasks, done = demonstrated_tasks(config), 0
 
     def status() -> Status:
@@ -84,13 +84,13 @@ def demonstrate(
         number += config.episodes
         asked = [way for _, way in ways.values() if way is not None]
         ranks = np.array([decision.rank for way in asked for decision in way])
-        told[f"{task.task} {task.nx}"] = {
+        rates[f"{task.task} {task.nx}"] = {
             "reached": float(np.mean([bool(way) for way in asked])),
             "decisions": len(ranks),
             "first_choices": float(np.mean(ranks == 1)) if len(ranks) else None,
         }
     progress.show(status, last=True)
-    return join(parts), told
+    return join(parts), rates
 
 
 def _searches(
@@ -118,8 +118,8 @@ def _way(
 ) -> Search[_Found]:
     """Find a way after some passes that weren't tried out."""
     for _ in range(wander):
-        move, told = random_pass(len(points), rng), rng.random() < _TOLD
-        if told and (first := [*islice(passes_in_order(values, goal, points), _FIRST)]):
+        move, in_order = random_pass(len(points), rng), rng.random() < _IN_ORDER
+        if in_order and (first := [*islice(passes_in_order(values, goal, points), _FIRST)]):
             move = first[int(rng.integers(len(first)))]
         landing: Landing = yield Trial(state, move, goal)
         state, points = landing.state, landing.points

@@ -228,7 +228,7 @@ def train_clone(
     def make(decisions: Decisions, request: dict[str, Any], folder: Path) -> None:
         began = time.perf_counter()
         kept = begin_training(folder, request)
-        decisions, told = _with_demonstrations(decisions, config, folder, shown)
+        decisions, source = _with_demonstrations(decisions, config, folder, shown)
         tasks = tasks_of(datasets, demonstrated_tasks(config.demonstrations))
         network, curve, facts = fit_clone(decisions, config, tasks, shown, folder, kept)
         remove(folder / "made")
@@ -237,7 +237,7 @@ def train_clone(
             **request,
             "data": ["/".join(Path(str(one)).parts[-3:]) for one in datasets],
             **facts,
-            **told,
+            **source,
             "seconds": round(time.perf_counter() - began),
         }
         save_clone(folder / "made", network, made)
@@ -371,18 +371,18 @@ def _with_demonstrations(
     """Add the demonstrations that are to be made, or that a staging folder has already."""
     if not config.demonstrations.episodes:
         return decisions, {}
-    path, told_in = folder / "demonstrations.safetensors", folder / "demonstrations.json"
+    path, rates_path = folder / "demonstrations.safetensors", folder / "demonstrations.json"
     if path.exists():
         made, _ = load_decisions(path)
-        told = read_json(told_in)
+        rates = read_json(rates_path)
     else:
         progress.stage("making demonstrations in the chain engine")
-        made, told = demonstrate(config, int(decisions.episodes.max(initial=-1)) + 1, progress)
-        with atomic_write(told_in) as part:
-            part.write_text(json.dumps(told), encoding="utf-8")
+        made, rates = demonstrate(config, int(decisions.episodes.max(initial=-1)) + 1, progress)
+        with atomic_write(rates_path) as part:
+            part.write_text(json.dumps(rates), encoding="utf-8")
         save_decisions(path, made, {})
-    told = {"demonstrations": told, "demonstrations_sha256": made.digest}
-    return join([decisions, made]), told
+    source = {"demonstrations": rates, "demonstrations_sha256": made.digest}
+    return join([decisions, made]), source
 
 
 def _first_guesses(

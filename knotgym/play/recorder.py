@@ -149,9 +149,9 @@ class Recorder:
     def journal(self, number: int, actions: list[NDArray[np.float32]]) -> None:
         """Note the pulls of an episode that is under way."""
         path = self._staging / _JOURNAL.format(number)
-        said = {"number": number, "actions": [action.tolist() for action in actions]}
+        content = {"number": number, "actions": [action.tolist() for action in actions]}
         temporary = path.with_suffix(".part")
-        temporary.write_text(json.dumps(said), encoding="utf-8")
+        temporary.write_text(json.dumps(content), encoding="utf-8")
         os.replace(temporary, path)
 
     def finish(self, number: int, actions: list[NDArray[np.float32]]) -> bool:
@@ -205,10 +205,10 @@ def _journalled(path: Path) -> tuple[int, list[NDArray[np.float32]]]:
     Raises:
         InvalidJournal: the journal isn't one.
     """
-    said: Any = read_json(path)
+    content: Any = read_json(path)
     try:
-        actions = np.array(said["actions"], dtype=np.float32).reshape(-1, 6)
-        number = int(said["number"])
+        actions = np.array(content["actions"], dtype=np.float32).reshape(-1, 6)
+        number = int(content["number"])
         if not np.isfinite(actions).all() or number < 0:
             raise ValueError
     except (TypeError, ValueError, KeyError) as error:

@@ -211,7 +211,7 @@ def pass_straight(
 ) -> MacroAction:
     """Return the same as `pass_strand` without chance: straight ahead, a fixed distance beyond.
 
-    So a macro-action is said by three integers: the bead, the strand's bead `target`, and the side.
+    So three integers determine a macro-action: the bead, the strand's bead `target`, and the side.
     """
     lift, beyond = config.straight_lift, config.straight_beyond
     return _pass(points, "pass", bead, target, side, 0.0, lift, beyond, config)

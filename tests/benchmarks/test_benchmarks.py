@@ -166,7 +166,7 @@ def test_evaluations_make_the_table_of_learners(tmp_path: Path) -> None:
     assert row["episodes"] == "3"
     (row,) = made(one, measured("other.json", "--episodes", 2, "--seed", 1))
     assert row["episodes"] == "4" and row["seeds"] == "[0, 1]"
-    with pytest.raises(SystemExit, match="tells once more of random, readable, test, tie, 2"):
+    with pytest.raises(SystemExit, match="repeats episodes of random, readable, test, tie, 2"):
         made(one, one)
     told = json.loads(one.read_text())
     told["digests"]["versions"]["code"] = "0" * 64

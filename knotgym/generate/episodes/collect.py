@@ -330,7 +330,7 @@ def _report(
     files: dict[str, str] | None = None,
     machines: Sequence[dict[str, str]] | None = None,
 ) -> None:
-    said = {
+    content = {
         "format": "knotgym-collection",
         "format_version": 1,
         **request,
@@ -338,7 +338,7 @@ def _report(
         "tally": {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)},
         **({"files": files} if files else {}),
     }
-    path.write_text(json.dumps(said, indent=1, sort_keys=True), encoding="utf-8")
+    path.write_text(json.dumps(content, indent=1, sort_keys=True), encoding="utf-8")
 
 
 def play(file: EpisodeFile) -> Tally:
@@ -390,8 +390,8 @@ def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
 def _finished(path: Path) -> Tally | None:
     """Return the tally of a file if it is finished and intact, otherwise None."""
     try:
-        said = read_sealed(path.with_suffix(".json"))
-        return Tally(**said["tally"]) if said["sha256"] == sha256(path) else None
+        sealed = read_sealed(path.with_suffix(".json"))
+        return Tally(**sealed["tally"]) if sealed["sha256"] == sha256(path) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

@@ -202,17 +202,17 @@ def make_suite(
     _require_own_card(folder, options)
     seconds = sum(core_seconds(one, one.dataset_id in known) for one in left)
     progress.say(_forecast(wanted, left, seconds, options))
-    told = _described(config, root, recordings)
-    _write_card(told, results, config.seed, folder)
+    descriptions = _described(config, root, recordings)
+    _write_card(descriptions, results, config.seed, folder)
     for number, one in enumerate(left, 1):
         made = root / one.dataset_id
         progress.say(f"set {number} of {len(left)}: {one.dataset_id}, {one.episodes} episodes")
         begun = options.resume and has_work(staging_folder(made))
         run(recipes[one.dataset_id], made, replace(options, resume=begun), progress)
-        told[one.dataset_id] = describe_set(made, recordings)
-        _write_card(told, results, config.seed, folder)  # the card is current during the run
+        descriptions[one.dataset_id] = describe_set(made, recordings)
+        _write_card(descriptions, results, config.seed, folder)  # current during the run
     progress.say(f"{folder}: {len(wanted)} sets, README.md, suite.json")
-    rebuilt = {one.dataset_id: told[one.dataset_id]["recorded"] for one in wanted}
+    rebuilt = {one.dataset_id: descriptions[one.dataset_id]["recorded"] for one in wanted}
     differing = [f"{name} {how}" for name, how in rebuilt.items() if how.startswith("differs")]
     if config.recorded and differing:
         raise DiffersFromRecording(

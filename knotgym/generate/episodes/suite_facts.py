@@ -44,7 +44,7 @@ def describe_set(made: Path, recordings: Path = RECORDINGS) -> dict[str, Any]:
         config, tally = report["config"], report["tally"]
         files = {name: made / "data" / name for name in ("main_data.hdf5", "metadata.json")}
         task = from_json(TaskConfig, config["task"])
-        told = {
+        facts = {
             **{name: config["task"][name] for name in ("task", "nx", "split", "tow_limit")},
             **{name: config["task"][name] for name in ("endless", "engine", "observation")},
             "states": config["task"]["states"] or _STATES,
@@ -63,7 +63,7 @@ def describe_set(made: Path, recordings: Path = RECORDINGS) -> dict[str, Any]:
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
     return {
-        **told,
+        **facts,
         **_choices(made),
         "codes": goal_overlap(task) if ships(task.states) else None,
         "recorded": agreement(name, made, recordings),

@@ -61,8 +61,8 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
         for row in rows:
             same = found.setdefault(tuple(row[name] for name in (*LINE, *CELL)), [])
             if any(row["seeds"] == one["seeds"] for one in same):
-                told = (row["policy"], *(row[name] for name in CELL if name != "states_sha256"))
-                raise InvalidScores(f"{path} tells once more of {', '.join(map(str, told))}")
+                cell = (row["policy"], *(row[name] for name in CELL if name != "states_sha256"))
+                raise InvalidScores(f"{path} repeats episodes of {', '.join(map(str, cell))}")
             same.append(row)
     return [_together(found[key]) for key in sorted(found, key=str)]
 
@@ -94,8 +94,8 @@ def best_learner(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]
         and not _in_macros(row)
     ]
     best = max(own, key=lambda row: float(row["success_rate"]), default=None)
-    told = ("policy", "success_rate", "interval", "episodes")
-    return None if best is None else {key: best[key] for key in told}
+    fields = ("policy", "success_rate", "interval", "episodes")
+    return None if best is None else {key: best[key] for key in fields}
 
 
 def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list[str]:
@@ -153,22 +153,22 @@ def _grouped(
     return list(groups.items())
 
 
-def _rows(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    if "digests" not in told:
+def _rows(evaluation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    if "digests" not in evaluation:
         raise InvalidScores("it has no digests of policy, states and code; measure it again")
-    asked, given = told["settings"], told["digests"]
+    asked, given = evaluation["settings"], evaluation["digests"]
     configs = {one["policy"]: one for one in asked["policies"]}
     versions = dict(given["versions"])
     code = versions.pop("code")
-    for one in told["results"]:
+    for one in evaluation["results"]:
         policy = one["policy"]
         task = {name: value for name, value in asked["task"].items() if name not in _APART}
         task["action"] = one["action"]  # a policy may choose its own
         plain = {**_PLAIN["policy"], "policy": policy}
         settings = [*_unlike(_PLAIN["task"], task), *_unlike(plain, configs[policy])]
         origins = sorted({one["start_states"], one["goal_states"]})
-        learned = told.get("learners", {}).get(policy, {})
-        training = dict(told.get("training", learned))
+        learned = evaluation.get("learners", {}).get(policy, {})
+        training = dict(evaluation.get("training", learned))
         row = {
             "policy": policy,
             "settings": "; ".join(settings),
