@@ -78,8 +78,8 @@ generate_app = typer.Typer(**_APP)  # knotgym-generate, one command without a na
 generate_app.command(cls=Command)(generate)
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(given: bool) -> None:
+    if given:
         import knotgym
 
         print(f"knotgym {knotgym.__version__}")

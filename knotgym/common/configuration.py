@@ -162,18 +162,18 @@ def _fields(
     return found
 
 
-def differences(there: Any, asked: Any, where: str = "") -> Iterator[str]:
+def differences(there: Any, requested: Any, where: str = "") -> Iterator[str]:
     """Yield a sentence for each place where two JSON values differ.
 
     >>> list(differences({"seed": 1, "rope": {"beads": 100}}, {"seed": 2, "rope": {"beads": 100}}))
     ['seed is 1 there and 2 here']
     """
-    if isinstance(there, dict) and isinstance(asked, dict):
-        for name in dict.fromkeys([*there, *asked]):
+    if isinstance(there, dict) and isinstance(requested, dict):
+        for name in dict.fromkeys([*there, *requested]):
             path = f"{where}.{name}" if where else str(name)
-            yield from differences(there.get(name), asked.get(name), path)
-    elif there != asked:
-        yield f"{where} is {json.dumps(there)} there and {json.dumps(asked)} here"
+            yield from differences(there.get(name), requested.get(name), path)
+    elif there != requested:
+        yield f"{where} is {json.dumps(there)} there and {json.dumps(requested)} here"
 
 
 def _typed(value: Any, hint: Any, where: str) -> Any:

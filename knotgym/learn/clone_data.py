@@ -48,8 +48,8 @@ class Decisions(NamedTuple):
             aren't have bead and strand NONE.
         forces: float32 (n, 3), relative to the largest, of pulls; not used for macro-actions.
         episodes: int64 (n,), episodes are held out whole.
-        asked: bool (n,), whether the goal had been asked for; else it was reached by chance, or the
-            rope is a copy whose beads are numbered from another one.
+        intended: bool (n,), whether the goal was the one intended; else it was reached by chance,
+            or the rope is a copy whose beads are numbered from another one.
     """
 
     points: NDArray[np.float32]
@@ -57,7 +57,7 @@ class Decisions(NamedTuple):
     macros: NDArray[np.int64]
     forces: NDArray[np.float32]
     episodes: NDArray[np.int64]
-    asked: NDArray[np.bool_]
+    intended: NDArray[np.bool_]
 
     def rows(self, index: NDArray[Any]) -> Decisions:
         """Return some of the decisions."""
@@ -67,7 +67,7 @@ class Decisions(NamedTuple):
     def digest(self) -> str:
         """SHA-256 of all columns, hexadecimal."""
         whole = hashlib.sha256("\n".join(self.goals.tolist()).encode())
-        for column in (self.points, self.macros, self.forces, self.episodes, self.asked):
+        for column in (self.points, self.macros, self.forces, self.episodes, self.intended):
             whole.update(np.ascontiguousarray(column).tobytes())
         return whole.hexdigest()
 
@@ -118,17 +118,17 @@ class Examples(NamedTuple):
         seen: states; frames apart, all that the network is shown.
         macros: int64 (n, 1 + MISSED, 3): bead, strand, 0 for under or 1 for over; see `Decisions`.
         forces: int64 (n, 3), choices of the force components of pulls.
-        asked: bool (n,), as of `Decisions`.
+        intended: bool (n,), as of `Decisions`.
     """
 
     seen: Marked
     macros: NDArray[np.int64]
     forces: NDArray[np.int64]
-    asked: NDArray[np.bool_]
+    intended: NDArray[np.bool_]
 
     def rows(self, index: NDArray[Any]) -> Examples:
         """Return some of the examples."""
-        own = self.macros[index], self.forces[index], self.asked[index]
+        own = self.macros[index], self.forces[index], self.intended[index]
         return Examples(self.seen.rows(index), *own)
 
     def plus(self, other: Examples) -> Examples:
@@ -151,7 +151,7 @@ def examples(decisions: Decisions) -> Examples:
         seen._replace(points=seen.points.astype(np.float32)),
         macros,
         force_choices(forces),
-        decisions.asked,
+        decisions.intended,
     )
 
 
@@ -185,7 +185,7 @@ def read_decisions(datasets: Sequence[Any], config: CloneConfig) -> Decisions:
                 parts.append(_pulls(episode, number))
             number += 1
         reader.close()
-    if datasets and not any(part.asked.any() for part in parts):
+    if datasets and not any(part.intended.any() for part in parts):
         raise InvalidTraining(
             f"no episode of {', '.join(map(str, datasets))} reached its goal, so there is nothing"
             " to imitate; set failed = true to learn from the others too"
@@ -216,7 +216,7 @@ def without_loops(steps: Sequence[DecidedStep]) -> list[DecidedStep]:
 
 def gathered(
     way: Sequence[DecidedStep],
-    asked: Sequence[DecidedStep],
+    imitated: Sequence[DecidedStep],
     goal: GaussCode,
     number: int,
     config: CloneConfig,
@@ -227,13 +227,13 @@ def gathered(
     Args:
         way: steps whose consequences are goals too, in order: a code that a step led to is taken
             for the goal of that step and of up to `window` - 1 steps before it (hindsight).
-        asked: steps to imitate for the episode's own goal.
+        imitated: steps to imitate for the episode's own goal.
         goal: the episode's own.
         number: of the episode.
         config: says how much hindsight there is, and how many copies.
         vain: steps that count as tried in vain, and aren't imitated.
     """
-    rows = [(step, goal.plain, True) for step in asked]
+    rows = [(step, goal.plain, True) for step in imitated]
     for step in vain:
         rows.append((step._replace(macro=_NO_MACRO, missed=(step.macro,)), goal.plain, False))
     window = config.hindsight
@@ -243,10 +243,10 @@ def gathered(
             if reached != goal.plain and not step.before.matches(reached):
                 rows.append((step, reached, False))
     # a copy's goal is the code that the whole way led to, read from the copy's first bead
-    if asked and asked[-1].after.matches(goal):
+    if imitated and imitated[-1].after.matches(goal):
         rng = generator(Stream.LEARN_COPIES, config.seed, abs(number), int(number < 0))
         for base in rng.choice(np.arange(1, BEADS), config.copies, replace=False).tolist():
-            copied = [step.numbered_from(base) for step in asked]
+            copied = [step.numbered_from(base) for step in imitated]
             rows += [(step, copied[-1].after.plain, False) for step in copied]
     count = len(rows)
     points = np.stack([step.points for step, *_ in rows]) if rows else np.zeros((0, BEADS, 3))
@@ -319,17 +319,17 @@ def _macros(episode: Episode, number: int, config: CloneConfig) -> Decisions:
     table = np.stack(macro, axis=1)
     codes = [GaussCode.parse(text) for text in episode.gauss_code_chiral.tolist()]
     goal = GaussCode.parse(episode.goal_gauss_code)
-    asked, way, decisions = list[DecidedStep](), list[DecidedStep](), list[Decisions]()
+    imitated, way, decisions = list[DecidedStep](), list[DecidedStep](), list[Decisions]()
     ends = [*starts[1:].tolist(), count][: len(starts)]  # none if nothing was chosen
     for at, end in zip(starts.tolist(), ends, strict=True):
         points, (bead, target, side) = episode.points.astype(np.float32), table[at].tolist()
         step = DecidedStep(points[at], points[end], codes[at], codes[end], (bead, target, side))
         # a pass that nobody chose isn't imitated, but led somewhere all the same
         if reasons[at] != RANDOM and (config.failed or episode.terminations[-1]):
-            asked.append(step)
+            imitated.append(step)
         if part_of_none[at:end].any():  # cut short by a random pull
             decisions.append(gathered(without_loops(way), [], goal, number, config))
             way = []
         elif step.before != step.after:
             way.append(step)
-    return join([*decisions, gathered(without_loops(way), asked, goal, number, config)])
+    return join([*decisions, gathered(without_loops(way), imitated, goal, number, config)])

@@ -82,10 +82,10 @@ def demonstrate(
             steps = [_step(decision) for decision in way or []]
             parts.append(gathered(steps, steps, goal, number + episode, clone))
         number += config.episodes
-        asked = [way for _, way in ways.values() if way is not None]
-        ranks = np.array([decision.rank for way in asked for decision in way])
+        searched = [way for _, way in ways.values() if way is not None]
+        ranks = np.array([decision.rank for way in searched for decision in way])
         rates[f"{task.task} {task.nx}"] = {
-            "reached": float(np.mean([bool(way) for way in asked])),
+            "reached": float(np.mean([bool(way) for way in searched])),
             "decisions": len(ranks),
             "first_choices": float(np.mean(ranks == 1)) if len(ranks) else None,
         }

@@ -104,12 +104,12 @@ def play(
             close(index)
             reached += bool(terminated[row])
             way = without_loops(steps[index])
-            asked = way if terminated[row] else []
-            good = {id(step) for step in asked}
+            imitated = way if terminated[row] else []
+            good = {id(step) for step in imitated}
             vain = [step for step in steps[index] if id(step) not in good]
             vain = vain[:: len(vain) // _VAIN + 1]
             key = -1 - config.episodes * number - numbers[index]
-            kept.append(gathered(way, asked, episodes.goals[index], key, clone, vain))
+            kept.append(gathered(way, imitated, episodes.goals[index], key, clone, vain))
             left[row] = begin(index)
         under_way = under_way[left]
     return PlayedMacros(join(kept), reached / config.episodes)

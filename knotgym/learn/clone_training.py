@@ -108,7 +108,7 @@ class CloneTraining:
             for group in self._optimizer.param_groups:
                 group["lr"] = config.rate * min(1.0, (self.step + 1) / _WARM_UP) * falling
             rng = generator(Stream.LEARN_CLONE, config.seed, self.step)
-            rows = self._drawn(len(data.asked) - played, played, rng)
+            rows = self._drawn(len(data.intended) - played, played, rng)
             loss = self._loss(self.network, data.rows(rows))
             self._optimizer.zero_grad(set_to_none=True)
             loss.backward()
@@ -123,7 +123,7 @@ class CloneTraining:
                     self._average[name].mul_(share).add_(own, alpha=1 - share)
         averaged = self._made(self._average)
         with torch.no_grad():
-            judged = self._loss(averaged, held).item() if len(held.asked) else losses[-1]
+            judged = self._loss(averaged, held).item() if len(held.intended) else losses[-1]
         if judged < self._least:
             self._least, self._best = judged, {k: v.clone() for k, v in self._average.items()}
         self.curve.append((self.step, float(np.mean(losses)), judged))
@@ -280,7 +280,7 @@ def fit_clone(
 
     def train(start: int, stop: int) -> None:
         while training.step < stop:
-            training.advance(fitted, aside, start, stop, len(fitted.asked) - len(rows))
+            training.advance(fitted, aside, start, stop, len(fitted.intended) - len(rows))
             progress.show(status)
             if folder is not None:
                 keep_training(folder, training.state())
@@ -312,8 +312,8 @@ def fit_clone(
     network = training.averaged() if config.improve else training.best()
     facts = {
         "episodes": len(np.unique(decisions.episodes)),
-        "decisions": int(decisions.asked.sum()),
-        "decisions_in_hindsight_and_of_copies": int((~decisions.asked).sum()),
+        "decisions": int(decisions.intended.sum()),
+        "decisions_in_hindsight_and_of_copies": int((~decisions.intended).sum()),
         "held_out": _first_guesses(network, decisions, config),
         "play": rates,
     }
@@ -340,7 +340,7 @@ def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -
     config = config or CloneConfig(steps=_JUDGING_STEPS, held_out=0.2, hindsight=0, copies=0)
     decisions = read_decisions(datasets, config)
     network, _, _ = fit_clone(decisions, config)
-    held = np.flatnonzero(_held_out(decisions.episodes, config) & decisions.asked)
+    held = np.flatnonzero(_held_out(decisions.episodes, config) & decisions.intended)
     aside = examples(decisions.rows(held))
     count = len(held)
     with torch.no_grad():
@@ -389,7 +389,7 @@ def _first_guesses(
     network: CloneNetwork, decisions: Decisions, config: CloneConfig
 ) -> dict[str, dict[str, float]]:
     """Tell how often the likeliest bead is the one chosen, in held-out decisions, by nx."""
-    aside = decisions.asked & _held_out(decisions.episodes, config)
+    aside = decisions.intended & _held_out(decisions.episodes, config)
     found = dict[str, dict[str, float]]()
     crossings = np.array([goal.count("+") for goal in decisions.goals.tolist()])
     for nx in np.unique(crossings[aside]).tolist():

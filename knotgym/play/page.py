@@ -374,18 +374,18 @@ class Page:
             self._join(client)
             return
         left = [_TRIES]
-        asked = client.gui.add_text("Token", "")
+        field = client.gui.add_text("Token", "")
 
         def answer(_: Any) -> None:
             if left[0] and hmac.compare_digest(
-                str(asked.value)[:100].encode(), self.token.encode()
+                str(field.value)[:100].encode(), self.token.encode()
             ):
                 left[0] = 0
-                asked.remove()
+                field.remove()
                 self._join(client)
             left[0] = max(0, left[0] - 1)
 
-        asked.on_update(answer)
+        field.on_update(answer)
 
     def _join(self, client: Any) -> None:
         with self._lock:

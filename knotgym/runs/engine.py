@@ -195,7 +195,7 @@ def _staging(out: Path, options: RunOptions, request: dict[str, Any]) -> Iterato
 
 def is_finished(
     out: Path,
-    asked: dict[str, Any],
+    requested: dict[str, Any],
     existing: Existing,
     flexible: tuple[str, ...] = (),
     made_by: Callable[[Path], dict[str, Any] | None] | None = None,
@@ -209,14 +209,14 @@ def is_finished(
     if there is None:
         return False
     if not existing.overwrite:
-        require_same(there, asked, flexible, out)
+        require_same(there, requested, flexible, out)
         return True
-    return not differing(there, asked, flexible)
+    return not differing(there, requested, flexible)
 
 
 def require_startable(
     out: Path,
-    asked: dict[str, Any],
+    requested: dict[str, Any],
     existing: Existing,
     flexible: tuple[str, ...],
     progress: Progress,
@@ -230,17 +230,17 @@ def require_startable(
     require_no_interrupted_run(out, existing)
     left_in = staging_folder(out)
     if existing.resume and left_in.exists():
-        require_resumable(left_in, request_of(left_in), asked, flexible)
+        require_resumable(left_in, request_of(left_in), requested, flexible)
     elif existing.resume:
         progress.say(f"{out}: there is nothing to resume, starting from the beginning")
 
 
-def whole_request(asked: dict[str, Any], shard: Shard) -> dict[str, Any]:
-    """Return everything that determines the output of a run, as JSON; `asked` is the recipe's
+def whole_request(requested: dict[str, Any], shard: Shard) -> dict[str, Any]:
+    """Return everything that determines the output of a run, as JSON; `requested` is the recipe's
     part.
     """
     request = {
-        **asked,
+        **requested,
         "shard": {"number": shard.number, "of": shard.of},
         "versions": versions(),
         "rope": RopeConfig().fingerprint,
@@ -286,13 +286,13 @@ def request_of(folder: Path) -> dict[str, Any] | None:
 
 
 def require_resumable(
-    folder: Path, left: dict[str, Any] | None, asked: dict[str, Any], flexible: tuple[str, ...]
+    folder: Path, left: dict[str, Any] | None, requested: dict[str, Any], flexible: tuple[str, ...]
 ) -> None:
     """Require that a staging folder with work belongs to this request; raise InvalidRun
     otherwise.
     """
     if left is not None:
-        require_same(left, asked, flexible, folder)
+        require_same(left, requested, flexible, folder)
     elif has_work(folder):
         raise InvalidRun(
             f"{folder} can't be resumed, its {REQUEST} is missing or corrupted; --restart deletes"
@@ -301,10 +301,10 @@ def require_resumable(
 
 
 def require_same(
-    there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...], folder: Path
+    there: dict[str, Any], requested: dict[str, Any], flexible: tuple[str, ...], folder: Path
 ) -> None:
     """Require that two requests agree, apart from the `flexible` fields of the configuration."""
-    if found := differing(there, asked, flexible):
+    if found := differing(there, requested, flexible):
         raise InvalidRun(
             f"{folder} belongs to a different run: {'; '.join(found[:3])}; give the same options"
             " again, or --restart to delete an interrupted run, --overwrite to replace a finished"
@@ -312,10 +312,12 @@ def require_same(
         )
 
 
-def differing(there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...]) -> list[str]:
+def differing(
+    there: dict[str, Any], requested: dict[str, Any], flexible: tuple[str, ...]
+) -> list[str]:
     """Return the differences of two requests, without `flexible` fields of the configuration."""
     return [
         difference
-        for difference in differences(there, asked)
+        for difference in differences(there, requested)
         if not difference.startswith(tuple(f"config.{name} is " for name in flexible))
     ]

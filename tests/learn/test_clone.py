@@ -200,7 +200,9 @@ def test_loops_are_left_out_and_codes_on_the_way_become_goals() -> None:
     )
     assert [step.macro[0] for step in way] == [2, 4]
     kept = gathered(way, way, c, 7, CloneConfig(hindsight=2, copies=0))
-    told = zip(kept.macros[:, 0, 0].tolist(), kept.goals.tolist(), kept.asked.tolist(), strict=True)
+    told = zip(
+        kept.macros[:, 0, 0].tolist(), kept.goals.tolist(), kept.intended.tolist(), strict=True
+    )
     assert list(told) == [(2, str(c.plain), True), (4, str(c.plain), True), (2, "1+,1-", False)]
     assert set(kept.episodes.tolist()) == {7}
     assert len(gathered(way, [], c, 7, CloneConfig(hindsight=0)).points) == 0
@@ -231,7 +233,7 @@ def test_copies_lead_to_the_goal_as_their_own_first_bead_reads_it(states: States
     codes = [label(one.astype(float)) for one in (before, landed)]
     step = DecidedStep(before, landed, codes[0], codes[1], (10, 60, 1))
     kept = gathered([], [step], codes[1], 3, CloneConfig(copies=3))
-    assert kept.asked.tolist() == [True, False, False, False]
+    assert kept.intended.tolist() == [True, False, False, False]
     for points, goal, macro in zip(
         kept.points[1:], kept.goals[1:], kept.macros[1:, 0], strict=True
     ):

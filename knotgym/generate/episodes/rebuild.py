@@ -60,8 +60,8 @@ def _require_recorded(config: CollectConfig, recording: Recording) -> None:
     recorded = from_json(CollectConfig, recording.config)  # fills in settings that came later
     free: dict[str, Any] = {name: getattr(recorded, name) for name in _FREE}
     task = replace(config.task, observation=recorded.task.observation)
-    asked = replace(config, task=task, **free)
-    if found := [*differences(as_json(recorded), as_json(asked))]:
+    requested = replace(config, task=task, **free)
+    if found := [*differences(as_json(recorded), as_json(requested))]:
         raise InvalidRecording(
             f"the recording of {recording.name} has other settings: {'; '.join(found[:3])}"
         )

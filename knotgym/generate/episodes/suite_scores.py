@@ -81,7 +81,7 @@ def best_learner(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]
     """
     setup, policy = name.split("/")[1:]
     of_codes = "-train-code" in policy
-    asked = {
+    wanted = {
         "states": "random-walk" if "-random-walk" in policy else "readable",
         "split": "test-code" if of_codes else "test",
     }
@@ -90,7 +90,7 @@ def best_learner(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]
         for row in rows
         if name in row["training"].get("datasets", ())
         and f"{row['task']}-nx{row['nx']}" == setup
-        and all(row[key] == value for key, value in asked.items())
+        and all(row[key] == value for key, value in wanted.items())
         and not _in_macros(row)
     ]
     best = max(own, key=lambda row: float(row["success_rate"]), default=None)
@@ -156,13 +156,13 @@ def _grouped(
 def _rows(evaluation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     if "digests" not in evaluation:
         raise InvalidScores("it has no digests of policy, states and code; measure it again")
-    asked, given = evaluation["settings"], evaluation["digests"]
-    configs = {one["policy"]: one for one in asked["policies"]}
+    config, given = evaluation["settings"], evaluation["digests"]
+    configs = {one["policy"]: one for one in config["policies"]}
     versions = dict(given["versions"])
     code = versions.pop("code")
     for one in evaluation["results"]:
         policy = one["policy"]
-        task = {name: value for name, value in asked["task"].items() if name not in _APART}
+        task = {name: value for name, value in config["task"].items() if name not in _APART}
         task["action"] = one["action"]  # a policy may choose its own
         plain = {**_PLAIN["policy"], "policy": policy}
         settings = [*_unlike(_PLAIN["task"], task), *_unlike(plain, configs[policy])]
@@ -175,12 +175,12 @@ def _rows(evaluation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             "policy_sha256": _digest(given["policies"][policy]),
             "code_sha256": code,
             "versions": ", ".join(f"{name} {versions[name]}" for name in sorted(versions)),
-            "states": asked["task"]["states"] or "readable",
+            "states": config["task"]["states"] or "readable",
             "states_sha256": _digest({origin: given["states"][origin] for origin in origins}),
             "split": one["split"],
             "task": one["task"],
             "nx": one["nx"],
-            "seeds": [asked["seed"]],
+            "seeds": [config["seed"]],
             "rules": task,
             "training": training,
             "outcomes": {name: one["outcomes"][name] for name in _OUTCOMES},
