@@ -42,8 +42,9 @@ class Status:
 class Progress:
     """Shows the progress of a run; a context manager that removes the live table at its end.
 
-    With `lines`, plain lines are printed from time to time if there is no terminal; `clock` returns
-    seconds.
+    If there is no terminal, plain lines are printed from time to time: with `lines` from the first
+    moment, else on standard error after ten seconds, since the output is then a result to be piped.
+    `clock` returns seconds.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Progress:
             else None
         )
         self._lines, self._quiet = lines and not quiet and not live, quiet
+        self._printed = self.console if lines or console else Console(file=sys.stderr)
 
     def __enter__(self) -> Progress:
         if self._live:
@@ -112,9 +114,9 @@ class Progress:
             return
         self._shown, self._status = now, status_of()
         self._first = self._first or (now, self._status)
-        if self._lines:
+        if self._lines or (not self._live and now - self._began >= _LINE_EVERY):
             line = "; ".join(f"{name} {value}" for name, value in self._facts().items())
-            self.console.print(
+            self._printed.print(
                 f"{now - self._began:5.0f} s  {line}", soft_wrap=True, highlight=False
             )
 

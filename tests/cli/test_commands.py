@@ -17,6 +17,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -334,6 +335,16 @@ def test_a_run_says_a_line_before_it_imports_anything_heavy(
     monkeypatch.setattr("knotgym.generate.states.state_recipe.run", lambda *_: None)
     assert knotgym("generate", "--count", 1, "--out", tmp_path / "a") == 0
     assert re.match(r"\s+0 s  starting\n", capfd.readouterr().out)
+
+
+def test_a_long_run_whose_output_is_a_result_tells_on_standard_error(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    times = iter((0.0, 1.0, 5.0, 12.0, 13.0))
+    progress = Progress(lines=False, clock=lambda: next(times))
+    for done in range(4):
+        progress.show(partial(Status, done, 4, "episodes"))
+    assert capfd.readouterr() == ("", "   12 s  episodes 2 of 4\n")
 
 
 @pytest.mark.parametrize(

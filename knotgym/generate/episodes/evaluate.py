@@ -190,6 +190,7 @@ class EvaluationRecipe(Recipe):
             for done, _ in enumerate(batch.follow(pool), 1):
                 if progress is not None:
                     progress.stage(batch.name, done, len(batch.units))
+                    progress.show(self.status)
 
     def status(self) -> Status:
         total = sum(len(piece.numbers) for piece in self.played)
