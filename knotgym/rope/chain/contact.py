@@ -96,7 +96,7 @@ def closest(x: Array, i: int, j: int) -> Any:
     uv, uw = fma(ux, vx, fma(uy, vy, uz * vz)), fma(ux, wx, fma(uy, wy, uz * wz))
     vw = fma(vx, wx, fma(vy, wy, vz * wz))
     # Least |w + s u - t v|^2. For endless lines s = (uv vw - uw vv) / det, with det = |u x v|^2;
-    # then each place is clamped to its edge, and the other found anew for the clamped one.
+    # then each place is clamped to its edge, and the other is computed for the clamped one.
     both = uu * vv
     det = fma(-uv, uv, both)
     s = min(max(fma(uv, vw, -uw * vv) / max(det, 1e-30), 0.0), 1.0)
