@@ -75,8 +75,8 @@ class ChainSimulation(Simulation):
                     f"the chain engine closes the rope exactly and has no {name}; leave it at"
                     f" {usual}, got {given}"
                 )
-        # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
         self._schedule = np.array(schedule, dtype=np.int64)
+        # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
         self._numbers, self._damping, self._contact = parameters(self.rope)
         workers = min(threads or cpu_count() or 1, -(-count // LANES))
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
@@ -159,9 +159,9 @@ class ChainSimulation(Simulation):
         where = self._all(ids)
         states, pulled = self._states[where], np.ascontiguousarray(beads, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=np.float64)
+        counts = np.zeros((len(where), 4), dtype=np.int64)
         # Threads get whole groups of lanes. `advance` runs without the interpreter's lock, and no
         # rope's result depends on those beside it, so the number of threads changes nothing.
-        counts = np.zeros((len(where), 4), dtype=np.int64)
         sizes = -(-len(where) // (self._workers * LANES)) * LANES
 
         def move(first: int) -> None:
