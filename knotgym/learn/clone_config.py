@@ -18,6 +18,8 @@ class DemonstrationsConfig:
         task: tasks of these demonstrations: tie, convert, unknot.
         nx: numbers of crossings of these demonstrations.
         split: split of their starts and goals: train or train-code.
+        every_code: whether goals are drawn from every code with so many crossings that no held-out
+            state shows, or only from those of the split's states.
         starts: resets of each task that they begin from.
         wander: passes before a demonstration that weren't tried out, at most.
         budget: actions simulated for a demonstration, at most; what needs more is given up, and is
@@ -29,6 +31,7 @@ class DemonstrationsConfig:
     task: tuple[str, ...] = ("tie",)
     nx: tuple[int, ...] = (2,)
     split: str = "train"
+    every_code: bool = False
     starts: int = 512
     wander: int = 3
     budget: int = 400

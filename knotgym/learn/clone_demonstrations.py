@@ -7,6 +7,7 @@ above all those in which its own mistakes end.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -23,12 +24,16 @@ from knotgym.control.demonstrator import (
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
 from knotgym.control.pass_counts import DiagramValues, shipped_values
 from knotgym.control.pass_play import Starts, draw_starts
+from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig
 from knotgym.learn.clone_data import DecidedStep, Decisions, gathered, join, none
 from knotgym.rope.model import Array
 from knotgym.runs.progress import Progress, Status
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import UNKNOT
+from knotgym.topology.knots import codes_of
+from knotgym.topology.symmetry import diagram_form
 
 # a goal and the way to it: empty if none was found, None if the passes before led there already
 _Found = tuple[GaussCode, list[Decision] | None]
@@ -73,6 +78,8 @@ def demonstrate(
     for place, task in enumerate(tasks):
         rng = generator(Stream.DEMONSTRATION_STARTS, clone.seed, place)
         starts = draw_starts(task, config.starts, rng)
+        if config.every_code:
+            starts = starts._replace(goals=goals_not_held_out(task))
         ways = dict[int, _Found]()
         searches = _searches(values, starts, demonstrator, clone, place)
         for episode, found in lanes.run(searches):
@@ -91,6 +98,27 @@ def demonstrate(
         }
     progress.show(status, last=True)
     return join(parts), rates
+
+
+def goals_not_held_out(task: TaskConfig) -> list[GaussCode]:
+    """Return the split's goals, and the unknot's other codes that aren't held out.
+
+    Held out are the codes of test goals and their images (reversed, crossings switched), which look
+    the same to the clone; in the split by code, all codes of their diagrams.
+    """
+    own, test = (
+        EpisodeBatch(replace(task, split=split)).side_codes("goal")
+        for split in (task.split, task.split.replace("train", "test"))
+    )
+    form = diagram_form if task.split == "train-code" else _least_image
+    held_out = {form(code) for code in test}
+    every = codes_of(UNKNOT, task.nx) if task.task != "unknot" else ()
+    return own + [code for code in every if code not in own and form(code) not in held_out]
+
+
+def _least_image(code: GaussCode) -> GaussCode:
+    walked = code.plain, code.plain.reversed()
+    return min((*walked, *(one.mirrored() for one in walked)), key=lambda one: one.visits)
 
 
 def _searches(

@@ -14,6 +14,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.policy import InvalidPolicy
 from knotgym.control.rollouts import rollout
+from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig, ImproveConfig
@@ -21,6 +22,7 @@ from knotgym.runs.run_options import Existing, RunOptions
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import diagram_form
 
 from ..small_job import knotgym
 
@@ -245,13 +247,34 @@ def test_copies_lead_to_the_goal_as_their_own_first_bead_reads_it(states: States
 
 def test_demonstrations_are_made_on_the_way(tmp_path: Path, task: TaskConfig) -> None:
     for name, lanes in (("one", 4), ("other", 2)):
-        demonstrations = DemonstrationsConfig(episodes=3, lanes=lanes, starts=4, nx=(2,), wander=0)
+        demonstrations = DemonstrationsConfig(
+            episodes=3, lanes=lanes, starts=4, nx=(2,), wander=0, every_code=True
+        )
         train_tiny(None, tmp_path / name, demonstrations=demonstrations, failed=False)
     cards = [json.loads((tmp_path / name / "policy.json").read_text()) for name in ("one", "other")]
     assert cards[0]["demonstrations_sha256"] == cards[1]["demonstrations_sha256"]
     assert cards[0]["demonstrations"]["tie 2"]["reached"] == 1
     assert cards[0]["decisions"] >= 3
     assert weights(tmp_path / "one") == weights(tmp_path / "other")
+
+
+@pytest.mark.parametrize("split", ["train", "train-code"])
+def test_with_every_code_no_held_out_goal_is_demonstrated(split: str) -> None:
+    from knotgym.learn.clone_demonstrations import goals_not_held_out
+
+    train, test = (
+        TaskConfig(task="tie", nx=4, split=own, observation="state")
+        for own in (split, split.replace("train", "test"))
+    )
+    goals = goals_not_held_out(train)
+    own, held_out = (EpisodeBatch(one).side_codes("goal") for one in (train, test))
+    assert goals[: len(own)] == own
+    added = {*goals[len(own) :]}
+    assert len(added) == len(goals) - len(own) > 200
+    images = {one for code in held_out for one in (code, code.reversed())}
+    assert not added & {*images, *(one.mirrored() for one in images)}
+    if split == "train-code":
+        assert not {*map(diagram_form, added)} & {*map(diagram_form, held_out)}
 
 
 def test_nothing_to_learn_from_is_told(tmp_path: Path) -> None:
