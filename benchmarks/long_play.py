@@ -13,7 +13,9 @@ Every action is checked for NaN and for gaps (in the chain: for edges that aren'
 bead). Whenever the Gauss code changes, the new one must still be of the unknot
 (knotgym.topology.knots: Reidemeister moves, then Alexander and Jones). By Reidemeister's theorem
 his moves then lead from the old code to the new one; "flips" counts changes of one crossing alone,
-not a kink, from over to under, which is what a strand that slips through another looks like.
+not a kink, from over to under, which is what a strand that slips through another looks like. The
+chain carries out the action of a flip again, and every instant at which the code changes is found
+by bisection: "explained" counts the flips in which each of those changes is one Reidemeister move.
 Slices that --out holds are not played again, so an interrupted run can be resumed.
 """
 
@@ -32,6 +34,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
+from knotgym.rope.chain.solver import SCHEDULE, STATE, advance
 from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.rope.engines import simulation as simulation_of
 from knotgym.rope.model import Array
@@ -41,6 +45,7 @@ from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.diagrams import NotPlanar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import UndecidedKnot, is_unknot
+from knotgym.topology.single_moves import removals, sideways
 
 HOLD = 20  # actions with the same bead and direction
 Random = np.random.Generator
@@ -154,6 +159,45 @@ def is_flip(before: GaussCode, after: GaussCode) -> bool:
     return other - one not in (1, 2 * after.nx - 1)
 
 
+def is_one_move(before: GaussCode, after: GaussCode) -> bool:
+    """Whether one Reidemeister move, or a slide of the base point, leads from code to code."""
+    down, up = sorted((before, after), key=lambda code: code.nx)
+    return down in [move.code for move in removals(up)] or after in sideways(before)
+
+
+def changes_within(
+    simulation: ChainSimulation, state: Array, bead: int, force: Array
+) -> list[tuple[GaussCode, GaussCode]]:
+    """The codes before and after each change within an action, for vertices on straight lines.
+
+    Args:
+        simulation: the rope's.
+        state: of the rope before the action, float64 (1, beads * STATE).
+        bead: that is pulled.
+        force: float64 (3,), newtons.
+    """
+    moved = state.reshape(1, -1, STATE).copy()
+    rope, counts = simulation.rope, np.zeros((1, 4), dtype=np.int64)
+    duration = rope.config.timestep * rope.config.frame_skip / sum(SCHEDULE)
+    found: list[tuple[GaussCode, GaussCode]] = []
+
+    def look(start: float, end: float, before: GaussCode, after: GaussCode) -> None:
+        if end - start > (2**-11 if before == after else 1e-12):
+            middle = (start + end) / 2
+            code = label(x + (moved[0, :, :3] - x) * middle)
+            look(start, middle, before, code)
+            look(middle, end, code, after)
+        elif before != after:
+            found.append((before, after))
+
+    for share in SCHEDULE:
+        x = moved[0, :, :3].copy()
+        pulled, stage = (np.array([bead]), force[None]), np.array([share])
+        advance(moved, *pulled, *parameters(rope), duration * share, stage, counts)
+        look(0.0, 1.0, label(x), label(moved[0, :, :3]))
+    return found
+
+
 def gaps(simulation: Simulation) -> Array:
     """The widest gap of each rope, in the chain the largest error of an edge's length, metres."""
     if simulation.engine == MUJOCO:
@@ -181,7 +225,8 @@ def play(engine: str, way: str, seed: int, ropes: int, length: int) -> dict[str,
     widest, most = 0.0, 0
     bead = 2 * simulation.rope.config.radius
     for step in range(length):
-        whole = simulation.step(*WAYS[way](simulation, rng, step))
+        before_action, (beads, forces) = simulation.states(), WAYS[way](simulation, rng, step)
+        whole = simulation.step(beads, forces)
         wide = gaps(simulation)
         widest = max(widest, float(wide.max()))
         counts["blew up"] += int((~whole).sum())
@@ -199,7 +244,12 @@ def play(engine: str, way: str, seed: int, ropes: int, length: int) -> dict[str,
             found = verdict(simulation.points[rope], after, rng)
             counts["changes"] += 1
             counts[found] += 1
-            counts["flips"] += is_flip(before, after)
+            if is_flip(before, after):
+                counts["flips"] += 1
+                if isinstance(simulation, ChainSimulation):
+                    state, pull = before_action[[rope]], (int(beads[rope]), forces[rope])
+                    moves = changes_within(simulation, state, *pull)
+                    counts["explained"] += all(is_one_move(*move) for move in moves)
             if found == "knotted":
                 text = f"{before.chiral} became {after.chiral}"
                 breaks.append(_named(way, seed, step, rope, text))
@@ -232,6 +282,7 @@ def table(slices: list[dict[str, Any]]) -> str:
         "undecided",
         "no diagram",
         "flips",
+        "explained",
     )
     lines = [
         f"| way | actions | {' | '.join(columns)} | largest gap, mm | most crossings | CPU s |",
