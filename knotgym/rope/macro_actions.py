@@ -23,7 +23,7 @@ KINDS = ("pass", "curl", "spread", "shift")
 LONGEST = 10  # actions of a macro-action, at most
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
 _HAUL_RISE = -0.2, 0.6  # range of the upward force, in units of the largest force
-_HAUL_STEPS = 4, 20  # range of its length; the upper end is excluded
+_HAUL_STEPS = 4, 20  # range of its length for 100 beads; the upper end is excluded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,12 +159,16 @@ class Haul:
 
 
 def propose_haul(beads: int, rng: np.random.Generator) -> Haul:
-    """Draw a haul of two beads that are at least a fifth of the rope apart."""
+    """Draw a haul of two beads that are at least a fifth of the rope apart.
+
+    A rope of 200 beads is hauled for twice as many steps as one of 100.
+    """
     first, apart = int(rng.integers(beads)), int(rng.integers(beads // 5, beads - beads // 5))
     # horizontal part of length 1 plus a rise: each component is in [-1, 1], as in an action
     heading, rise = rng.uniform(-np.pi, np.pi), rng.uniform(*_HAUL_RISE)
     force = quantized([np.cos(heading), np.sin(heading), rise])
-    return Haul((first, (first + apart) % beads), force, int(rng.integers(*_HAUL_STEPS)))
+    fewest, most = (steps * beads // 100 for steps in _HAUL_STEPS)
+    return Haul((first, (first + apart) % beads), force, int(rng.integers(fewest, most)))
 
 
 def move_aside(
