@@ -69,7 +69,6 @@ def train(
     if progress is None:
         with Progress(quiet) as progress:
             return train(datasets, out, config, existing=existing, progress=progress)
-    shown = progress
     shown, made = progress, list[Learned]()
 
     def read() -> tuple[TrainingData, str]:

@@ -36,6 +36,7 @@ from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.shards import WHOLE, Shard
 
 SIDE_BY_SIDE = 8  # episodes per piece of work
+_PLANNED = 2  # those of policies that plan: one may take minutes, and finished pieces are kept
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,8 +165,9 @@ class EvaluationRecipe(Recipe):
     def batches(self, folder: Path | None) -> Iterator[Batch]:
         numbers, setups = self.numbers, list(self.config.setups())
         for policy, task in setups:
-            for first in range(0, len(numbers), SIDE_BY_SIDE):
-                few, name = numbers[first : first + SIDE_BY_SIDE], f"{len(self.played):06d}.json"
+            count = _PLANNED if policy.core_seconds > 1 else SIDE_BY_SIDE
+            for first in range(0, len(numbers), count):
+                few, name = numbers[first : first + count], f"{len(self.played):06d}.json"
                 path = None if folder is None else folder / name
                 piece = _Piece(policy, task, few, self.config.seed, self.config.filmed, path)
                 self.played[piece] = _finished(path)
@@ -179,7 +181,7 @@ class EvaluationRecipe(Recipe):
             for piece, played in self.played.items()
             if not played or piece.numbers.start < piece.filmed
         ]
-        yield Batch(_play, left, absorb, f"playing {SIDE_BY_SIDE} episodes at a time")
+        yield Batch(_play, left, absorb, "playing a few episodes at a time")
         for setup in setups:
             pieces = [played for piece, played in self.played.items() if piece[:2] == setup]
             self.results.append(_result(*setup, [one for piece in pieces for one in piece]))
