@@ -66,6 +66,8 @@ def polygons(
         belongs to; and (pieces,), the height of its middle, metres.
     """
     joints = [array[0] for array in _joints(pixels[None])]
+    # a kernel is compiled again for arrays that aren't contiguous
+    height = np.ascontiguousarray(height)
     corners, bead, middle = _pieces(pixels, height, radius, *joints, _SQUARE, _CAP, side)
     order = np.argsort(middle, kind="stable")
     return corners[order], bead[order], middle[order]
@@ -93,6 +95,7 @@ def paint(
     side = factor * out.shape[1]
     canvas = np.zeros((side, side), dtype=np.uint16)
     middle, span = depths
+    painted = np.ascontiguousarray(out)  # for other arrays the kernel would be compiled again
     _paint(
         pixels,
         height,
@@ -106,8 +109,10 @@ def paint(
         span,
         canvas,
         canvas.view(np.uint64) if factor == 4 else np.empty((0, 0), np.uint64),
-        out,
+        painted,
     )
+    if painted is not out:
+        out[:] = painted
 
 
 def _joints(pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

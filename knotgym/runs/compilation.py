@@ -4,28 +4,50 @@ from knotgym.rope.engines import MUJOCO, compile_engine, is_compiled
 from knotgym.runs.executors import cores, executor
 from knotgym.runs.progress import Progress
 
-_PICTURES = "pictures"
+_PICTURES, _DRAWINGS, _MEASURES = "pictures", "drawings", "measures"
 
 
-def compile_first(progress: Progress, engine: str = MUJOCO, workers: int = 1) -> None:
-    """Compile an engine's kernels, if they aren't; beside them, those that draw pictures.
+def compile_first(
+    progress: Progress, engine: str = MUJOCO, workers: int = 1, *, draws: bool = False
+) -> None:
+    """Compile an engine's kernels, if they aren't; beside them, those that paint pictures.
 
     Both take about as long, so two processes compile them; with one worker (0: one per core),
-    pictures wait until one is drawn.
+    pictures wait until one is painted. A run that draws states also needs the kernels that draw
+    and measure them; each of its workers would compile them.
     """
     if not is_compiled(engine):
         progress.stage("compiling, only on the first run")
         count = min(2, workers or cores())
+        others = [_PICTURES, _DRAWINGS, _MEASURES] if draws else [_PICTURES]
         with executor(count) as pool:
-            list(pool.map(_compile, (engine, _PICTURES)[:count]))
+            list(pool.map(_compile, [engine, *others] if count > 1 else [engine]))
     progress.stage("starting")
 
 
 def _compile(kernels: str) -> None:
+    import numpy as np
+
+    from knotgym.rope.model import Rope
+
+    rope, rng = Rope(), np.random.default_rng(0)
     if kernels == _PICTURES:
         from knotgym.rendering.picture import draw
-        from knotgym.rope.model import Rope
 
-        draw(Rope().loop())
+        draw(rope.loop())
+    elif kernels == _DRAWINGS:
+        from knotgym.drawing.drawn_curve import drawn_curve
+        from knotgym.topology.gauss import GaussCode
+
+        drawn_curve(GaussCode.parse("1+,1-"), rng, rope)
+    elif kernels == _MEASURES:
+        from knotgym.quality.measures import measure, noise_survival
+
+        t = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+        eight = np.stack([0.3 * np.sin(t), 0.15 * np.sin(2 * t), 0.01 * np.cos(t)], axis=1)
+        points = rope.from_curve(eight)
+        measure(points)
+        noise_survival(points, 0.015, rng, draws=2)
+        rope.qpos(points)
     else:
         compile_engine(kernels)

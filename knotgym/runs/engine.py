@@ -79,12 +79,14 @@ class Recipe(Protocol):
     """One kind of run. Its methods run in the main process, only `Batch.work` runs on workers.
 
     `flexible` names the fields of the configuration that may change when a run is resumed.
-    `engine` is the simulation engine, whose kernels are compiled before the workers start.
+    `engine` is the simulation engine, whose kernels are compiled before the workers start, and
+    `draws` tells whether the kernels that draw states are, too.
     `begin`, `load` and `save` do nothing by default, for recipes whose units write their own files.
     """
 
     flexible: tuple[str, ...] = ()
     engine: str
+    draws: bool = False
 
     def request(self) -> dict[str, Any]:
         """Return the configuration and sources as JSON: `{"config": {...}, "source": ...}`."""
@@ -151,7 +153,7 @@ def run(
         return out
     require_output(out, folder=is_folder, overwrite=options.overwrite)
     require_startable(out, request, options, recipe.flexible, progress)
-    compile_first(progress, recipe.engine, options.workers)
+    compile_first(progress, recipe.engine, options.workers, draws=recipe.draws)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()
     with _staging(out, options, request) as folder:

@@ -93,6 +93,7 @@ class StateRecipe(MadeStates, Recipe):
     """Recipe for states with demonstrations, see `runs.engine.Recipe`."""
 
     flexible = "attempts", "cycles", "searches"
+    draws = True
 
     def __init__(
         self, config: GenerateConfig, shard: Shard | None = None, archive: Path | None = None
