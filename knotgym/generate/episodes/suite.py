@@ -148,7 +148,10 @@ class SuiteConfig:
 def core_seconds(config: CollectConfig, recorded: bool = False) -> float:
     """Return the estimated cost of a dataset in core seconds, from `data/suite.toml`."""
     rates = SUITE["core_seconds"]["recorded" if recorded else config.policy.policy]
-    return float(rates[SUITE["nx"].index(config.task.nx)]) * config.episodes
+    episode = float(rates[SUITE["nx"].index(config.task.nx)])
+    if recorded and config.task.endless:  # the rates are of episodes that end at the goal
+        episode *= config.task.horizon / 15
+    return episode * config.episodes
 
 
 def make_suite(
