@@ -167,7 +167,8 @@ def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, A
                 label_many(
                     np.stack(
                         [
-                            one.episode.points[len(own.pulls)]
+                            # the last state, if the rope was towed too far in this engine
+                            one.episode.points[: len(own.pulls) + 1][-1]
                             for one, own in zip(played, recorded, strict=True)
                         ]
                     )

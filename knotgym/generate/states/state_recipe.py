@@ -174,8 +174,14 @@ class StateRecipe(MadeStates, Recipe):
         lacking = {nx: self.codes[nx].wanted - len(self.made(nx)) for nx in self.config.nx}
         if any(lacking.values()) and not self.config.cycles:
             missing = ", ".join(f"{count} with nx = {nx}" for nx, count in lacking.items() if count)
+            unreached = any(count >= self.config.searches for count in self.searches.values())
+            more = (
+                f'{{"searches": {self.config.searches + 2}}} in --settings'
+                if unreached
+                else "more --attempts"
+            )
             raise NotEnough(
-                f"missing states: {missing}; give --resume with more --attempts, or with --cycles"
+                f"missing states: {missing}; give --resume with {more}, or with --cycles"
                 f" {self.cycle} to keep the states made"
             )
         if not self.states:
