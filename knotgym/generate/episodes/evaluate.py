@@ -36,7 +36,7 @@ from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.shards import WHOLE, Shard
 
 SIDE_BY_SIDE = 8  # episodes per piece of work
-_PLANNED = 2  # those of policies that plan: one may take minutes, and finished pieces are kept
+_PLANNED = 4  # those of policies that plan: one may take minutes, and finished pieces are kept
 
 
 @dataclass(frozen=True, kw_only=True)
