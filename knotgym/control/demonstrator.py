@@ -118,7 +118,7 @@ class _Look:
         missed = list[Pass]()
         # many passes tow the rope, and the order doesn't know which
         candidates = self.config.candidates * (1 if self.bound is None else _BOUNDED)
-        for move in passes_in_order(self.values, self.goal, points):
+        for move, _ in passes_in_order(self.values, self.goal, points):
             if len(missed) >= candidates or self.spent >= self.config.budget:
                 return None
             # A generator yields what it wants simulated, so that many looks share the lanes.
@@ -142,8 +142,13 @@ class _Look:
         return None
 
 
-def passes_in_order(values: DiagramValues, goal: GaussCode, points: Array) -> Iterator[Pass]:
-    """Yield the passes that lead a rope nearer to a goal, in their order, each once."""
+def passes_in_order(
+    values: DiagramValues, goal: GaussCode, points: Array
+) -> Iterator[tuple[Pass, float]]:
+    """Yield the passes that lead a rope nearer to a goal, in their order, each once.
+
+    Beside each stands what it is worth, in (0, 1]; see `DiagramValues`.
+    """
     crossings = find_crossings(points)
     diagram = seen_diagram(points, crossings)
     arcs = ArcCoordinates(crossings, len(points))
@@ -155,7 +160,7 @@ def passes_in_order(values: DiagramValues, goal: GaussCode, points: Array) -> It
         move = template.on(arcs, choice.element, diagram.nx, len(points))
         if move not in known and move.bead != move.target:
             known.add(move)
-            yield move
+            yield move, choice.value
 
 
 def find_way(

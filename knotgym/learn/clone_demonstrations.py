@@ -148,7 +148,7 @@ def _way(
     for _ in range(wander):
         move, in_order = random_pass(len(points), rng), rng.random() < _IN_ORDER
         if in_order and (first := [*islice(passes_in_order(values, goal, points), _FIRST)]):
-            move = first[int(rng.integers(len(first)))]
+            move, _ = first[int(rng.integers(len(first)))]
         landing: Landing = yield Trial(state, move, goal)
         state, points = landing.state, landing.points
         if landing.code.matches(goal):

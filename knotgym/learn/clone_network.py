@@ -24,8 +24,9 @@ _VISITS = 12  # visits of a code that the network sees
 _ARCS, _ARC_WIDTH = 2 * _VISITS + 1, 6
 _POINT, _TANGENT = 6.0, 35.0  # per metre, scales at which inputs are of order 1
 _BEAD_WIDTH = 32
-_CHOICES = 8, 4  # beads, and strands for each of them, among which a macro-action is chosen
-_WORKING = 2.0  # weight of the chance that it works, beside that of being chosen
+_LIKELY = 8, 4  # beads, and strands for each of them, both sides of which are likely choices
+CHOICES = 2 * _LIKELY[0] * _LIKELY[1]  # macro-actions of which one is chosen
+WORKING = 2.0  # weight of the chance that one works, beside that of being chosen
 # Labels are smoothed over neighbours: a bead to either side does nearly as well.
 _SMOOTHING = ((-2, 0.05), (-1, 0.15), (0, 0.6), (1, 0.15), (2, 0.05))
 
@@ -76,13 +77,7 @@ class MarkedInputs(NamedTuple):
 
 
 class CloneNetwork(nn.Module):
-    """Attention over patches of beads; heads for macro-actions and for pulls.
-
-    Attributes:
-        noise: numbers that `choose` takes to draw one macro-action.
-    """
-
-    noise = 2 * _CHOICES[0] * _CHOICES[1]
+    """Attention over patches of beads; heads for macro-actions and for pulls."""
 
     def __init__(self, width: int = 96, layers: int = 2, heads: int = 4, dropout: float = 0.0):
         super().__init__()
@@ -179,27 +174,29 @@ class CloneNetwork(nn.Module):
         force = functional.cross_entropy(logits.flatten(0, 1), bins.flatten(), reduction="none")
         return torch.stack([smoothed_loss(seen.logits, beads), force.reshape(-1, 3).sum(1)], dim=1)
 
-    def choose(self, states: Inputs, noise: Tensor, temperatures: Tensor) -> Tensor:
-        """Choose macro-actions, int64 (n, 3): the best, or drawn at a temperature.
+    def likely(self, seen: MarkedInputs) -> Tensor:
+        """Return macro-actions, int64 (n, CHOICES, 3), among them those that are likely chosen."""
+        some, each = _LIKELY
+        beads = seen.logits.topk(some, dim=1).indices
+        targets = self.targets(seen, beads).topk(each, dim=2).indices.flatten(1)
+        pairs = torch.stack([beads.repeat_interleave(each, 1), targets], dim=2)
+        sides = torch.arange(2).repeat(len(pairs), pairs.shape[1])[..., None]
+        return torch.cat([pairs.repeat_interleave(2, 1), sides], dim=2)
+
+    def rate(self, seen: MarkedInputs, macros: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the log-probabilities (n, k) that macro-actions are chosen, and that they work.
 
         Args:
-            states: n states.
-            noise: uniform in [0, 1), (n, `noise`); decides what is drawn at temperatures above 0.
-            temperatures: (n,); 0 for the best.
+            seen: n states.
+            macros: int64 (n, k, 3): bead, strand, 0 for under or 1 for over.
         """
-        seen = self(states)
-        some, each = _CHOICES
-        first, beads = functional.log_softmax(seen.logits, 1).topk(some, dim=1)
-        second, targets = functional.log_softmax(self.targets(seen, beads), 2).topk(each, dim=2)
-        beads, targets = beads.repeat_interleave(each, 1), targets.flatten(1)
+        beads, targets, sides = macros.unbind(2)
+        chosen = functional.log_softmax(seen.logits, 1).gather(1, beads)
+        strands = functional.log_softmax(self.targets(seen, beads), 2)
         side, works = self.sides(seen, beads, targets)
-        chances = functional.log_softmax(side, 2) + _WORKING * functional.logsigmoid(works)
-        chances = (first.repeat_interleave(each, 1) + second.flatten(1))[..., None] + chances
-        # The maximum of logits with Gumbel noise is a draw from their softmax.
-        gumbel = -torch.log(-torch.log(noise.clamp(1e-12, 1 - 1e-12)))
-        best = (chances.flatten(1) + (temperatures[:, None] * gumbel).float()).argmax(1)
-        rows, pair = torch.arange(len(best)), best // 2
-        return torch.stack([beads[rows, pair], targets[rows, pair], best % 2], dim=1)
+        for logs, index in ((strands, targets), (functional.log_softmax(side, 2), sides)):
+            chosen = chosen + logs.gather(2, index[..., None])[..., 0]
+        return chosen, functional.logsigmoid(works.gather(2, sides[..., None])[..., 0])
 
 
 def _picked(beads: Tensor, index: Tensor) -> Tensor:

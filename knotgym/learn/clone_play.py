@@ -58,7 +58,7 @@ def play(
     config, seed = clone.play, clone.seed
     task = replace(task, engine="chain", action="macro", observation="state")
     episodes = EpisodeBatch(task, min(_LANES, config.episodes))
-    policy = ClonePolicy(network, "macro", config.temperature)
+    policy = ClonePolicy(network, "macro", clone.guided, config.temperature)
     steps: dict[int, list[DecidedStep]] = {}
     opened: dict[int, tuple[NDArray[np.float32], GaussCode, tuple[int, int, int]]] = {}
     numbers: dict[int, int] = {}

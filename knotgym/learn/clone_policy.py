@@ -1,23 +1,32 @@
 """The clone as a policy: it looks when its last macro-action is over, and chooses the next one.
 
+A guided clone chooses among the passes of the demonstrator's fixed order, which lead nearer to the
+goal by the counts that ship; where the order has none, and without guidance, among those that the
+network finds likeliest. Nothing is simulated.
+
 In an environment of the action view "macro" or "bead" it returns its choices; in one of pulls, it
 carries them out itself. It sees the rope and the goal's code from vertices; if the observation is
 "pixels" it sees nothing but the pictures, as the reader of `shape_hypotheses` reads them.
 """
 
+import math
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from knotgym.common.errors import one_line
+from knotgym.control.demonstrator import passes_in_order
 from knotgym.control.learned_policies import inference
+from knotgym.control.pass_counts import DiagramValues, shipped_values
 from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.marked import mark
+from knotgym.envs.marked import Marked, mark
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.checkpoint import (
     CARD,
@@ -29,7 +38,7 @@ from knotgym.learn.checkpoint import (
     read_weights,
     write_checkpoint,
 )
-from knotgym.learn.clone_network import CloneNetwork, inputs
+from knotgym.learn.clone_network import CHOICES, WORKING, CloneNetwork, inputs
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
@@ -45,6 +54,7 @@ CLONE = "clone"
 _VIEWS = {"macro": ("macro", "pull"), "bead": ("bead", "pull")}  # what each head can act in
 # Temperature after a macro-action that changed no code: the likeliest one would be chosen again.
 _ESCAPE = 0.7
+_GUIDED = 0.5  # weight of the chance of being chosen, where the order of the passes counts too
 
 
 class ClonePolicy(UnplannedPolicy):
@@ -54,10 +64,13 @@ class ClonePolicy(UnplannedPolicy):
         network: in evaluation mode.
     """
 
-    def __init__(self, network: CloneNetwork, action: str, temperature: float = 0.0) -> None:
-        """Take a network in evaluation mode, and which head acts, "macro" or "bead"."""
+    def __init__(
+        self, network: CloneNetwork, action: str, guided: bool, temperature: float = 0.0
+    ) -> None:
+        """Take a network, which head acts ("macro" or "bead"), and whether macros are guided."""
         super().__init__(CLONE)
         self.network, self._action, self._temperature = network, action, temperature
+        self._guided = guided
         self._view: ActionView | None = None
         self._codes: dict[int, GaussCode | None] = {}  # at the last choice
         self._eyes: dict[int, _Eyes] = {}
@@ -120,7 +133,8 @@ class ClonePolicy(UnplannedPolicy):
         if self._action == "bead":
             return choose_pulls(self.network, points, goals)
         heat = np.where(stuck, max(_ESCAPE, self._temperature), self._temperature)
-        return choose_macros(self.network, points, goals, heat, rngs)
+        values = shipped_values(episodes.config.split) if self._guided else None
+        return choose_macros(self.network, points, goals, heat, rngs, values)
 
 
 class _Eyes:
@@ -153,6 +167,7 @@ def choose_macros(
     goals: list[GaussCode],
     temperatures: Array,
     rngs: list[np.random.Generator],
+    values: DiagramValues | None = None,
 ) -> NDArray[np.int64]:
     """Choose macro-actions of the view "macro", int64 (n, 3): bead, target, 0 under or 1 over.
 
@@ -162,19 +177,55 @@ def choose_macros(
         goals: n codes.
         temperatures: float64 (n,); 0 for the likeliest macro-action.
         rngs: source of each state's draws; used only at temperatures above 0.
+        values: guides the choice; None for no guidance.
     """
     seen = mark(points, goals)
-    noise = np.full((len(points), network.noise), 0.5)
+    # The maximum of logits with Gumbel noise is a draw from their softmax.
+    noise = np.zeros((len(points), CHOICES))
     for row in np.flatnonzero(temperatures > 0):
-        noise[row] = rngs[row].random(network.noise)
+        noise[row] = temperatures[row] * rngs[row].gumbel(size=CHOICES)
     with inference(torch):
-        chosen = network.choose(
-            inputs(seen), torch.from_numpy(noise), torch.from_numpy(temperatures)
-        )
-    beads, targets, sides = chosen.numpy().T
+        looked = network(inputs(seen))
+        macros = network.likely(looked)
+        prior, share = torch.zeros(macros.shape[:2]), torch.ones(len(macros), 1)
+        if values is not None:
+            _guide(values, points, goals, seen, macros, prior, share)
+        chosen, works = network.rate(looked, macros)
+        best = (prior + share * chosen + WORKING * works + torch.from_numpy(noise)).argmax(1)
+        beads, targets, sides = macros[torch.arange(len(best)), best].numpy().T
     beads, targets = seen.frames.renumber(beads), seen.frames.renumber(targets)
     targets = (targets + (targets == beads)) % points.shape[1]  # a bead can't pass itself
     return np.stack([beads, targets, (seen.frames.sides(2 * sides - 1) + 1) // 2], axis=1)
+
+
+def _guide(
+    values: DiagramValues,
+    points: Array,
+    goals: list[GaussCode],
+    seen: Marked,
+    macros: Tensor,
+    prior: Tensor,
+    share: Tensor,
+) -> None:
+    """Replace likely macro-actions by the passes of the fixed order, where it has any.
+
+    Args:
+        values, points, goals: as of `choose_macros`.
+        seen: the same states.
+        macros: (n, CHOICES, 3), in the canonical frame.
+        prior: (n, CHOICES), what is added to the logits.
+        share: (n, 1), weight of the chance of being chosen.
+    """
+    for row, (rope, goal) in enumerate(zip(points, goals, strict=True)):
+        ordered = [*islice(passes_in_order(values, goal, rope), CHOICES)]
+        if ordered:
+            beads, targets, sides = np.array([move for move, _ in ordered]).T[:, :, None]
+            frames = seen.rows([row]).frames
+            own = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
+            macros[row, : len(ordered)] = torch.from_numpy(np.concatenate(own, axis=1))
+            prior[row] = -math.inf
+            prior[row, : len(ordered)] = torch.tensor([worth for _, worth in ordered]).log()
+            share[row] = _GUIDED
 
 
 def choose_pulls(network: CloneNetwork, points: Array, goals: list[GaussCode]) -> NDArray[np.int64]:
@@ -205,7 +256,7 @@ def load_clone(folder: Path) -> ClonePolicy:
     try:
         network = CloneNetwork(int(config["width"]), int(config["layers"]))
         network.load_state_dict(tensors)
-        action = str(config["action"])
+        action, guided = str(config["action"]), bool(config["guided"])
         _VIEWS[action]
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise InvalidCheckpoint(
@@ -214,4 +265,4 @@ def load_clone(folder: Path) -> ClonePolicy:
     for name, values in network.state_dict().items():
         if not torch.isfinite(values).all():
             raise InvalidCheckpoint(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
-    return ClonePolicy(network.eval(), action)
+    return ClonePolicy(network.eval(), action, guided)

@@ -36,7 +36,7 @@ from knotgym.learn.clone_data import (
     save_decisions,
 )
 from knotgym.learn.clone_demonstrations import demonstrate, demonstrated_tasks
-from knotgym.learn.clone_network import CloneNetwork, inputs
+from knotgym.learn.clone_network import WORKING, CloneNetwork, inputs
 from knotgym.learn.clone_play import play
 from knotgym.learn.clone_policy import ClonePolicy, load_clone, save_clone
 from knotgym.learn.imagination import BEADS
@@ -345,8 +345,10 @@ def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -
     count = len(held)
     with torch.no_grad():
         states = inputs(aside.seen)
-        first = network(states).logits.argmax(1).numpy()
-        chosen = network.choose(states, torch.zeros(count, network.noise), torch.zeros(count))
+        looked = network(states)
+        first, likely = looked.logits.argmax(1).numpy(), network.likely(looked)
+        chances, works = network.rate(looked, likely)
+        chosen = likely[torch.arange(count), (chances + WORKING * works).argmax(1)]
     taken = aside.macros[:, 0]
     guess, wanted = (_first_pulls(aside.seen.points, one) for one in (chosen.numpy(), taken))
     left = ((guess - wanted) ** 2).mean(0) / wanted.var(0)
