@@ -24,6 +24,8 @@ from knotgym.control.pass_counts import PASSES, PassCounts, first_goal
 from knotgym.control.pass_play import PassPlay, PassPlayConfig, draw_starts, searches
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_actions import MacroActionConfig
+from knotgym.topology.knot_table import UNKNOT
+from knotgym.topology.knots import codes_of
 
 # what an episode of each round plays, in turn: ties are learned from most
 TASKS = ("tie-2", "tie-3", "tie-3", "tie-4", "convert-2", "convert-3", "convert-4", "unknot-4")
@@ -43,6 +45,7 @@ def main() -> None:
     parser.add_argument("--least", type=int, default=12, help="passes from a diagram that is kept")
     parser.add_argument("--lanes", type=int, default=192, help="other numbers give other counts")
     parser.add_argument("--split", default="train", help="train-code for sets split by code")
+    parser.add_argument("--every-code", action="store_true", help="goals are all of nx crossings")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="default: the file that ships")
     args = parser.parse_args()
@@ -55,6 +58,10 @@ def main() -> None:
         )
         for number, (task, nx) in enumerate(dict.fromkeys(map(tuple, tasks)))
     }
+    if args.every_code:
+        for (task, nx), own in drawn.items():
+            if task != "unknot":
+                drawn[task, nx] = own._replace(goals=[*codes_of(UNKNOT, int(nx))])
     lanes = MacroLanes(args.lanes, MacroActionConfig())
     starts = [drawn[task, nx] for task, nx in tasks]
     args.rounds.mkdir(parents=True, exist_ok=True)

@@ -92,6 +92,7 @@ def test_importing_knotgym_is_light() -> None:
     assert modules_after("import knotgym") & {*HEAVY, *DRAWING} == set()
 
 
+@pytest.mark.thorough
 def test_making_an_environment_pulls_in_no_learner_and_no_more_of_a_renderer_than_mujoco_does(
     states_path: str,
 ) -> None:
@@ -118,6 +119,7 @@ def test_importing_a_room_pulls_in_neither_torch_nor_dask_nor_a_renderer(room: s
     assert modules_after(f"import {room}") & {"torch", "dask", "distributed", *DRAWING} == set()
 
 
+@pytest.mark.thorough
 def test_the_package_runs_where_no_machine_code_can_be_kept(tmp_path: Path) -> None:
     copy = tmp_path / "knotgym"
     shutil.copytree(ROOT / "knotgym", copy, ignore=shutil.ignore_patterns("__pycache__"))

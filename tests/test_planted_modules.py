@@ -32,6 +32,7 @@ COMMANDS = {
     "page": "dataset page states.h5 --out page.html",
     "prompt": "prompt --mode open --show",
 }
+DEFAULT = ("help", "verify")  # of these, the others are thorough
 
 
 @pytest.fixture
@@ -60,7 +61,13 @@ def planted(tmp_path: Path, states_path: str) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("typed", COMMANDS.values(), ids=[*COMMANDS])
+@pytest.mark.parametrize(
+    "typed",
+    [
+        pytest.param(words, marks=() if name in DEFAULT else pytest.mark.thorough, id=name)
+        for name, words in COMMANDS.items()
+    ],
+)
 def test_no_command_imports_from_the_current_folder(typed: str, planted: Path) -> None:
     environment = {name: text for name, text in os.environ.items() if name != "PYTHONSAFEPATH"}
     ended = subprocess.run(

@@ -190,6 +190,7 @@ def test_the_first_line_comes_before_anything_heavy_is_imported() -> None:
     assert run.stdout.strip() == str({command: [] for command in commands})
 
 
+@pytest.mark.thorough
 def test_it_ticks_while_a_single_piece_of_work_goes_on() -> None:
     written = io.StringIO()
     ticked = threading.Event()
@@ -235,6 +236,7 @@ def test_a_first_environment_says_once_that_it_compiles(
     ]
 
 
+@pytest.mark.thorough
 def test_the_demo_writes_an_observation_a_film_and_a_page(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -687,6 +689,7 @@ def test_export_of_a_run_writes_a_file_for_each_dataset(
     ]
 
 
+@pytest.mark.thorough
 def test_a_replay_says_that_it_is_the_same_bit_for_bit(
     curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

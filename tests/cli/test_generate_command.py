@@ -333,6 +333,7 @@ def coded(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.thorough
 def test_its_archive_can_be_gone_on_from(curated: Path, coded: Path) -> None:
     before, after = (
         Archive.load(curated / "archive.h5").growth,
@@ -370,10 +371,12 @@ def test_two_workers_leave_the_same_bytes_as_one(curated: Path, tmp_path: Path) 
     assert bytes_of(tmp_path / "a") == bytes_of(curated)
 
 
+@pytest.mark.thorough
 def test_a_killed_run_leaves_nothing_under_the_final_name(killed: Path) -> None:
     assert [path.name for path in killed.parent.iterdir()] == [".nx0-1.partial"]
 
 
+@pytest.mark.thorough
 def test_other_options_cannot_resume_it(killed: Path, capfd: pytest.CaptureFixture[str]) -> None:
     before = bytes_of(killed.parent)
     for options in (
@@ -466,6 +469,7 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(
     assert {path.name for path in tmp_path.iterdir()} <= {".a.partial"}
 
 
+@pytest.mark.thorough
 def test_an_error_in_a_worker_comes_out_as_it_is() -> None:
     with pytest.raises(ValueError, match="invalid literal for int"), executor(2) as pool:
         list(pool.map(int, ["one", "two"]))

@@ -212,6 +212,7 @@ def test_a_way_in_the_engine_of_the_episode_leads_to_the_goal() -> None:
         assert all(str(why).startswith(("choice", "planner")) for why in episode.move[1:])
 
 
+@pytest.mark.thorough
 def test_play_goes_on_to_another_goal_and_its_record_verifies() -> None:
     task = replace(TASK, endless=True, horizon=60)
     (played,) = rollout(task, make_policy(PolicyConfig(policy="play")), [2], 0)

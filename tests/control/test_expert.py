@@ -219,6 +219,7 @@ def act_out(simulation: Simulation, planned: Plan) -> None:
         step_ropes(simulation, np.array([bead]), force[None], [0])
 
 
+@pytest.mark.thorough
 def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str) -> None:
     episodes = EpisodeBatch(
         TaskConfig(task="unknot", nx=1, states=states_path, split="test", observation="state")
@@ -241,6 +242,7 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
     assert label(episodes.simulation.points[0]).matches(goal)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("engine", ENGINES)
 def test_plans_are_checked_in_the_engine_of_the_episode(states_path: str, engine: str) -> None:
     task = TaskConfig(
@@ -304,6 +306,7 @@ def test_a_hard_unknot_is_hauled_loose() -> None:
     assert label(simulation.points[0]) == FLAT
 
 
+@pytest.mark.thorough
 def test_ropes_of_few_crossings_are_not_hauled(states_path: str) -> None:
     def planned(hauling: bool) -> Plan:
         simulation = MujocoSimulation(4)

@@ -205,6 +205,7 @@ def test_what_is_no_policy_is_refused_before_it_acts(own: None, name: str) -> No
         make_policy(PolicyConfig(policy=f"own:{name}"))
 
 
+@pytest.mark.thorough
 def test_a_function_is_found_in_the_folder_where_the_command_is_typed(
     states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -72,11 +72,13 @@ def test_a_checkout_that_is_not_installed_has_the_package_s_families(
     assert PolicyConfig(policy=policy).policy == policy and not provided
 
 
+@pytest.mark.thorough
 def test_a_policy_s_name_is_checked_without_torch() -> None:
     made = "from knotgym.control.policies import PolicyConfig; PolicyConfig(policy='pretrained')"
     assert "torch" not in modules_after(made)
 
 
+@pytest.mark.thorough
 def test_no_module_names_one_of_a_room_above_it() -> None:
     contract = PROJECT["tool"]["importlinter"]["contracts"][0]
     floors = {

@@ -396,6 +396,7 @@ def test_to_other_observations_and_back_gives_the_same_bytes(tmp_path: Path, roo
     )
 
 
+@pytest.mark.thorough
 def test_symbols_go_to_minari_and_back(
     tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -541,6 +542,7 @@ def test_the_recovered_environment_shows_the_same_again(
     )
 
 
+@pytest.mark.thorough
 def test_minari_recovers_the_environment_in_a_process_that_never_imported_knotgym(
     root: Path,
 ) -> None:

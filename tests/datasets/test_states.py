@@ -198,6 +198,7 @@ def test_curated_states_ship() -> None:
     assert shipped().is_file()
 
 
+@pytest.mark.thorough
 def test_curated_states_are_replayed_from_the_actions_that_the_file_holds() -> None:
     states = read_states(shipped())
     few = states.taken(np.arange(0, len(states), 16))

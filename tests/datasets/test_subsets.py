@@ -139,6 +139,7 @@ def test_split_states_leave_near_duplicates_together(tmp_path: Path) -> None:
     assert all(len(set(of_part[near == one])) == 1 for one in set(near.tolist()))
 
 
+@pytest.mark.thorough
 def test_a_folder_keeps_the_demonstrations_of_its_rows(curated: Path, tmp_path: Path) -> None:
     made = select(curated, where="nx == 1 or row == 2", out=tmp_path / "few")
     assert len(read_states(made / "states.h5")) == 5 and verify(made) == []

@@ -145,6 +145,7 @@ def test_pictures_are_of_the_rope_whatever_moves_it(keywords: dict[str, Any]) ->
     assert np.abs(pictures[0].astype(int) - pictures[1]).max() <= 2
 
 
+@pytest.mark.thorough
 def test_the_bytes_depend_neither_on_workers_nor_on_company(tmp_path: Path) -> None:
     made = [
         collect(

@@ -126,6 +126,7 @@ def test_every_episode_can_be_acted_out_again(states_path: str, tmp_path: Path) 
     assert verify_episodes(folder, act_out=True) == []
 
 
+@pytest.mark.thorough
 def test_episodes_of_a_rope_integrated_otherwise_say_so_and_can_be_acted_out_again(
     states_path: str, tmp_path: Path
 ) -> None:
@@ -279,6 +280,7 @@ def test_minari_does_it_with_hindsight_too(
     check_minari(tmp_path / "root", name, monkeypatch)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["scripted", pytest.param("noisy", marks=pytest.mark.slow)])
 def test_workers_do_not_change_the_bytes(name: str, states_path: str, tmp_path: Path) -> None:
     policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=40, batch_size=2))

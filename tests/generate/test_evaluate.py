@@ -123,6 +123,7 @@ def test_the_result_says_whose_states_were_used(
     assert "unknot nx 1: the state file has no plain loops" in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_workers_do_not_change_the_result(states_path: str) -> None:
     from knotgym.runs.executors import executor
 
@@ -398,6 +399,7 @@ def test_a_result_says_in_which_view_the_policy_acted(states_path: str) -> None:
     assert "random (macro)" in console.export_text()
 
 
+@pytest.mark.thorough
 def test_merged_shards_say_what_one_evaluation_says(states_path: str, tmp_path: Path) -> None:
     asked, out = config(states_path, episodes=7, nx=(1, 2)), tmp_path / "one.json"
     run(asked, QUIET, out=out)

@@ -54,6 +54,7 @@ def unit() -> Walked:
     return walk(WalkUnit(SMALL, 0))
 
 
+@pytest.mark.thorough
 def test_a_folder_of_random_walks_has_no_fault_and_no_demonstrations(walked: Path) -> None:
     assert list(folder_faults(walked)) == []
     names = {path.name for path in walked.iterdir()}

@@ -79,6 +79,7 @@ def test_rounds_are_the_same_bytes_in_work_units_of_any_size(
     assert kept(grown(3, chunk=1), tmp_path) == kept(searched, tmp_path)
 
 
+@pytest.mark.thorough
 def test_rounds_are_the_same_bytes_on_two_workers(searched: Archive, tmp_path: Path) -> None:
     with executor(2) as pool:
         assert kept(grown(3, pool=pool, chunk=3), tmp_path) == kept(searched, tmp_path)

@@ -95,6 +95,7 @@ def signature(recipe: StateRecipe) -> list[object]:
     return [states, ways, recipe.report(), recipe.archive.growth]
 
 
+@pytest.mark.thorough
 def test_a_run_saved_after_any_wave_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
     config = replace(SMALL, nx=(1,), every_code=1, wave=1)
     whole = StateRecipe(config)

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import KnotgymError
+from knotgym.control.demonstrator import passes_in_order
+from knotgym.control.pass_counts import shipped_values
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.policy import InvalidPolicy
 from knotgym.control.rollouts import rollout
@@ -106,6 +108,24 @@ def test_the_one_that_ships_reaches_easy_goals() -> None:
     policy = make_policy(config)
     played = rollout(policy.suited(task), policy, range(8), seed=0)
     assert sum(bool(one.episode.terminations[-1]) for one in played) >= 5
+
+
+def test_a_guided_clone_chooses_passes_that_lead_nearer(clone: Path, states: States) -> None:
+    from knotgym.learn.clone_policy import choose_macros, load_clone
+
+    points = states.points[:12]
+    goals, cold = [GaussCode.parse("1+,1-")] * len(points), np.zeros(len(points))
+    values, network = shipped_values("train"), load_clone(clone).network
+    own = choose_macros(network, points, goals, cold, [])
+    guided = choose_macros(network, points, goals, cold, [], values)
+    orders = [[move for move, _ in passes_in_order(values, goals[0], rope)] for rope in points]
+    assert sum(map(bool, orders)) >= 4
+    for row, order in enumerate(orders):
+        bead, target, over = guided[row].tolist()
+        if order:
+            assert (bead, target, 2 * over - 1) in order
+        else:
+            assert guided[row].tolist() == own[row].tolist()
 
 
 def test_pictures_are_enough(clone: Path, task: TaskConfig) -> None:

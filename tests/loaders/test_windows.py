@@ -123,6 +123,7 @@ def shown_code(episode: Episode, step: int) -> str | None:
     return None if towed or episode.simulation_failed[step] else str(episode.gauss_code[step])
 
 
+@pytest.mark.thorough
 @settings(max_examples=40, deadline=None)
 @given(
     episodes=datasets(),

@@ -510,6 +510,7 @@ def test_a_config_survives_json_and_pickle() -> None:
     assert hash(config) == hash(dataclasses.replace(config))
 
 
+@pytest.mark.thorough
 def test_the_picture_needs_neither_mujoco_nor_opengl() -> None:
     code = (
         "import sys, numpy as np; from knotgym.rendering.picture import draw; draw(np.eye(3) *"

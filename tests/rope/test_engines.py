@@ -33,6 +33,7 @@ def test_another_engine_size_or_rope_is_another_simulation() -> None:
     assert simulation_of(2, RopeConfig(), "chain").engine == "chain"
 
 
+@pytest.mark.thorough
 def test_mujocos_engine_leaves_the_chains_kernels_alone() -> None:
     code = (
         "import sys, gymnasium, knotgym\n"

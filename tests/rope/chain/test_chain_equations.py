@@ -69,6 +69,7 @@ def dense(
     return found[:, :3], found[:, 3]
 
 
+@pytest.mark.thorough
 def test_a_substep_solves_the_equations_of_motion(rope: Rope) -> None:
     numbers, damping, _ = parameters(rope)
     rng = np.random.default_rng(0)
