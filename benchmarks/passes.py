@@ -1,9 +1,10 @@
 """Make the counts of passes that the demonstrator's order is drawn from, the file that ships.
 
-    python benchmarks/passes.py --rounds play/train
+    python benchmarks/passes.py --rounds play/train --every-code
     python benchmarks/passes.py --rounds play/train-code --split train-code --count 3
 
-Plays in the chain engine from starts of the train split towards its goals, counts what passes do to
+Plays in the chain engine from starts of the train split towards its goals, or with `--every-code`
+towards every code of so many crossings (the split by state holds out no code). Counts what passes do to
 diagrams, and takes the counts into the order after every round. From round `--later` on play
 explores less, so that passes of promise are counted more often. Diagrams keep the passes that
 are among the best `--most` for one of the goals, unless fewer than `--least` began there.

@@ -80,8 +80,8 @@ class CloneConfig:
 
     Attributes:
         action: what is cloned: "macro" for a demonstrator's macro-actions, "bead" for every pull.
-        guided: whether the clone chooses among the passes that lead nearer to the goal by the
-            counts that ship, or among all macro-actions; says nothing about its training but play.
+        guided: whether the clone also chooses by the counts of passes that ship, which tell what
+            leads nearer to the goal; makes no difference to training, but to play.
         start: folder of a trained clone to go on from, of the same width and layers; "" for none.
         steps: optimizer steps on the data.
         failed: whether to learn from episodes that didn't reach their goal, too.

@@ -25,7 +25,6 @@ _ARCS, _ARC_WIDTH = 2 * _VISITS + 1, 6
 _POINT, _TANGENT = 6.0, 35.0  # per metre, scales at which inputs are of order 1
 _BEAD_WIDTH = 32
 _LIKELY = 8, 4  # beads, and strands for each of them, both sides of which are likely choices
-CHOICES = 2 * _LIKELY[0] * _LIKELY[1]  # macro-actions of which one is chosen
 WORKING = 2.0  # weight of the chance that one works, beside that of being chosen
 # Labels are smoothed over neighbours: a bead to either side does nearly as well.
 _SMOOTHING = ((-2, 0.05), (-1, 0.15), (0, 0.6), (1, 0.15), (2, 0.05))
@@ -175,7 +174,7 @@ class CloneNetwork(nn.Module):
         return torch.stack([smoothed_loss(seen.logits, beads), force.reshape(-1, 3).sum(1)], dim=1)
 
     def likely(self, seen: MarkedInputs) -> Tensor:
-        """Return macro-actions, int64 (n, CHOICES, 3), among them those that are likely chosen."""
+        """Return macro-actions, int64 (n, 64, 3), among them those that are likely chosen."""
         some, each = _LIKELY
         beads = seen.logits.topk(some, dim=1).indices
         targets = self.targets(seen, beads).topk(each, dim=2).indices.flatten(1)

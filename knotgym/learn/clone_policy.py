@@ -1,8 +1,7 @@
 """The clone as a policy: it looks when its last macro-action is over, and chooses the next one.
 
-A guided clone chooses among the passes of the demonstrator's fixed order, which lead nearer to the
-goal by the counts that ship; where the order has none, and without guidance, among those that the
-network finds likeliest. Nothing is simulated.
+A guided clone chooses among the macro-actions that its network finds likely and the first passes of
+the demonstrator's order, by what they are worth in that order, too. Nothing is simulated.
 
 In an environment of the action view "macro" or "bead" it returns its choices; in one of pulls, it
 carries them out itself. It sees the rope and the goal's code from vertices; if the observation is
@@ -38,7 +37,7 @@ from knotgym.learn.checkpoint import (
     read_weights,
     write_checkpoint,
 )
-from knotgym.learn.clone_network import CHOICES, WORKING, CloneNetwork, inputs
+from knotgym.learn.clone_network import WORKING, CloneNetwork, inputs
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
@@ -55,6 +54,8 @@ _VIEWS = {"macro": ("macro", "pull"), "bead": ("bead", "pull")}  # what each hea
 # Temperature after a macro-action that changed no code: the likeliest one would be chosen again.
 _ESCAPE = 0.7
 _GUIDED = 0.5  # weight of the chance of being chosen, where the order of the passes counts too
+_PASSES = 40  # of the order, at most
+_UNORDERED = 0.02  # what a macro-action is worth that the order doesn't have
 
 
 class ClonePolicy(UnplannedPolicy):
@@ -180,17 +181,17 @@ def choose_macros(
         values: guides the choice; None for no guidance.
     """
     seen = mark(points, goals)
-    # The maximum of logits with Gumbel noise is a draw from their softmax.
-    noise = np.zeros((len(points), CHOICES))
-    for row in np.flatnonzero(temperatures > 0):
-        noise[row] = temperatures[row] * rngs[row].gumbel(size=CHOICES)
     with inference(torch):
         looked = network(inputs(seen))
-        macros = network.likely(looked)
-        prior, share = torch.zeros(macros.shape[:2]), torch.ones(len(macros), 1)
+        macros, prior, share = network.likely(looked), torch.zeros(1, 1), 1.0
         if values is not None:
-            _guide(values, points, goals, seen, macros, prior, share)
+            macros, prior = _with_passes(macros, values, points, goals, seen)
+            share = _GUIDED
         chosen, works = network.rate(looked, macros)
+        # the maximum of logits with Gumbel noise is a draw from their softmax
+        noise = np.zeros(chosen.shape)
+        for row in np.flatnonzero(temperatures > 0):
+            noise[row] = temperatures[row] * rngs[row].gumbel(size=noise.shape[1])
         best = (prior + share * chosen + WORKING * works + torch.from_numpy(noise)).argmax(1)
         beads, targets, sides = macros[torch.arange(len(best)), best].numpy().T
     beads, targets = seen.frames.renumber(beads), seen.frames.renumber(targets)
@@ -198,34 +199,34 @@ def choose_macros(
     return np.stack([beads, targets, (seen.frames.sides(2 * sides - 1) + 1) // 2], axis=1)
 
 
-def _guide(
-    values: DiagramValues,
-    points: Array,
-    goals: list[GaussCode],
-    seen: Marked,
-    macros: Tensor,
-    prior: Tensor,
-    share: Tensor,
-) -> None:
-    """Replace likely macro-actions by the passes of the fixed order, where it has any.
+def _with_passes(
+    likely: Tensor, values: DiagramValues, points: Array, goals: list[GaussCode], marked: Marked
+) -> tuple[Tensor, Tensor]:
+    """Add the first passes of the demonstrator's order to macro-actions (n, k, 3).
 
     Args:
+        likely: in the canonical frame.
         values, points, goals: as of `choose_macros`.
-        seen: the same states.
-        macros: (n, CHOICES, 3), in the canonical frame.
-        prior: (n, CHOICES), what is added to the logits.
-        share: (n, 1), weight of the chance of being chosen.
+        marked: the same states.
+
+    Returns:
+        Macro-actions (n, k + _PASSES, 3), and the logarithms of what they are worth; -inf where the
+        order has fewer passes.
     """
+    count, known = likely.shape[:2]
+    macros = torch.cat([likely, torch.zeros(count, _PASSES, 3, dtype=torch.int64)], dim=1)
+    prior = torch.full(macros.shape[:2], -math.inf)
+    prior[:, :known] = math.log(_UNORDERED)
     for row, (rope, goal) in enumerate(zip(points, goals, strict=True)):
-        ordered = [*islice(passes_in_order(values, goal, rope), CHOICES)]
+        ordered = [*islice(passes_in_order(values, goal, rope), _PASSES)]
         if ordered:
             beads, targets, sides = np.array([move for move, _ in ordered]).T[:, :, None]
-            frames = seen.rows([row]).frames
-            own = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
-            macros[row, : len(ordered)] = torch.from_numpy(np.concatenate(own, axis=1))
-            prior[row] = -math.inf
-            prior[row, : len(ordered)] = torch.tensor([worth for _, worth in ordered]).log()
-            share[row] = _GUIDED
+            own = marked.rows([row]).frames
+            seen = own.renumber(beads), own.renumber(targets), (own.sides(sides) + 1) // 2
+            macros[row, known : known + len(ordered)] = torch.from_numpy(np.hstack(seen))
+            worth = torch.tensor([value for _, value in ordered]).clamp(min=_UNORDERED)
+            prior[row, known : known + len(ordered)] = worth.log()
+    return macros, prior
 
 
 def choose_pulls(network: CloneNetwork, points: Array, goals: list[GaussCode]) -> NDArray[np.int64]:

@@ -110,7 +110,7 @@ def test_the_one_that_ships_reaches_easy_goals() -> None:
     assert sum(bool(one.episode.terminations[-1]) for one in played) >= 5
 
 
-def test_a_guided_clone_chooses_passes_that_lead_nearer(clone: Path, states: States) -> None:
+def test_a_guided_clone_takes_passes_of_great_worth(clone: Path, states: States) -> None:
     from knotgym.learn.clone_policy import choose_macros, load_clone
 
     points = states.points[:12]
@@ -118,14 +118,15 @@ def test_a_guided_clone_chooses_passes_that_lead_nearer(clone: Path, states: Sta
     values, network = shipped_values("train"), load_clone(clone).network
     own = choose_macros(network, points, goals, cold, [])
     guided = choose_macros(network, points, goals, cold, [], values)
-    orders = [[move for move, _ in passes_in_order(values, goals[0], rope)] for rope in points]
+    orders = [dict(passes_in_order(values, goals[0], rope)) for rope in points]
     assert sum(map(bool, orders)) >= 4
     for row, order in enumerate(orders):
         bead, target, over = guided[row].tolist()
-        if order:
-            assert (bead, target, 2 * over - 1) in order
-        else:
+        if not order:
             assert guided[row].tolist() == own[row].tolist()
+        # an untrained network hardly tells macro-actions apart, so what they are worth decides
+        elif max(order.values()) > 0.5:
+            assert (bead, target, 2 * over - 1) in order
 
 
 def test_pictures_are_enough(clone: Path, task: TaskConfig) -> None:
