@@ -1,10 +1,11 @@
 """Make the counts of passes that the demonstrator's order is drawn from, the file that ships.
 
-    python benchmarks/passes.py --rounds play/train --every-code
+    python benchmarks/passes.py --rounds play/train
+    python benchmarks/passes.py --rounds play/every --every-code
     python benchmarks/passes.py --rounds play/train-code --split train-code --count 3
 
 Plays in the chain engine from starts of the train split towards its goals, or with `--every-code`
-towards every code of so many crossings (the split by state holds out no code). Counts what passes do to
+towards every code of so many crossings. Counts what passes do to
 diagrams, and takes the counts into the order after every round. From round `--later` on play
 explores less, so that passes of promise are counted more often. Diagrams keep the passes that
 are among the best `--most` for one of the goals, unless fewer than `--least` began there.
@@ -21,7 +22,7 @@ from rich.console import Console
 
 from knotgym.common.streams import Stream, generator
 from knotgym.control.macro_lanes import MacroLanes
-from knotgym.control.pass_counts import PASSES, PassCounts, first_goal
+from knotgym.control.pass_counts import EVERY_CODE, PASSES, PassCounts, first_goal
 from knotgym.control.pass_play import PassPlay, PassPlayConfig, draw_starts, searches
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_actions import MacroActionConfig
@@ -88,7 +89,8 @@ def main() -> None:
         counts = PassCounts.load(path)
     # images of a goal keep the same passes
     goals = dict.fromkeys(first_goal(goal)[0] for one in drawn.values() for goal in one.goals)
-    counts.pruned([*goals], args.most, args.least).save(args.out or PASSES[args.split])
+    out = args.out or (EVERY_CODE if args.every_code else PASSES[args.split])
+    counts.pruned([*goals], args.most, args.least).save(out)
 
 
 if __name__ == "__main__":

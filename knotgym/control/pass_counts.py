@@ -38,6 +38,8 @@ _DATA = Path(str(files("knotgym.control") / "data"))
 # the files that ship, by the split whose starts and goals were played; nobody who is tested on
 # codes held out may know what `train` goals say about them
 PASSES = {"train": _DATA / "passes.h5", "train-code": _DATA / "passes-by-code.h5"}
+# counted towards every code of 2 to 4 crossings; the split by state holds out no code
+EVERY_CODE = _DATA / "passes-every-code.h5"
 FORMAT, FORMAT_VERSION = "knotgym-passes", 1
 COUNTED_NX = 5  # most crossings of the diagrams that are counted
 NOWHERE = -1  # in place of a diagram: the code didn't change, or has too many crossings
@@ -419,14 +421,21 @@ def first_goal(goal: GaussCode) -> tuple[GaussCode, int]:
     return members[element], element
 
 
-def shipped_values(split: str = "train") -> DiagramValues:
+def shipped_values(split: str = "train", *, every_code: bool = False) -> DiagramValues:
     """Values for a task's split, from the counts that ship; none if their file is missing.
 
     Splits by code have their own, from play that met no start and no goal that is held out.
+
+    Args:
+        split: of the task.
+        every_code: whether they are counted towards every code, or towards train goals alone;
+            makes no difference to splits by code.
     """
-    return _values_from(PASSES["train-code" if split in CODE_SPLITS else "train"])
+    if split in CODE_SPLITS:
+        return _values_from(PASSES["train-code"])
+    return _values_from(EVERY_CODE if every_code else PASSES["train"])
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=3)
 def _values_from(path: Path) -> DiagramValues:
     return DiagramValues(PassCounts.load(path) if path.is_file() else PassCounts())

@@ -66,7 +66,8 @@ def demonstrate(
         Their decisions; and for each task the share of demonstrations that reached their goal, and
         the share of decisions for the first pass of the fixed order.
     """
-    config, values = clone.demonstrations, shipped_values(clone.demonstrations.split)
+    config = clone.demonstrations
+    values = shipped_values(config.split, every_code=config.every_code)
     demonstrator = DemonstratorConfig(budget=config.budget)
     lanes = MacroLanes(config.lanes, demonstrator.macro_actions)
     parts, rates = [none()], dict[str, Any]()

@@ -134,7 +134,7 @@ class ClonePolicy(UnplannedPolicy):
         if self._action == "bead":
             return choose_pulls(self.network, points, goals)
         heat = np.where(stuck, max(_ESCAPE, self._temperature), self._temperature)
-        values = shipped_values(episodes.config.split) if self._guided else None
+        values = shipped_values(episodes.config.split, every_code=True) if self._guided else None
         return choose_macros(self.network, points, goals, heat, rngs, values)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.errors import install_command
+from knotgym.control.pass_counts import EVERY_CODE, PASSES
 from knotgym.control.policies import PolicyConfig, PolicyFamily
 from knotgym.control.policy import InvalidPolicy, Policy
 from knotgym.control.transition_graph import TRANSITIONS
@@ -37,10 +38,13 @@ def _make(config: PolicyConfig) -> Policy:
 
 def _files(name: str) -> dict[str, Path]:
     from knotgym.learn.checkpoint import CARD, WEIGHTS, policy_folder
+    from knotgym.learn.clone_policy import CLONE
 
     folder = policy_folder(name)
-    table = {TRANSITIONS.name: TRANSITIONS} if TRANSITIONS.is_file() else {}
-    return table | {file: folder / file for file in (CARD, WEIGHTS)}
+    clone = _card(name).get("learner") == CLONE
+    tables = (EVERY_CODE, PASSES["train-code"]) if clone else (TRANSITIONS,)
+    counted = {path.name: path for path in tables if path.is_file()}
+    return counted | {file: folder / file for file in (CARD, WEIGHTS)}
 
 
 def _card(name: str) -> dict[str, Any]:

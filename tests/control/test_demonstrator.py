@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from knotgym.control.demonstrator import Demonstrator
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
 from knotgym.control.pass_counts import (
+    EVERY_CODE,
     PASSES,
     DiagramValues,
     InvalidPasses,
@@ -31,6 +32,8 @@ from knotgym.rope.model import Array, Rope
 from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import UNKNOT
+from knotgym.topology.knots import codes_of
 from knotgym.topology.symmetry import Symmetry
 
 FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
@@ -141,9 +144,20 @@ def test_counts_survive_a_file_and_a_changed_one_is_refused(tmp_path: Path) -> N
         PassCounts.load(path)
 
 
-@pytest.mark.parametrize("split", PASSES)
-def test_the_shipped_counts_are_small(split: str) -> None:
-    assert PASSES[split].stat().st_size < 300_000
+@pytest.mark.parametrize("path", [*PASSES.values(), EVERY_CODE], ids=lambda path: path.stem)
+def test_the_shipped_counts_are_small(path: Path) -> None:
+    assert path.stat().st_size < 300_000
+
+
+def test_counts_towards_every_code_promise_more_where_train_has_no_goal() -> None:
+    task = TaskConfig(task="tie", nx=4, split="train", observation="state")
+    others = set(codes_of(UNKNOT, 4)) - set(EpisodeBatch(task).side_codes("goal"))
+    own, every = (
+        sum(shipped_values(every_code=every).reach(goal, LOOP) for goal in others)
+        for every in (False, True)
+    )
+    assert every > own
+    assert shipped_values("test-code", every_code=True) is shipped_values("test-code")
 
 
 def test_splits_by_code_have_an_order_of_their_own() -> None:
