@@ -105,7 +105,7 @@ class CloneConfig:
     """
 
     action: str = "macro"
-    guided: bool = True
+    guided: bool = False
     start: str = ""
     steps: int = 4000
     failed: bool = False

@@ -33,6 +33,7 @@ pytest.importorskip("torch")
 pytest.importorskip("safetensors")
 
 TINY = {
+    "guided": True,
     "failed": True,
     "steps": 4,
     "batch": 4,
