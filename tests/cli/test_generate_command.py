@@ -445,6 +445,7 @@ def test_a_finished_run_is_resumed_to_itself(curated: Path, tmp_path: Path) -> N
     ] == ["a"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("number", "group", "workers"),
     [

@@ -149,9 +149,11 @@ def test_the_shipped_counts_are_small(path: Path) -> None:
     assert path.stat().st_size < 300_000
 
 
+@pytest.mark.thorough
 def test_counts_towards_every_code_promise_more_where_train_has_no_goal() -> None:
     task = TaskConfig(task="tie", nx=4, split="train", observation="state")
-    others = set(codes_of(UNKNOT, 4)) - set(EpisodeBatch(task).side_codes("goal"))
+    own_goals = EpisodeBatch(task).side_codes("goal")
+    others = [code for code in codes_of(UNKNOT, 4) if code not in own_goals][::12]
     own, every = (
         sum(shipped_values(every_code=every).reach(goal, LOOP) for goal in others)
         for every in (False, True)

@@ -260,6 +260,7 @@ def test_plans_are_checked_in_the_engine_of_the_episode(states_path: str, engine
     pytest.fail(f"the plan doesn't end in the goal in the engine {engine}")
 
 
+@pytest.mark.thorough
 def test_a_plan_made_in_the_chain_ends_in_the_goal_in_mujoco(states_path: str) -> None:
     states, check = read_states(states_path, images=False), MujocoSimulation(1)
     check.lay(states.qpos[[int(np.flatnonzero(states.nx == 3)[0])]])

@@ -81,6 +81,7 @@ def test_a_bead_action_pulls_that_bead(task: TaskConfig) -> None:
     assert info["force"] == pytest.approx(info["applied_share"] * largest * np.array([-1, 0, 1]))
 
 
+@pytest.mark.thorough
 def test_a_macro_action_ends_at_its_last_waypoint_or_after_ten_pulls(
     task: TaskConfig,
 ) -> None:

@@ -54,6 +54,7 @@ def recordings(collected: Path) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_a_rebuilt_dataset_has_the_bytes_of_the_collection(
     collected: Path, recordings: Path, tmp_path: Path
 ) -> None:

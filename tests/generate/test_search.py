@@ -103,6 +103,7 @@ def test_another_seed_searches_elsewhere(searched: Archive, tmp_path: Path) -> N
     assert kept(grown(1, replace(SEARCH, seed=2)), tmp_path) != kept(grown(1), tmp_path)
 
 
+@pytest.mark.thorough
 def test_every_sequence_from_the_plain_loop_ends_in_its_state_bit_for_bit(
     searched: Archive, rope: Rope
 ) -> None:

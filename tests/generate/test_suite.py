@@ -71,6 +71,7 @@ def test_no_episode_begins_as_one_of_an_evaluation_on_the_train_split() -> None:
     assert SuiteConfig().seed != 0
 
 
+@pytest.mark.thorough
 def test_every_policy_has_its_set_and_the_card_tells_of_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -225,6 +225,7 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
     assert made(tmp_path / "a") == unbroken(COLLECT)
 
 
+@pytest.mark.thorough
 def test_nothing_is_said_of_what_a_kill_left_behind(killed_run: tuple[Path, str]) -> None:
     said_by_all = killed_run[1]  # Python's resource tracker ends later, and would warn
     assert "resource_tracker" not in said_by_all and "Warning" not in said_by_all
