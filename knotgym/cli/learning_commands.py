@@ -40,12 +40,13 @@ def _options() -> list[Option]:
 
 def _of_the_clone() -> list[Option]:
     made = "episodes task nx split".replace(" ", " demonstrations.")
-    return options_of(
+    own = options_of(
         CloneConfig(),
         f"demonstrations.{made} improve",
         "The clone",
         episodes={"names": "--demonstrations"},
     )
+    return [*own, *run_options("workers")]
 
 
 @command(_options)
@@ -60,7 +61,8 @@ def train(given: Given) -> None:
     learner, data, out = given["learner"], given["data"] or [], given["out"]
     if learner == "clone":
         clone = given.config(CloneConfig)
-        train_clone(data, out, clone, existing=given.run, progress=given.progress)
+        run = given.run
+        train_clone(data, out, clone, existing=run, workers=run.workers, progress=given.progress)
     elif learner != "pictures":
         raise InvalidTraining(f"no learner {learner!r}; there is pictures, clone")
     elif given.typed & {option.path for option in _of_the_clone()}:

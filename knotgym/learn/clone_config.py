@@ -81,7 +81,7 @@ class CloneConfig:
     Attributes:
         action: what is cloned: "macro" for a demonstrator's macro-actions, "bead" for every pull.
         guided: whether the clone also chooses by the counts of passes that ship, which tell what
-            leads nearer to the goal; makes no difference to training, but to play.
+            leads nearer to the goal, in evaluations and in rounds of improvement.
         start: folder of a trained clone to go on from, of the same width and layers; "" for none.
         steps: optimizer steps on the data.
         failed: whether to learn from episodes that didn't reach their goal, too.

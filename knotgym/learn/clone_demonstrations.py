@@ -6,10 +6,13 @@ the demonstrator's first choices. So the clone also sees states that a demonstra
 above all those in which its own mistakes end.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache, partial
 from itertools import islice
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,8 +30,19 @@ from knotgym.control.pass_play import Starts, draw_starts
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig
-from knotgym.learn.clone_data import DecidedStep, Decisions, gathered, join, none
+from knotgym.learn.clone_data import (
+    DecidedStep,
+    Decisions,
+    gathered,
+    join,
+    load_decisions,
+    none,
+    save_decisions,
+)
+from knotgym.rope.engines import CHAIN
 from knotgym.rope.model import Array
+from knotgym.runs.compilation import compile_first
+from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress, Status
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT
@@ -38,6 +52,7 @@ from knotgym.topology.symmetry import diagram_form
 # a goal and the way to it: empty if none was found, None if the passes before led there already
 _Found = tuple[GaussCode, list[Decision] | None]
 
+_TOGETHER = 1000  # demonstrations of a part, which is one worker's work and one file
 _IN_ORDER, _FIRST = 0.6, 3  # share of the passes before that are among the first of the order
 
 
@@ -52,53 +67,124 @@ def demonstrated_tasks(config: DemonstrationsConfig) -> list[TaskConfig]:
     ]
 
 
-def demonstrate(
-    clone: CloneConfig, number: int, progress: Progress
+class Part(NamedTuple):
+    """Demonstrations of one task, that are made together.
+
+    Attributes:
+        clone: settings.
+        place: of the task among `demonstrated_tasks`.
+        first: number of the first of them among those of the task.
+        episodes: number of demonstrations.
+        before: number of episodes before those of the task.
+    """
+
+    clone: CloneConfig
+    place: int
+    first: int
+    episodes: int
+    before: int
+
+    @property
+    def task(self) -> TaskConfig:
+        """What is demonstrated."""
+        return demonstrated_tasks(self.clone.demonstrations)[self.place]
+
+
+def demonstrations(
+    clone: CloneConfig, before: int, folder: Path, workers: int, progress: Progress
 ) -> tuple[Decisions, dict[str, Any]]:
-    """Make demonstrations of each task.
+    """Make the demonstrations that a training asks for; parts that a folder holds are kept.
 
     Args:
         clone: says which, and what is learned from them.
-        number: of the first episode.
+        before: number of the first episode.
+        folder: for the parts; a later call makes those that are missing.
+        workers: processes, 0 for one per core.
         progress: where to show progress.
 
     Returns:
-        Their decisions; and for each task the share of demonstrations that reached their goal, and
-        the share of decisions for the first pass of the fixed order.
+        Their decisions; and for the card, of each task the share of demonstrations that reached
+        their goal, and the share of decisions for the first pass of the fixed order.
     """
-    config = clone.demonstrations
-    values = shipped_values(config.split, every_code=config.every_code)
+    parts = _parts(clone, before)
+    paths = [folder / f"demonstrations-{number}.safetensors" for number in range(len(parts))]
+    missing = [both for both in zip(paths, parts, strict=True) if not both[0].exists()]
+    total = sum(part.episodes for part in parts)
+    done = total - sum(part.episodes for _, part in missing)
+    if missing:
+        compile_first(progress, CHAIN, workers)
+        progress.stage("making demonstrations in the chain engine")
+        with executor(workers) as pool:
+            made = pool.map(_demonstrate, [part for _, part in missing])
+            for (path, part), own in zip(missing, made, strict=True):
+                save_decisions(path, *own)
+                done += part.episodes
+                progress.show(partial(Status, done, total, "demonstrations"))
+    gained, counts = [none()], dict[str, Counter[str]]()
+    for path, part in zip(paths, parts, strict=True):
+        own = load_decisions(path)
+        gained.append(own[0])
+        counts.setdefault(f"{part.task.task} {part.task.nx}", Counter()).update(own[1])
+    decisions = join(gained)
+    rates = {
+        task: {
+            "reached": own["reached"] / max(1, own["searched"]),
+            "decisions": int(own["decisions"]),
+            "first_choices": own["first_choices"] / max(1, own["decisions"]),
+        }
+        for task, own in counts.items()
+    }
+    facts = {"demonstrations": rates, "demonstrations_sha256": decisions.digest} if parts else {}
+    return decisions, facts
+
+
+def _parts(clone: CloneConfig, before: int) -> list[Part]:
+    """Divide demonstrations into parts; `before` episodes have numbers already."""
+    count = clone.demonstrations.episodes
+    return [
+        Part(clone, place, first, min(_TOGETHER, count - first), before + place * count)
+        for place in range(len(demonstrated_tasks(clone.demonstrations)))
+        for first in range(0, count, _TOGETHER)
+    ]
+
+
+def _demonstrate(part: Part) -> tuple[Decisions, dict[str, float]]:
+    """Make demonstrations; return their decisions and counts for the rates."""
+    clone, config = part.clone, part.clone.demonstrations
+    values = _values(config.split, config.every_code)
     demonstrator = DemonstratorConfig(budget=config.budget)
     lanes = MacroLanes(config.lanes, demonstrator.macro_actions)
-    parts, rates = [none()], dict[str, Any]()
-    tasks, done = demonstrated_tasks(config), 0
+    searches = _searches(values, _starts(clone, part.place), demonstrator, part)
+    gained = [none()]
+    ways = [way for _, way in sorted(lanes.run(searches), key=lambda one: one[0])]
+    for episode, (goal, way) in enumerate(ways, part.before + part.first):
+        steps = [_step(decision) for decision in way or []]
+        gained.append(gathered(steps, steps, goal, episode, clone))
+    searched = [way for _, way in ways if way is not None]
+    ranks = [decision.rank for way in searched for decision in way]
+    counts = {
+        "searched": float(len(searched)),
+        "reached": float(sum(bool(way) for way in searched)),
+        "decisions": float(len(ranks)),
+        "first_choices": float(ranks.count(1)),
+    }
+    return join(gained), counts
 
-    def status() -> Status:
-        return Status(done, config.episodes * len(tasks), "demonstrations")
 
-    for place, task in enumerate(tasks):
-        rng = generator(Stream.DEMONSTRATION_STARTS, clone.seed, place)
-        starts = draw_starts(task, config.starts, rng)
-        if config.every_code:
-            starts = starts._replace(goals=goals_not_held_out(task))
-        ways = dict[int, _Found]()
-        searches = _searches(values, starts, demonstrator, clone, place)
-        for episode, found in lanes.run(searches):
-            ways[episode], done = found, done + 1
-            progress.show(status)
-        for episode, (goal, way) in sorted(ways.items()):
-            steps = [_step(decision) for decision in way or []]
-            parts.append(gathered(steps, steps, goal, number + episode, clone))
-        number += config.episodes
-        searched = [way for _, way in ways.values() if way is not None]
-        ranks = np.array([decision.rank for way in searched for decision in way])
-        rates[f"{task.task} {task.nx}"] = {
-            "reached": float(np.mean([bool(way) for way in searched])),
-            "decisions": len(ranks),
-            "first_choices": float(np.mean(ranks == 1)) if len(ranks) else None,
-        }
-    progress.show(status, last=True)
-    return join(parts), rates
+@lru_cache(maxsize=1)
+def _values(split: str, every_code: bool) -> DiagramValues:
+    return shipped_values(split, every_code=every_code)
+
+
+@lru_cache(maxsize=1)
+def _starts(clone: CloneConfig, place: int) -> Starts:
+    """Return where the demonstrations of a task begin; a worker makes several parts of a task."""
+    task = demonstrated_tasks(clone.demonstrations)[place]
+    rng = generator(Stream.DEMONSTRATION_STARTS, clone.seed, place)
+    starts = draw_starts(task, clone.demonstrations.starts, rng)
+    if clone.demonstrations.every_code:
+        starts = starts._replace(goals=goals_not_held_out(task))
+    return starts
 
 
 def goals_not_held_out(task: TaskConfig) -> list[GaussCode]:
@@ -126,13 +212,12 @@ def _searches(
     values: DiagramValues,
     starts: Starts,
     demonstrator: DemonstratorConfig,
-    clone: CloneConfig,
-    place: int,
+    part: Part,
 ) -> Iterator[Search[_Found]]:
-    for episode in range(clone.demonstrations.episodes):
-        rng = generator(Stream.DEMONSTRATION, clone.seed, place, episode)
+    for episode in range(part.first, part.first + part.episodes):
+        rng = generator(Stream.DEMONSTRATION, part.clone.seed, part.place, episode)
         row, goal = starts.draw(rng)
-        wander = int(rng.integers(clone.demonstrations.wander + 1))
+        wander = int(rng.integers(part.clone.demonstrations.wander + 1))
         yield _way(values, goal, demonstrator, starts.states[row], starts.points[row], wander, rng)
 
 

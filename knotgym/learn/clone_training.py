@@ -6,7 +6,6 @@ the tasks of its data in the chain engine, and goes on training on all decisions
 to a goal (`clone_play`): what a network did, a network can learn.
 """
 
-import json
 import math
 import time
 from collections.abc import Sequence
@@ -20,8 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, remove
-from knotgym.common.configuration import read_json
+from knotgym.common.atomic_files import remove
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.envs.tasks import TaskConfig
@@ -35,7 +33,7 @@ from knotgym.learn.clone_data import (
     read_decisions,
     save_decisions,
 )
-from knotgym.learn.clone_demonstrations import demonstrate, demonstrated_tasks
+from knotgym.learn.clone_demonstrations import demonstrated_tasks, demonstrations
 from knotgym.learn.clone_network import WORKING, CloneNetwork, inputs
 from knotgym.learn.clone_play import play
 from knotgym.learn.clone_policy import ClonePolicy, load_clone, save_clone
@@ -194,6 +192,7 @@ def train_clone(
     config: CloneConfig,
     *,
     existing: Existing = REFUSE_EXISTING,
+    workers: int = 1,
     quiet: bool = False,
     progress: Progress | None = None,
 ) -> ClonePolicy:
@@ -205,6 +204,7 @@ def train_clone(
         out: folder to create.
         config: settings.
         existing: what to do with an earlier training in `out`.
+        workers: processes that make demonstrations, 0 for one per core; doesn't change the result.
         quiet: show no progress; ignored if `progress` is given.
         progress: where to show it.
 
@@ -213,7 +213,9 @@ def train_clone(
     """
     if progress is None:
         with Progress(quiet) as progress:
-            return train_clone(datasets, out, config, existing=existing, progress=progress)
+            return train_clone(
+                datasets, out, config, existing=existing, workers=workers, progress=progress
+            )
     shown = progress
 
     def read() -> tuple[Decisions, str]:
@@ -228,7 +230,9 @@ def train_clone(
     def make(decisions: Decisions, request: dict[str, Any], folder: Path) -> None:
         began = time.perf_counter()
         kept = begin_training(folder, request)
-        decisions, source = _with_demonstrations(decisions, config, folder, shown)
+        before = int(decisions.episodes.max(initial=-1)) + 1
+        own, source = demonstrations(config, before, folder, workers, shown)
+        decisions = join([decisions, own])
         tasks = tasks_of(datasets, demonstrated_tasks(config.demonstrations))
         network, curve, facts = fit_clone(decisions, config, tasks, shown, folder, kept)
         remove(folder / "made")
@@ -365,26 +369,6 @@ def _first_pulls(points: NDArray[Any], macros: NDArray[np.int64]) -> NDArray[np.
         controller.begin(row, macro_action, ropes[row])
     pulled = ropes[np.arange(len(ropes)), macros[:, 0]]
     return np.concatenate([pulled, controller.forces(ropes)], axis=1)
-
-
-def _with_demonstrations(
-    decisions: Decisions, config: CloneConfig, folder: Path, progress: Progress
-) -> tuple[Decisions, dict[str, Any]]:
-    """Add the demonstrations that are to be made, or that a staging folder has already."""
-    if not config.demonstrations.episodes:
-        return decisions, {}
-    path, rates_path = folder / "demonstrations.safetensors", folder / "demonstrations.json"
-    if path.exists():
-        made, _ = load_decisions(path)
-        rates = read_json(rates_path)
-    else:
-        progress.stage("making demonstrations in the chain engine")
-        made, rates = demonstrate(config, int(decisions.episodes.max(initial=-1)) + 1, progress)
-        with atomic_write(rates_path) as part:
-            part.write_text(json.dumps(rates), encoding="utf-8")
-        save_decisions(path, made, {})
-    source = {"demonstrations": rates, "demonstrations_sha256": made.digest}
-    return join([decisions, made]), source
 
 
 def _first_guesses(
