@@ -9,7 +9,7 @@ the rope lies, which a network can learn; `planner` is a better player and a wor
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -90,6 +90,35 @@ class Decision(NamedTuple):
         return len(self.missed) + 1
 
 
+class Tried(NamedTuple):
+    """A pass that a look simulated.
+
+    Attributes:
+        points: float64 (beads, 3), metres: where the rope lay at rest; the same array for all
+            passes tried there.
+        move: the pass.
+        nearer: whether it led to the goal, or to where the goal is likelier reached.
+    """
+
+    points: Array
+    move: Pass
+    nearer: bool
+
+
+class Found(NamedTuple):
+    """What a look found.
+
+    Attributes:
+        way: decisions on the way to the goal; empty if none was found.
+        spent: actions simulated.
+        tried: all passes simulated, also where they led into a dead end.
+    """
+
+    way: list[Decision]
+    spent: int
+    tried: list[Tried]
+
+
 @dataclass(eq=False)
 class _Look:
     """A search from one state.
@@ -100,6 +129,7 @@ class _Look:
         config: settings.
         bound: region in which the rope's centre must stay; None for no limit.
         spent: actions simulated.
+        tried: passes simulated.
     """
 
     values: DiagramValues
@@ -107,6 +137,7 @@ class _Look:
     config: DemonstratorConfig
     bound: TowBound | None
     spent: int = 0
+    tried: list[Tried] = field(default_factory=list)
 
     def way(self, state: Array, points: Array, steps: int) -> Search[list[Decision] | None]:
         """Find the first way to the goal, depth first; None if there is none within the limits."""
@@ -128,18 +159,25 @@ class _Look:
             decision = Decision(points, diagram.code, move, tuple(missed), outcome)
             missed.append(move)
             # The goal may be shown before the pass is over, which then ends there; see `Trial`.
-            if not outcome.towed and outcome.code.matches(self.goal):
+            shown = not outcome.towed and outcome.code.matches(self.goal)
+            nearer = shown or self._is_nearer(outcome, diagram.code, here)
+            self.tried.append(Tried(points, move, nearer))
+            if shown:
                 return [decision]
             left = steps - outcome.pulls
-            if left > 0 and not outcome.towed and outcome.code != diagram.code:
-                there = seen_diagram(outcome.points, find_crossings(outcome.points))
-                if self.values.reach(self.goal, there) > here:
-                    # Depth first: all ways through this landing come before the next pass from
-                    # here.
-                    rest = yield from self.way(outcome.state, outcome.points, left)
-                    if rest is not None:
-                        return [decision, *rest]
+            if nearer and left > 0:
+                # Depth first: all ways through this landing come before the next pass from here.
+                rest = yield from self.way(outcome.state, outcome.points, left)
+                if rest is not None:
+                    return [decision, *rest]
         return None
+
+    def _is_nearer(self, outcome: Landing, code: GaussCode, reach: float) -> bool:
+        """Tell whether the goal is likelier reached from a landing than where `reach` is."""
+        if outcome.towed or outcome.code == code:
+            return False
+        there = seen_diagram(outcome.points, find_crossings(outcome.points))
+        return self.values.reach(self.goal, there) > reach
 
 
 def passes_in_order(
@@ -170,15 +208,11 @@ def find_way(
     state: Array,
     points: Array,
     bound: TowBound | None = None,
-) -> Search[tuple[list[Decision], int]]:
-    """Search for the demonstrator's way from a state at rest; see `MacroLanes.run`.
-
-    Returns:
-        The decisions on the way, empty if none was found; and the actions simulated.
-    """
+) -> Search[Found]:
+    """Search for the demonstrator's way from a state at rest; see `MacroLanes.run`."""
     look = _Look(values, goal, config, bound)
     way = yield from look.way(state, points, config.steps)
-    return way or [], look.spent
+    return Found(way or [], look.spent, look.tried)
 
 
 @dataclass(eq=False)
@@ -331,7 +365,7 @@ class Demonstrator(Policy):
         found = dict(self._lanes.run(searches))
         seconds = (time.perf_counter() - began) / len(ids)
         for row, index in enumerate(ids.tolist()):
-            way, spent = found[row]
+            way, spent, _ = found[row]
             progress = self._progress[index]
             progress.effort = progress.effort.plus(Effort(spent, seconds))
             if way:

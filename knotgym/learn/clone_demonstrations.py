@@ -18,8 +18,9 @@ import numpy as np
 
 from knotgym.common.streams import Stream, generator
 from knotgym.control.demonstrator import (
-    Decision,
     DemonstratorConfig,
+    Found,
+    Tried,
     find_way,
     passes_in_order,
     random_pass,
@@ -31,8 +32,10 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig
 from knotgym.learn.clone_data import (
+    NO_MACRO,
     DecidedStep,
     Decisions,
+    Macro,
     gathered,
     join,
     load_decisions,
@@ -40,6 +43,7 @@ from knotgym.learn.clone_data import (
     save_decisions,
 )
 from knotgym.rope.engines import CHAIN
+from knotgym.rope.macro_actions import Pass
 from knotgym.rope.model import Array
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.executors import executor
@@ -49,8 +53,8 @@ from knotgym.topology.knot_table import UNKNOT
 from knotgym.topology.knots import codes_of
 from knotgym.topology.symmetry import diagram_form
 
-# a goal and the way to it: empty if none was found, None if the passes before led there already
-_Found = tuple[GaussCode, list[Decision] | None]
+# a goal and what a look for it found; None if the passes before led there already
+_Found = tuple[GaussCode, Found | None]
 
 _TOGETHER = 1000  # demonstrations of a part, which is one worker's work and one file
 _IN_ORDER, _FIRST = 0.6, 3  # share of the passes before that are among the first of the order
@@ -157,10 +161,11 @@ def _demonstrate(part: Part) -> tuple[Decisions, dict[str, float]]:
     searches = _searches(values, _starts(clone, part.place), demonstrator, part)
     gained = [none()]
     ways = [way for _, way in sorted(lanes.run(searches), key=lambda one: one[0])]
-    for episode, (goal, way) in enumerate(ways, part.before + part.first):
-        steps = [_step(decision) for decision in way or []]
-        gained.append(gathered(steps, steps, goal, episode, clone))
-    searched = [way for _, way in ways if way is not None]
+    for episode, (goal, found) in enumerate(ways, part.before + part.first):
+        if found is not None:
+            steps, ends = _steps(found)
+            gained.append(gathered(steps, steps, goal, episode, clone, ends))
+    searched = [found.way for _, found in ways if found is not None]
     ranks = [decision.rank for way in searched for decision in way]
     counts = {
         "searched": float(len(searched)),
@@ -239,11 +244,34 @@ def _way(
         state, points = landing.state, landing.points
         if landing.code.matches(goal):
             return goal, None
-    way, _ = yield from find_way(values, goal, config, state, points)
-    return goal, way
+    found = yield from find_way(values, goal, config, state, points)
+    return goal, found
 
 
-def _step(decision: Decision) -> DecidedStep:
-    points, landed = (one.astype(np.float32) for one in (decision.points, decision.landing.points))
-    codes = decision.code, decision.landing.code
-    return DecidedStep(points, landed, *codes, decision.move, decision.missed)
+def _steps(found: Found) -> tuple[list[DecidedStep], list[DecidedStep]]:
+    """Return the steps on the way that was found, and the states of dead ends; with all tries."""
+    tried: dict[int, list[Tried]] = {}
+    for one in found.tried:
+        tried.setdefault(id(one.points), []).append(one)
+    way = list[DecidedStep]()
+    for points, code, move, _, landing in found.way:
+        others = [one[1:] for one in tried.pop(id(points)) if one.move != move]
+        way.append(_step(points, landing.points, code, landing.code, move, others))
+    nowhere = GaussCode()  # where a step that isn't imitated led
+    dead = [
+        _step(own[0].points, own[0].points, nowhere, nowhere, NO_MACRO, [one[1:] for one in own])
+        for own in tried.values()
+    ]
+    return way, dead
+
+
+def _step(
+    points: Array,
+    landed: Array,
+    before: GaussCode,
+    after: GaussCode,
+    macro: Macro,
+    tried: list[tuple[Pass, bool]],
+) -> DecidedStep:
+    single = points.astype(np.float32), landed.astype(np.float32)
+    return DecidedStep(*single, before, after, macro, tuple(tried))

@@ -107,6 +107,7 @@ def play(
             imitated = way if terminated[row] else []
             good = {id(step) for step in imitated}
             vain = [step for step in steps[index] if id(step) not in good]
+            vain = [one._replace(tried=((one.macro, False),)) for one in vain]
             vain = vain[:: len(vain) // _VAIN + 1]
             key = -1 - config.episodes * number - numbers[index]
             kept.append(gathered(way, imitated, episodes.goals[index], key, clone, vain))

@@ -241,10 +241,10 @@ def test_what_was_tried_in_vain_is_judged_but_not_imitated() -> None:
     turn = 2 * np.pi * np.arange(100) / 100
     points = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1).astype(np.float32)
     goal = GaussCode.parse("1+,1-")
-    step = DecidedStep(points, points, GaussCode(), GaussCode(), (5, 50, 1), ((7, 40, -1),))
+    step = DecidedStep(points, points, GaussCode(), GaussCode(), (5, 50, 1), (((7, 40, -1), False),))
     kept = gathered([], [step], goal, 0, CloneConfig(copies=0), vain=[step])
-    assert kept.macros[0, :2].tolist() == [[5, 50, 1], [7, 40, -1]]
-    assert kept.macros[1, :2, 0].tolist() == [NONE, 5]
+    assert kept.macros[0, :2].tolist() == [[5, 50, 1, 1], [7, 40, -1, 0]]
+    assert kept.macros[1, :2, 0].tolist() == [NONE, 7]
     data, network = examples(kept), CloneNetwork(16, 1)
     losses = network.macro_loss(inputs(data.seen), torch.from_numpy(data.macros))
     assert (losses[0] > 0).all() and losses[1, :3].tolist() == [0, 0, 0] and losses[1, 3] > 0
