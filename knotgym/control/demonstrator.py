@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import check_numbers
 from knotgym.control.expert import Expert
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
-from knotgym.control.pass_counts import DiagramValues, shipped_values, templates
+from knotgym.control.pass_counts import DiagramValues, PassChoice, shipped_values, templates
 from knotgym.control.planner import REST
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import NO_MACRO, Choice, Effort, Policy
@@ -182,10 +182,10 @@ class _Look:
 
 def passes_in_order(
     values: DiagramValues, goal: GaussCode, points: Array
-) -> Iterator[tuple[Pass, float]]:
+) -> Iterator[tuple[Pass, PassChoice]]:
     """Yield the passes that lead a rope nearer to a goal, in their order, each once.
 
-    Beside each stands what it is worth, in (0, 1]; see `DiagramValues`.
+    Beside each stands what it is at the rope's diagram.
     """
     crossings = find_crossings(points)
     diagram = seen_diagram(points, crossings)
@@ -198,7 +198,7 @@ def passes_in_order(
         move = template.on(arcs, choice.element, diagram.nx, len(points))
         if move not in known and move.bead != move.target:
             known.add(move)
-            yield move, choice.value
+            yield move, choice
 
 
 def find_way(

@@ -13,6 +13,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.common.streams import Stream, key
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.datasets.state_verification import folder_faults, state_faults
+from knotgym.generate.states import planned_sequences
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.code_order import CodeOrder
 from knotgym.generate.states.demonstrations import DemonstrationTask, demonstrate
@@ -112,16 +113,19 @@ def test_a_run_saved_after_any_wave_goes_on_to_the_same_bytes(tmp_path: Path) ->
         assert signature(follow(resumed, folder)) == signature(whole)
 
 
-@pytest.fixture(scope="module")
-def planned() -> Archive:
-    """An archive with a planned sequence to a code with one crossing, and what is on the way."""
+@pytest.fixture(scope="module", params=["demonstrator", "planner"])
+def planned(request: pytest.FixtureRequest) -> Archive:
+    """An archive with a sequence to a code with one crossing, and what is on the way."""
     search = SearchConfig(max_nx=2)
     archive = new_archive(search)
     elites = tuple(archive.niches[GaussCode(chirality="")])
     goal = GaussCode.parse("1+,1-")
     planner = PlannerConfig(budget=800)
     target = Target(search, planner, elites[:1], goal, True, frozenset(), 0, (7, 0, 0, 0, 0))
-    found = reach(target)
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "planner":  # as if the demonstrator found no way
+            patch.setattr(planned_sequences, "lead", lambda *_: 0)
+        found = reach(target)
     assert any(one.exact and one.code.plain in (goal, goal.mirrored()) for one in found.elites)
     assert found.spent > 0
     for elite in found.elites:
