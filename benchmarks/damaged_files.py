@@ -12,18 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from damaged_hdf5 import HDF5, Damage, Random
+from damaged_hdf5 import HDF5, Damage, Random, bits, cut
 from damaged_json import holder, not_json, pick, places, value_changed, value_missing
 
 from knotgym.common.atomic_files import sha256
-
-
-def bytes_changed(path: Path, rng: Random) -> None:
-    """One to four bits flipped."""
-    raw = bytearray(path.read_bytes())
-    for at in rng.integers(0, len(raw), int(rng.integers(1, 5))):
-        raw[at] ^= 1 << int(rng.integers(8))
-    path.write_bytes(raw)
 
 
 def ending(path: Path, rng: Random) -> None:
@@ -31,12 +23,6 @@ def ending(path: Path, rng: Random) -> None:
     raw = bytearray(path.read_bytes())
     raw[-1 - int(rng.integers(min(4096, len(raw))))] ^= 1 << int(rng.integers(8))
     path.write_bytes(raw)
-
-
-def cut_short(path: Path, rng: Random) -> None:
-    """Its end missing."""
-    raw = path.read_bytes()
-    path.write_bytes(raw[: int(rng.integers(len(raw)))])
 
 
 def no_file(path: Path, rng: Random) -> None:
@@ -150,14 +136,14 @@ def forged(path: Path, rng: Random) -> None:
 
 def weights_changed(path: Path, rng: Random) -> None:
     """Bits of the weights flipped, their end missing, or no file there."""
-    pick(rng, (bytes_changed, cut_short, no_file))(path.with_name("weights.safetensors"), rng)
+    pick(rng, (bits, cut, no_file))(path.with_name("weights.safetensors"), rng)
 
 
 def beside_changed(path: Path, rng: Random) -> None:
     """What lies beside or below a checkpoint changed: bits flipped, its end missing, no file."""
     others = [one for one in sorted(path.parent.rglob("*")) if one.is_file() and one != path]
     others = [one for one in others if one.stat().st_size]
-    pick(rng, (bytes_changed, cut_short, no_file))(pick(rng, others), rng)
+    pick(rng, (bits, cut, no_file))(pick(rng, others), rng)
 
 
 def request_changed(path: Path, rng: Random) -> None:
@@ -174,16 +160,16 @@ def text_changed(path: Path, rng: Random) -> None:
     path.write_text(text[:at] + odd + text[at + 1 :], encoding="utf-8")
 
 
-_BYTES = (bytes_changed, cut_short, not_json, no_file)
-_JSON = (bytes_changed, cut_short, value_changed, value_missing, not_json, no_file)
+_BYTES = (bits, cut, not_json, no_file)
+_JSON = (bits, cut, value_changed, value_missing, not_json, no_file)
 _STAGED = (*_JSON, beside_changed, request_changed)
 DAMAGES: dict[str, tuple[Damage, ...]] = {
     "states": HDF5,
     "episodes": HDF5,
     "pictures": (
-        bytes_changed,
+        bits,
         ending,
-        cut_short,
+        cut,
         column_type,
         columns_moved,
         cell_changed,
@@ -206,7 +192,7 @@ DAMAGES: dict[str, tuple[Damage, ...]] = {
     "walk_files": _BYTES,
     "trainings": (*_BYTES, beside_changed),
     "replies": _JSON,
-    "caches": (cut_short, not_json, no_file),
+    "caches": (cut, not_json, no_file),
 }
 # of files that are read with others, which
 _WITH = {

@@ -26,10 +26,10 @@ def _one(file: h5py.File, rng: Random) -> str:
     return names[int(rng.integers(len(names)))]
 
 
-def bits(path: Path, rng: Random, first: int = 0) -> None:
+def bits(path: Path, rng: Random) -> None:
     """One to four bits flipped."""
     raw = bytearray(path.read_bytes())
-    for at in rng.integers(first, len(raw), int(rng.integers(1, 5))):
+    for at in rng.integers(0, len(raw), int(rng.integers(1, 5))):
         raw[at] ^= 1 << int(rng.integers(8))
     path.write_bytes(raw)
 
