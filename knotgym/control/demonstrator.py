@@ -10,6 +10,7 @@ the rope lies, which a network can learn; `planner` is a better player and a wor
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -74,20 +75,15 @@ class Decision(NamedTuple):
         points: float64 (beads, 3), metres: where the rope lay at rest.
         code: with chirality.
         move: the pass.
-        missed: the passes tried there before it.
+        rank: number of passes tried there, this one included.
         landing: where it led.
     """
 
     points: Array
     code: GaussCode
     move: Pass
-    missed: tuple[Pass, ...]
+    rank: int
     landing: Landing
-
-    @property
-    def rank(self) -> int:
-        """How many passes were tried, this one included."""
-        return len(self.missed) + 1
 
 
 class Tried(NamedTuple):
@@ -146,18 +142,17 @@ class _Look:
         # The chance that the goal can be reached from here, as counted; only passes that raise it
         # are followed, so a way never comes back to a diagram.
         here = self.values.reach(self.goal, diagram)
-        missed = list[Pass]()
         # many passes tow the rope, and the order doesn't know which
         candidates = self.config.candidates * (1 if self.bound is None else _BOUNDED)
-        for move, _ in passes_in_order(self.values, self.goal, points):
-            if len(missed) >= candidates or self.spent >= self.config.budget:
+        ordered = islice(passes_in_order(self.values, self.goal, points), candidates)
+        for rank, (move, _) in enumerate(ordered, 1):
+            if self.spent >= self.config.budget:
                 return None
             # A generator yields what it wants simulated, so that many looks share the lanes.
             pulls = min(LONGEST, steps)
             outcome: Landing = yield Trial(state, move, self.goal, pulls, self.bound)
             self.spent += outcome.pulls
-            decision = Decision(points, diagram.code, move, tuple(missed), outcome)
-            missed.append(move)
+            decision = Decision(points, diagram.code, move, rank, outcome)
             # The goal may be shown before the pass is over, which then ends there; see `Trial`.
             shown = not outcome.towed and outcome.code.matches(self.goal)
             nearer = shown or self._is_nearer(outcome, diagram.code, here)
