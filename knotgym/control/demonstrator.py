@@ -101,7 +101,7 @@ class Tried(NamedTuple):
     nearer: bool
 
 
-class Found(NamedTuple):
+class FoundWay(NamedTuple):
     """What a look found.
 
     Attributes:
@@ -203,11 +203,11 @@ def find_way(
     state: Array,
     points: Array,
     bound: TowBound | None = None,
-) -> Search[Found]:
+) -> Search[FoundWay]:
     """Search for the demonstrator's way from a state at rest; see `MacroLanes.run`."""
     look = _Look(values, goal, config, bound)
     way = yield from look.way(state, points, config.steps)
-    return Found(way or [], look.spent, look.tried)
+    return FoundWay(way or [], look.spent, look.tried)
 
 
 @dataclass(eq=False)

@@ -19,7 +19,7 @@ import numpy as np
 from knotgym.common.streams import Stream, generator
 from knotgym.control.demonstrator import (
     DemonstratorConfig,
-    Found,
+    FoundWay,
     Tried,
     find_way,
     passes_in_order,
@@ -54,7 +54,7 @@ from knotgym.topology.knots import codes_of
 from knotgym.topology.symmetry import diagram_form
 
 # a goal and what a look for it found; None if the passes before led there already
-_Found = tuple[GaussCode, Found | None]
+_Sought = tuple[GaussCode, FoundWay | None]
 
 _TOGETHER = 1000  # demonstrations of a part, which is one worker's work and one file
 _IN_ORDER, _FIRST = 0.6, 3  # share of the passes before that are among the first of the order
@@ -218,7 +218,7 @@ def _searches(
     starts: Starts,
     demonstrator: DemonstratorConfig,
     part: Part,
-) -> Iterator[Search[_Found]]:
+) -> Iterator[Search[_Sought]]:
     for episode in range(part.first, part.first + part.episodes):
         rng = generator(Stream.DEMONSTRATION, part.clone.seed, part.place, episode)
         row, goal = starts.draw(rng)
@@ -234,7 +234,7 @@ def _way(
     points: Array,
     wander: int,
     rng: np.random.Generator,
-) -> Search[_Found]:
+) -> Search[_Sought]:
     """Find a way after some passes that weren't tried out."""
     for _ in range(wander):
         move, in_order = random_pass(len(points), rng), rng.random() < _IN_ORDER
@@ -248,7 +248,7 @@ def _way(
     return goal, found
 
 
-def _steps(found: Found) -> tuple[list[DecidedStep], list[DecidedStep]]:
+def _steps(found: FoundWay) -> tuple[list[DecidedStep], list[DecidedStep]]:
     """Return the steps on the way that was found, and the states of dead ends; with all tries."""
     tried: dict[int, list[Tried]] = {}
     for one in found.tried:

@@ -28,11 +28,11 @@ _LOOKING = DemonstratorConfig(budget=800)
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """Where a rope is led from.
+class LedRope:
+    """A rope to lead.
 
     Attributes:
-        elite: a known state.
+        elite: the known state that it starts from.
         goal: the code to lead it to, without chirality.
     """
 
@@ -40,12 +40,12 @@ class Start:
     goal: GaussCode
 
 
-def lead(ropes: Simulation, starts: Sequence[Start], longest: int, met: Met) -> int:
+def lead(ropes: Simulation, starts: Sequence[LedRope], longest: int, met: Met) -> int:
     """Lead ropes to their goals until one is there or all are stuck.
 
     Args:
         ropes: one rope of the run's engine for each start; overwritten.
-        starts: where they are led from, and to.
+        starts: where they start, and their goals.
         longest: most actions of a sequence, with those that led to its start.
         met: called after every action; the sequence is that of the start and the actions since.
 

@@ -13,7 +13,7 @@ from knotgym.control.checked_plan import plan_checked
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Elite
-from knotgym.generate.states.led_sequences import Met, Start, lead
+from knotgym.generate.states.led_sequences import LedRope, Met, lead
 from knotgym.generate.states.search import SearchConfig, readings
 from knotgym.quality.measures import Limits
 from knotgym.rope.engines import CHAIN, simulation_of
@@ -68,7 +68,7 @@ def reach(target: Target) -> Found:
             met.setdefault(code, (sequence, state))  # the first with each code
 
     first = target.number * _LED % len(near)
-    starts = [Start(elite, goal) for elite, _, goal in near[first : first + _LED]]
+    starts = [LedRope(elite, goal) for elite, _, goal in near[first : first + _LED]]
     ropes = simulation_of(len(starts), target.search.rope, target.search.engine)
     spent = lead(ropes, starts, target.search.longest, keep)
     if not goals & met.keys():
