@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import check_numbers
 from knotgym.control.expert import Expert
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
-from knotgym.control.pass_counts import DiagramValues, PassChoice, shipped_values, templates
+from knotgym.control.pass_counts import DiagramValues, shipped_values, templates
 from knotgym.control.planner import REST
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import NO_MACRO, Choice, Effort, Policy
@@ -93,12 +93,10 @@ class Tried(NamedTuple):
         points: float64 (beads, 3), metres: where the rope lay at rest; the same array for all
             passes tried there.
         move: the pass.
-        nearer: whether it led to the goal, or to where the goal is likelier reached.
     """
 
     points: Array
     move: Pass
-    nearer: bool
 
 
 class FoundWay(NamedTuple):
@@ -153,34 +151,28 @@ class _Look:
             outcome: Landing = yield Trial(state, move, self.goal, pulls, self.bound)
             self.spent += outcome.pulls
             decision = Decision(points, diagram.code, move, rank, outcome)
+            self.tried.append(Tried(points, move))
             # The goal may be shown before the pass is over, which then ends there; see `Trial`.
-            shown = not outcome.towed and outcome.code.matches(self.goal)
-            nearer = shown or self._is_nearer(outcome, diagram.code, here)
-            self.tried.append(Tried(points, move, nearer))
-            if shown:
+            if not outcome.towed and outcome.code.matches(self.goal):
                 return [decision]
             left = steps - outcome.pulls
-            if nearer and left > 0:
-                # Depth first: all ways through this landing come before the next pass from here.
-                rest = yield from self.way(outcome.state, outcome.points, left)
-                if rest is not None:
-                    return [decision, *rest]
+            if left > 0 and not outcome.towed and outcome.code != diagram.code:
+                there = seen_diagram(outcome.points, find_crossings(outcome.points))
+                if self.values.reach(self.goal, there) > here:
+                    # Depth first: all ways through this landing come before the next pass from
+                    # here.
+                    rest = yield from self.way(outcome.state, outcome.points, left)
+                    if rest is not None:
+                        return [decision, *rest]
         return None
-
-    def _is_nearer(self, outcome: Landing, code: GaussCode, reach: float) -> bool:
-        """Tell whether the goal is likelier reached from a landing than where `reach` is."""
-        if outcome.towed or outcome.code == code:
-            return False
-        there = seen_diagram(outcome.points, find_crossings(outcome.points))
-        return self.values.reach(self.goal, there) > reach
 
 
 def passes_in_order(
     values: DiagramValues, goal: GaussCode, points: Array
-) -> Iterator[tuple[Pass, PassChoice]]:
+) -> Iterator[tuple[Pass, float]]:
     """Yield the passes that lead a rope nearer to a goal, in their order, each once.
 
-    Beside each stands what it is at the rope's diagram.
+    Beside each stands what it is worth, in (0, 1]; see `DiagramValues`.
     """
     crossings = find_crossings(points)
     diagram = seen_diagram(points, crossings)
@@ -193,7 +185,7 @@ def passes_in_order(
         move = template.on(arcs, choice.element, diagram.nx, len(points))
         if move not in known and move.bead != move.target:
             known.add(move)
-            yield move, choice
+            yield move, choice.value
 
 
 def find_way(

@@ -94,14 +94,11 @@ class PassChoice(NamedTuple):
         element: number of the symmetry element that brings the diagram to its first image, to
             which templates apply.
         value: see `DiagramValues`.
-        landed: the value of the diagrams of more worth that it leads to, in the mean; so `value` is
-            this times the chance that it leads to one of them.
     """
 
     template: int
     element: int
     value: float = 0.0
-    landed: float = 0.0
 
 
 @lru_cache
@@ -320,7 +317,7 @@ class DiagramValues:
             int(origins[begin]): (begin, end) for begin, end in itertools.pairwise(edges)
         }
         self._values: dict[GaussCode, _GoalValues] = {}
-        self._orders: dict[tuple[GaussCode, SeenDiagram], list[tuple[int, float, float]]] = {}
+        self._orders: dict[tuple[GaussCode, SeenDiagram], list[tuple[float, int]]] = {}
 
     def reach(self, goal: GaussCode, diagram: SeenDiagram) -> float:
         """The chance to reach a goal code from a diagram; 0 if the counts don't know a way."""
@@ -337,18 +334,18 @@ class DiagramValues:
         moved = diagram.image(seen_as)
         _, element = canonical_image(moved)
         return [
-            PassChoice(template, seen_as ^ element, value, landed)
-            for template, value, landed in self._ordered(towards, moved, element)
+            PassChoice(template, seen_as ^ element, value)
+            for value, template in self._ordered(towards, moved, element)
         ]
 
     def _ordered(
         self, goal: GaussCode, diagram: SeenDiagram, element: int
-    ) -> list[tuple[int, float, float]]:
+    ) -> list[tuple[float, int]]:
         key = goal, diagram
         if key not in self._orders:
             first = diagram.image(element)
             begin, end = self._passes.get(self._index.get(first, -1), (0, 0))
-            order: list[tuple[int, float, float]] = []
+            order: list[tuple[float, int]] = []
             if end > begin:
                 values = self._of(goal)
                 rows = slice(
@@ -356,14 +353,12 @@ class DiagramValues:
                     int(self._start[end]) if end < len(self._start) else len(self._chance),
                 )
                 worth = self._worth(values.first, values.reach, element, rows)
-                sums, chances = np.zeros((2, end - begin))
+                sums = np.zeros(end - begin)
                 np.add.at(sums, self._pass_of[rows] - begin, worth)
-                nearer = np.where(worth > 0, self._chance[rows], 0.0)
-                np.add.at(chances, self._pass_of[rows] - begin, nearer)
                 # rounded, so that the order doesn't depend on how a machine adds
                 rounded = np.round(sums, 6)
                 order = [
-                    (int(self._template[begin + k]), float(rounded[k]), float(sums[k] / chances[k]))
+                    (float(rounded[k]), int(self._template[begin + k]))
                     for k in np.argsort(-rounded, kind="stable")
                     if rounded[k] > 0
                 ]

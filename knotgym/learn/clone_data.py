@@ -32,7 +32,7 @@ from knotgym.topology.symmetry import shifted_base
 
 Macro = tuple[int, int, int]  # or a `Pass`, which is one
 
-TRIED = 11  # macro-actions of a state that are kept beside the one chosen, at most
+MISSED = 11  # macro-actions without success that are kept of a state, at most
 NONE = -1
 NO_MACRO = NONE, NONE, 1
 
@@ -43,9 +43,9 @@ class Decisions(NamedTuple):
     Attributes:
         points: float32 (n, beads, 3), metres.
         goals: str (n,), codes without chirality.
-        macros: int64 (n, 1 + TRIED, 4): bead to lead, bead of the strand to pass, +1 over or -1
-            under, and 1 if that led nearer to the goal or 0 if not; first the one chosen, then some
-            that were tried. Those that there aren't have bead and strand NONE.
+        macros: int64 (n, 1 + MISSED, 3): bead to lead, bead of the strand to pass, +1 over or -1
+            under; first the one chosen, then some that were tried and led nowhere. Those that there
+            aren't have bead and strand NONE.
         forces: float32 (n, 3), relative to the largest, of pulls; not used for macro-actions.
         episodes: int64 (n,), episodes are held out whole.
         intended: bool (n,), whether the goal was the one intended; else it was reached by chance,
@@ -80,7 +80,7 @@ class DecidedStep(NamedTuple):
         landed: the same after it.
         before, after: codes.
         macro: see `Decisions`; NO_MACRO where nothing is to be imitated.
-        tried: others that were tried, and whether each led nearer to the goal.
+        missed: what was tried there in vain.
     """
 
     points: NDArray[np.float32]
@@ -88,16 +88,15 @@ class DecidedStep(NamedTuple):
     before: GaussCode
     after: GaussCode
     macro: Macro
-    tried: tuple[tuple[Macro, bool], ...] = ()
+    missed: tuple[Macro, ...] = ()
 
     def numbered_from(self, base: int) -> DecidedStep:
         """Return the same decision on a rope whose beads are numbered from bead `base`."""
         count = len(self.points)
-
-        def renumbered(macro: Macro) -> Macro:
-            bead, target, side = macro
-            return (bead - base) % count, (target - base) % count, side
-
+        macro, *missed = (
+            ((bead - base) % count, (target - base) % count, side)
+            for bead, target, side in (self.macro, *self.missed)
+        )
         before, after = (
             shifted_base(find_crossings(points.astype(np.float64)), base)
             for points in (self.points, self.landed)
@@ -107,8 +106,8 @@ class DecidedStep(NamedTuple):
             np.roll(self.landed, -base, axis=0),
             before,
             after,
-            renumbered(self.macro),
-            tuple((renumbered(macro), nearer) for macro, nearer in self.tried),
+            macro,
+            tuple(missed),
         )
 
 
@@ -117,8 +116,7 @@ class Examples(NamedTuple):
 
     Attributes:
         seen: states; frames apart, all that the network is shown.
-        macros: int64 (n, 1 + TRIED, 4): bead, strand, 0 for under or 1 for over, and whether it led
-            nearer; see `Decisions`.
+        macros: int64 (n, 1 + MISSED, 3): bead, strand, 0 for under or 1 for over; see `Decisions`.
         forces: int64 (n, 3), choices of the force components of pulls.
         intended: bool (n,), as of `Decisions`.
     """
@@ -145,8 +143,8 @@ def examples(decisions: Decisions) -> Examples:
     seen = mark(decisions.points, [codes[text] for text in decisions.goals.tolist()])
     frames = seen.frames
     macros = np.full_like(decisions.macros, NONE)
-    for number, (beads, targets, sides, led) in enumerate(decisions.macros.transpose(1, 2, 0)):
-        own = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2, led
+    for number, (beads, targets, sides) in enumerate(decisions.macros.transpose(1, 2, 0)):
+        own = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
         macros[:, number] = np.where(beads[:, None] == NONE, NONE, np.stack(own, axis=1))
     forces = np.clip(frames.vectors(decisions.forces), -1, 1)
     return Examples(
@@ -233,7 +231,7 @@ def gathered(
         goal: the episode's own.
         number: of the episode.
         config: says how much hindsight there is, and how many copies.
-        vain: steps that aren't imitated; what was tried there is learned all the same.
+        vain: steps that aren't imitated; what was tried there in vain is learned all the same.
     """
     rows = [(step, goal.plain, True) for step in imitated]
     for step in vain:
@@ -255,7 +253,7 @@ def gathered(
     return Decisions(
         points.astype(np.float32),
         np.array([str(code) for _, code, _ in rows], dtype=np.str_),
-        _table([((step.macro, True), *step.tried) for step, *_ in rows]),
+        _table([(step.macro, *step.missed) for step, *_ in rows]),
         np.zeros((count, 3), dtype=np.float32),
         np.full(count, number, dtype=np.int64),
         np.array([own for *_, own in rows], dtype=bool),
@@ -289,12 +287,11 @@ def load_decisions(path: Path) -> tuple[Decisions, dict[str, float]]:
     return decisions, rates
 
 
-def _table(tried: Sequence[tuple[tuple[Macro, bool], ...]]) -> NDArray[np.int64]:
+def _table(tried: Sequence[tuple[Macro, ...]]) -> NDArray[np.int64]:
     """Return macro-actions, the first of each row chosen, as of `Decisions`."""
-    macros = np.full((len(tried), 1 + TRIED, 4), NONE, dtype=np.int64)
+    macros = np.full((len(tried), 1 + MISSED, 3), NONE, dtype=np.int64)
     for row, own in zip(macros, tried, strict=True):
-        kept = own[: 1 + TRIED]
-        row[: len(kept)] = [(*macro, nearer) for macro, nearer in kept]
+        row[: len(own)] = own[: 1 + MISSED]
     return macros
 
 
@@ -302,7 +299,7 @@ def _pulls(episode: Episode, number: int) -> Decisions:
     """Return every pull of an episode as a decision."""
     count = len(episode)
     # an info at state t + 1 belongs to the pull that led there from state t
-    macros = _table([(((bead, bead, 1), True),) for bead in episode.bead[1:].tolist()])
+    macros = _table([((bead, bead, 1),) for bead in episode.bead[1:].tolist()])
     return Decisions(
         episode.points[:-1].astype(np.float32),
         np.full(count, episode.goal_gauss_code),

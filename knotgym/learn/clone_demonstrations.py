@@ -43,7 +43,6 @@ from knotgym.learn.clone_data import (
     save_decisions,
 )
 from knotgym.rope.engines import CHAIN
-from knotgym.rope.macro_actions import Pass
 from knotgym.rope.model import Array
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.executors import executor
@@ -249,17 +248,21 @@ def _way(
 
 
 def _steps(found: FoundWay) -> tuple[list[DecidedStep], list[DecidedStep]]:
-    """Return the steps on the way that was found, and the states of dead ends; with all tries."""
+    """Return the steps on the way that was found, and the states of dead ends.
+
+    What was tried in vain stands with each: at a state of the way, what came before its pass; at
+    others everything.
+    """
     tried: dict[int, list[Tried]] = {}
     for one in found.tried:
         tried.setdefault(id(one.points), []).append(one)
     way = list[DecidedStep]()
     for points, code, move, _, landing in found.way:
-        others = [one[1:] for one in tried.pop(id(points)) if one.move != move]
-        way.append(_step(points, landing.points, code, landing.code, move, others))
-    nowhere = GaussCode()  # where a step that isn't imitated led
+        *missed, _ = tried.pop(id(points))
+        way.append(_step(points, landing.points, code, landing.code, move, missed))
+    nowhere = GaussCode()  # where steps that aren't imitated led doesn't matter
     dead = [
-        _step(own[0].points, own[0].points, nowhere, nowhere, NO_MACRO, [one[1:] for one in own])
+        _step(own[0].points, own[0].points, nowhere, nowhere, NO_MACRO, own)
         for own in tried.values()
     ]
     return way, dead
@@ -271,7 +274,7 @@ def _step(
     before: GaussCode,
     after: GaussCode,
     macro: Macro,
-    tried: list[tuple[Pass, bool]],
+    missed: list[Tried],
 ) -> DecidedStep:
     single = points.astype(np.float32), landed.astype(np.float32)
-    return DecidedStep(*single, before, after, macro, tuple(tried))
+    return DecidedStep(*single, before, after, macro, tuple(one.move for one in missed))

@@ -144,11 +144,11 @@ class CloneNetwork(nn.Module):
 
         Args:
             states: n states.
-            tried: int64 (n, 1 + m, 4), beads, strands, sides, and 1 if it led nearer: the
-                macro-action chosen, and up to m others; those that there aren't are NONE.
+            tried: int64 (n, 1 + m, 3), beads, strands and sides: the macro-action chosen, and up
+                to m that didn't work; those that there aren't are NONE.
         """
         seen, known = self(states), (tried[..., 0] != NONE).float()
-        beads, targets, sides, nearer = tried.clamp(min=0).unbind(2)
+        beads, targets, sides = tried.clamp(min=0).unbind(2)
         side, works = self.sides(seen, beads, targets)
         strand = self.targets(seen, beads[:, :1])[:, 0]
         chosen = torch.stack(
@@ -160,8 +160,9 @@ class CloneNetwork(nn.Module):
             dim=1,
         )
         works = works.gather(2, sides[..., None])[..., 0]
-        loss = functional.binary_cross_entropy_with_logits
-        working = loss(works, nearer.float(), reduction="none")
+        chance = torch.zeros_like(works)
+        chance[:, 0] = 1.0
+        working = functional.binary_cross_entropy_with_logits(works, chance, reduction="none")
         working = (known * working).sum(1, keepdim=True)
         return torch.cat([known[:, :1] * chosen, working], dim=1)
 

@@ -2,9 +2,8 @@
 
 A way is an episode without its loops: what happened between two visits to the same code is left
 out. The way of an episode that reached its goal is kept for that goal. Every code on a way is kept
-as a goal too, for the decisions shortly before it, as if it had been asked for (hindsight). Of what
-is left out, and of what an episode did that missed its goal, most is kept as tried: whether it led
-nearer to the goal is judged by the counts of passes.
+as a goal too, for the decisions shortly before it, as if it had been asked for (hindsight). Most of
+what is left out, and of what an episode did that missed its goal, is kept as tried in vain.
 """
 
 from collections.abc import Sequence
@@ -15,19 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, derived_seed, generator
-from knotgym.control.pass_counts import DiagramValues, shipped_values
-from knotgym.control.seen_diagrams import seen_diagram
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_config import CloneConfig
 from knotgym.learn.clone_data import DecidedStep, Decisions, gathered, join, without_loops
 from knotgym.learn.clone_network import CloneNetwork
 from knotgym.learn.clone_policy import ClonePolicy
-from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 
 _LANES = 256  # episodes side by side
-_OTHERS = 6  # macro-actions of an episode, not on the way, that are kept as tried, at most
+_VAIN = 6  # macro-actions of an episode that are kept as tried in vain, at most
 
 
 class PlayedMacros(NamedTuple):
@@ -62,7 +58,6 @@ def play(
     config, seed = clone.play, clone.seed
     task = replace(task, engine="chain", action="macro", observation="state")
     episodes = EpisodeBatch(task, min(_LANES, config.episodes))
-    values = shipped_values(task.split, every_code=True)
     policy = ClonePolicy(network, "macro", clone.guided, config.temperature)
     steps: dict[int, list[DecidedStep]] = {}
     opened: dict[int, tuple[NDArray[np.float32], GaussCode, tuple[int, int, int]]] = {}
@@ -111,21 +106,10 @@ def play(
             way = without_loops(steps[index])
             imitated = way if terminated[row] else []
             good, goal = {id(step) for step in imitated}, episodes.goals[index]
-            others = [step for step in steps[index] if id(step) not in good]
-            others = others[:: len(others) // _OTHERS + 1]
-            tried = [
-                one._replace(tried=((one.macro, _led_nearer(one, goal, values)),)) for one in others
-            ]
+            vain = [step for step in steps[index] if id(step) not in good]
+            vain = [one._replace(missed=(one.macro,)) for one in vain[:: len(vain) // _VAIN + 1]]
             key = -1 - config.episodes * number - numbers[index]
-            kept.append(gathered(way, imitated, goal, key, clone, tried))
+            kept.append(gathered(way, imitated, goal, key, clone, vain))
             left[row] = begin(index)
         under_way = under_way[left]
     return PlayedMacros(join(kept), reached / config.episodes)
-
-
-def _led_nearer(step: DecidedStep, goal: GaussCode, values: DiagramValues) -> bool:
-    before, after = (
-        values.reach(goal, seen_diagram(points, find_crossings(points)))
-        for points in (step.points.astype(np.float64), step.landed.astype(np.float64))
-    )
-    return step.after.matches(goal) or after > before

@@ -224,7 +224,7 @@ def _with_passes(
             own = marked.rows([row]).frames
             seen = own.renumber(beads), own.renumber(targets), (own.sides(sides) + 1) // 2
             macros[row, known : known + len(ordered)] = torch.from_numpy(np.hstack(seen))
-            worth = torch.tensor([choice.landed for _, choice in ordered]).clamp(min=_UNORDERED)
+            worth = torch.tensor([value for _, value in ordered]).clamp(min=_UNORDERED)
             prior[row, known : known + len(ordered)] = worth.log()
     return macros, prior
 

@@ -354,7 +354,7 @@ def predictability(datasets: Sequence[Any], config: CloneConfig | None = None) -
         chances, works = network.rate(looked, likely)
         chosen = likely[torch.arange(count), (chances + WORKING * works).argmax(1)]
     taken = aside.macros[:, 0]
-    guess, wanted = (_first_pulls(aside.seen.points, one) for one in (chosen.numpy(), taken[:, :3]))
+    guess, wanted = (_first_pulls(aside.seen.points, one) for one in (chosen.numpy(), taken))
     left = ((guess - wanted) ** 2).mean(0) / wanted.var(0)
     share = float((first == taken[:, 0]).mean())
     return Predictability(share, tuple((1 - left).tolist()), count)
