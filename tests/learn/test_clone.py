@@ -280,6 +280,32 @@ def test_demonstrations_are_made_on_the_way(tmp_path: Path, task: TaskConfig) ->
     assert weights(tmp_path / "one") == weights(tmp_path / "other")
 
 
+def test_a_killed_training_keeps_the_demonstrations_that_are_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from knotgym.learn import clone_demonstrations as module
+
+    demonstrations = DemonstrationsConfig(episodes=3, lanes=2, starts=4, wander=0)
+    train_tiny(None, tmp_path / "whole", demonstrations=demonstrations)
+    save, saved = module.save_decisions, list[Path]()
+
+    def save_one(path: Path, *part: Any) -> None:
+        if len(saved) == 1:
+            raise KeyboardInterrupt
+        saved.append(path)
+        save(path, *part)
+
+    monkeypatch.setattr(module, "_TOGETHER", 2)
+    monkeypatch.setattr(module, "save_decisions", save_one)
+    with pytest.raises(KeyboardInterrupt):
+        train_tiny(None, tmp_path / "parts", demonstrations=demonstrations)
+    (kept,) = saved
+    saved.clear()
+    train_tiny(None, tmp_path / "parts", demonstrations=demonstrations, resume=True)
+    assert saved != [kept]
+    assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
+
+
 @pytest.mark.parametrize("split", ["train", "train-code"])
 def test_with_every_code_no_held_out_goal_is_demonstrated(split: str) -> None:
     from knotgym.learn.clone_demonstrations import goals_not_held_out
