@@ -284,16 +284,17 @@ def test_a_killed_training_keeps_the_demonstrations_that_are_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from knotgym.learn import clone_demonstrations as module
+    from knotgym.learn.clone_data import save_decisions
 
     demonstrations = DemonstrationsConfig(episodes=3, lanes=2, starts=4, wander=0)
     train_tiny(None, tmp_path / "whole", demonstrations=demonstrations)
-    save, saved = module.save_decisions, list[Path]()
+    saved = list[Path]()
 
     def save_one(path: Path, *part: Any) -> None:
         if len(saved) == 1:
             raise KeyboardInterrupt
         saved.append(path)
-        save(path, *part)
+        save_decisions(path, *part)
 
     monkeypatch.setattr(module, "_TOGETHER", 2)
     monkeypatch.setattr(module, "save_decisions", save_one)
