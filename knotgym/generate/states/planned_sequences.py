@@ -20,7 +20,7 @@ from knotgym.rope.engines import CHAIN, simulation_of
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import GaussCode
 
-_LED = 8  # nearest states from which ropes are led in one search
+_LED = 8  # nearest states from which ropes are led in the first search for a code
 PACE = 7  # actions allowed per change of code on the way to the goal
 
 
@@ -67,8 +67,10 @@ def reach(target: Target) -> Found:
         if code in wanted:
             met.setdefault(code, (sequence, state))  # the first with each code
 
-    first = target.number * _LED % len(near)
-    starts = [LedRope(elite, goal) for elite, _, goal in near[first : first + _LED]]
+    # those beyond the elites of earlier searches, twice as many each time
+    first, count = (2**target.number - 1) * _LED, 2**target.number * _LED
+    led = near[first : first + count] or near[-count:]
+    starts = [LedRope(elite, goal) for elite, _, goal in led]
     ropes = simulation_of(len(starts), target.search.rope, target.search.engine)
     spent = lead(ropes, starts, target.search.longest, keep)
     if not goals & met.keys():
