@@ -39,8 +39,9 @@ class GenerateConfig:
         seed: random seed; the same seed gives the same bytes.
         attempts: drawings per requested state before a Gauss code is skipped; with random-walk,
             walks per requested state.
-        searches: planner searches for a code before it is skipped; the first has the budget
-            `planner.budget`, each further one twice that of the one before.
+        searches: searches for a code before it is skipped; the planner has the budget
+            `planner.budget` in the first and twice that of the one before in each further one, and
+            before it plans, the demonstrator leads ropes from twice as many states.
         cycles: stop after this many rounds of work and keep the states made; 0 for no limit.
         wave: maximum number of units of work in a wave.
         planned: codes that the planner searches for in one wave.
@@ -69,7 +70,7 @@ class GenerateConfig:
     demonstrations: bool = True
     seed: int = 0
     attempts: int = 100
-    searches: int = 6
+    searches: int = 8
     cycles: int = 0
     wave: int = 64
     planned: int = 8
