@@ -25,7 +25,7 @@ _ARCS, _ARC_WIDTH = 2 * _VISITS + 1, 6
 _POINT, _TANGENT = 6.0, 35.0  # per metre, scales at which inputs are of order 1
 _BEAD_WIDTH = 32
 _LIKELY = 8, 4  # beads, and strands for each of them, both sides of which are likely choices
-WORKING = 2.0  # weight of the chance that one works, beside that of being chosen
+WORKING = 3.0  # weight of the chance that one works, beside that of being chosen
 # Labels are smoothed over neighbours: a bead to either side does nearly as well.
 _SMOOTHING = ((-2, 0.05), (-1, 0.15), (0, 0.6), (1, 0.15), (2, 0.05))
 

@@ -53,7 +53,7 @@ CLONE = "clone"
 _VIEWS = {"macro": ("macro", "pull"), "bead": ("bead", "pull")}  # what each head can act in
 # Temperature after a macro-action that changed no code: the likeliest one would be chosen again.
 _ESCAPE = 0.7
-_GUIDED = 0.5  # weight of the chance of being chosen, where the order of the passes counts too
+_GUIDED = 0.25  # weight of the chance of being chosen, where the order of the passes counts too
 _PASSES = 40  # of the order, at most
 _UNORDERED = 0.02  # what a macro-action is worth that the order doesn't have
 
