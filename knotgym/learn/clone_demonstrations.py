@@ -154,7 +154,7 @@ def _parts(clone: CloneConfig, before: int) -> list[Part]:
 def _demonstrate(part: Part) -> tuple[Decisions, dict[str, float]]:
     """Make demonstrations; return their decisions and counts for the rates."""
     clone, config = part.clone, part.clone.demonstrations
-    values = _values(config.split, config.every_code)
+    values = shipped_values(config.split, every_code=config.every_code)
     demonstrator = DemonstratorConfig(budget=config.budget)
     lanes = MacroLanes(config.lanes, demonstrator.macro_actions)
     searches = _searches(values, _starts(clone, part.place), demonstrator, part)
@@ -173,11 +173,6 @@ def _demonstrate(part: Part) -> tuple[Decisions, dict[str, float]]:
         "first_choices": float(ranks.count(1)),
     }
     return join(gained), counts
-
-
-@lru_cache(maxsize=1)
-def _values(split: str, every_code: bool) -> DiagramValues:
-    return shipped_values(split, every_code=every_code)
 
 
 @lru_cache(maxsize=1)

@@ -71,7 +71,7 @@ def lead(ropes: Simulation, starts: Sequence[LedRope], longest: int, met: Met) -
         for rope, move in moves.items():
             at = ropes.points[rope]
             controller.begin(rope, pass_straight(at, *move, _LOOKING.macro_actions), at)
-        able = list(moves)
+        able, before = list(moves), left.copy()
         for _ in range(LONGEST):
             controller.advance(ropes.points)
             able = [rope for rope in able if left[rope] > 0]
@@ -93,4 +93,5 @@ def lead(ropes: Simulation, starts: Sequence[LedRope], longest: int, met: Met) -
                 met(codes[row].plain, sequence, ropes.states([rope])[0])
                 if codes[row].matches(starts[rope].goal):
                     return spent
+        able = [rope for rope in able if left[rope] < before[rope]]
     return spent
