@@ -25,8 +25,37 @@ def closed_directions(along: Array) -> Array:
         if np.abs(total).max() < 1e-13 * len(along):
             break
         slope = ((np.eye(3) - unit[:, :, None] * unit[:, None, :]) / norm[:, :, None]).sum(axis=0)
-        shift += np.linalg.solve(slope, total)
+        shift += solved(slope.tolist(), total.tolist())
     return unit
+
+
+def solved(matrix: list[list[float]], vector: list[float]) -> list[float]:
+    """Solve three linear equations, with the same bits on every machine.
+
+    `np.linalg.solve` rounds differently from one processor to the next, because BLAS has other
+    kernels for each, and what is laid here starts episodes that are replayed bit by bit. This is
+    Gaussian elimination with partial pivoting, in the order of OpenBLAS on processors with AVX2:
+    columns are multiplied by the pivot's reciprocal, and the last pivot subtracts its two products
+    at once.
+    """
+    rows = [[*row, right] for row, right in zip(matrix, vector, strict=True)]
+    first = max(range(3), key=lambda row: abs(rows[row][0]))
+    rows[0], rows[first] = rows[first], rows[0]
+    a, b, c = rows
+    for row in (b, c):
+        row[0] *= 1 / a[0]
+        row[1] -= row[0] * a[1]
+    if abs(c[1]) > abs(b[1]):
+        b, c = c, b
+    c[1] *= 1 / b[1]
+    b[2] -= b[0] * a[2]
+    c[2] -= c[0] * a[2] + c[1] * b[2]
+    b[3] -= b[0] * a[3]
+    c[3] = c[3] - c[0] * a[3] - c[1] * b[3]
+    z = c[3] / c[2]
+    y = (b[3] - b[2] * z) / b[1]
+    x = (a[3] - a[2] * z - a[1] * y) / a[0]
+    return [x, y, z]
 
 
 def equal_chords(curve: Array, count: int) -> Array:

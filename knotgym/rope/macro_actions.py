@@ -8,6 +8,7 @@ A haul pulls two beads apart with full force, one in even and one in odd steps. 
 and codes, and undoes tangles in which every small change makes things worse.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -318,7 +319,9 @@ class WaypointController:
         self._stage[index] = 0
         if points is not None:
             for waypoint in macro_action.waypoints:
-                far = np.linalg.norm(waypoint - points[macro_action.bead])
+                # not np.linalg.norm, whose last bit depends on the processor
+                x, y, z = (waypoint - points[macro_action.bead]).tolist()
+                far = math.sqrt(x * x + y * y + z * z)
                 if far >= self._config.arrived:
                     break
                 self._stage[index] += 1

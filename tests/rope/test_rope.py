@@ -1,5 +1,6 @@
 """The rope model matches the published one, and configurations and qpos convert without loss."""
 
+import hashlib
 import json
 from dataclasses import asdict, replace
 from typing import Any
@@ -11,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.rope.closed_curves import clearance
+from knotgym.rope.closed_curves import clearance, solved
 from knotgym.rope.model import InvalidCurve, Rope, RopeConfig, sub_chains
 from knotgym.topology.crossings import label
 
@@ -277,3 +278,14 @@ def test_clearance_is_the_smallest_distance_between_beads_apart() -> None:
 
 def test_models_of_equal_configs_are_compiled_once() -> None:
     assert Rope().model is Rope(replace(RopeConfig())).model
+
+
+def test_equations_are_solved_with_the_same_bits_on_every_processor() -> None:
+    rng = np.random.default_rng(5)
+    matrices, vectors = rng.normal(size=(500, 3, 3)), rng.normal(size=(500, 3))
+    found = np.array(
+        [solved(*both) for both in zip(matrices.tolist(), vectors.tolist(), strict=True)]
+    )
+    assert np.allclose(np.einsum("nij,nj->ni", matrices, found), vectors, atol=1e-9)
+    # the bits of np.linalg.solve on processors with AVX2, on which the shipped recordings were made
+    assert hashlib.sha256(found.tobytes()).hexdigest().startswith("6da70531850c8fc9")
