@@ -132,7 +132,9 @@ def _angle(points: Array, over: float, under: float) -> float:
 
     # directions over two beads, because a single bead's direction jumps at joints
     a, b = (at(visit + 1) - at(visit - 1) for visit in (over, under))
-    return float(np.degrees(np.arctan2(abs(a[0] * b[1] - a[1] * b[0]), abs(a[0] * b[0] + a[1] * b[1]))))
+    # written out, because the last bit of `a @ b` depends on the processor
+    cross, dot = a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1]
+    return float(np.degrees(np.arctan2(abs(cross), abs(dot))))
 
 
 def _faces(pixels: Array, crossings: Crossings) -> Array:
