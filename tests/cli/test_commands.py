@@ -124,7 +124,7 @@ def test_a_terminal_is_told_from_the_first_moment_and_at_the_end(
         "collect": "1 episodes, ",
         "images": "2 pictures",
         "evaluate": "return",
-        "verify": "8 labels: no faults",
+        "verify": "8 Gauss codes: no faults",
         "merge": "m.h5: 8 states",
         "export": "2 episodes, ",
     }[command]
@@ -629,7 +629,7 @@ def test_numbers_and_dicts_are_told_in_words() -> None:
         ("", "8 Gauss codes, 8 demonstrations, "),
         pytest.param(WAYS, "2 episodes, ", marks=pytest.mark.slow),  # of the eight above
         # above, verify tells a terminal the same
-        pytest.param("states.h5", "8 labels: no faults", marks=pytest.mark.slow),
+        pytest.param("states.h5", "8 Gauss codes: no faults", marks=pytest.mark.slow),
     ],
 )
 def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(

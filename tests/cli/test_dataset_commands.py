@@ -314,10 +314,12 @@ def test_what_is_no_dataset_is_refused_in_one_line(
 def test_a_replay_is_filmed_from_the_start_to_the_state(
     curated: Path, tmp_path: Path, kind: str
 ) -> None:
-    states = read_states(curated / "states.h5")
-    source, row = (curated, 5) if kind == "states" else (curated / WAYS, 1)
+    if kind == "states":
+        source, row, steps = curated, 5, read_states(curated / "states.h5").source["steps"][5]
+    else:
+        source, row, steps = curated / WAYS, 1, len(EpisodeReader(curated / WAYS).episode(1))
     assert knotgym("dataset", "replay", source, "--row", row, "--out", tmp_path / "a.mp4") == 0
-    assert film_length(tmp_path / "a.mp4") == states.source["steps"][5] + 1 + FRAMES_PER_SECOND
+    assert film_length(tmp_path / "a.mp4") == steps + 1 + FRAMES_PER_SECOND
 
 
 @pytest.mark.slow

@@ -143,11 +143,12 @@ class StateRecipe(MadeStates, Recipe):
         return {"config": as_json(self.config), "source": source}
 
     def begin(self) -> None:
+        given = Archive.load(self.given) if self.given else None  # refused even where unused
         if not any(map(self.has_ways, self.config.nx)):
             return
         is_loop = np.array_equal(self.start.points, Rope().loop())
         fresh = new_archive(self.search, None if is_loop else self.start.points)
-        self.archive = Archive.load(self.given) if self.given else fresh
+        self.archive = fresh if given is None else given
         if _origin(self.archive) != _origin(fresh):
             raise InvalidConfig(
                 f"the action sequences of {self.given} start from another curve, move another rope"
