@@ -270,7 +270,7 @@ def test_changed_bytes_of_every_column_are_told(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_page_of_borderline_pictures_is_drawn(tmp_path: Path) -> None:
-    run_script(FOLDER / "borderline.py", "--states", 8, "--out", tmp_path / "borderline.png")
+    run_script(FOLDER / "borderline.py", "--states", 40, "--out", tmp_path / "borderline.png")
     assert (tmp_path / "borderline.png").stat().st_size > 1000
 
 
