@@ -2,17 +2,17 @@
 
     python benchmarks/passes.py --rounds play/train
     python benchmarks/passes.py --rounds play/every --every-code
-    python benchmarks/passes.py --rounds play/train-code --split train-code --count 3
+    python benchmarks/passes.py --rounds play/train-code --every-code --split train-code
 
 Plays in the chain engine from starts of the train split towards its goals, or with `--every-code`
-towards every code of so many crossings. Counts what passes do to
+towards every code of so many crossings; with `--split train-code` towards those whose diagrams no
+held-out goal has. Counts what passes do to
 diagrams, and takes the counts into the order after every round. From round `--later` on play
 explores less, so that passes of promise are counted more often. Diagrams keep the passes that
 are among the best `--most` for one of the goals, unless fewer than `--least` began there.
 
 Counts are written to `--rounds` after every round; run the command again to go on after the last,
-with the same result. A round takes half a minute of a core. The file for `train-code` that ships
-is of 3 rounds so far; a larger `--count` goes on.
+with the same result. A round takes half a minute of a core.
 """
 
 import argparse
@@ -25,7 +25,9 @@ from knotgym.control.macro_lanes import MacroLanes
 from knotgym.control.pass_counts import EVERY_CODE, PASSES, PassCounts, first_goal
 from knotgym.control.pass_play import PassPlay, PassPlayConfig, draw_starts, searches
 from knotgym.envs.tasks import TaskConfig
+from knotgym.learn.clone_demonstrations import goals_not_held_out
 from knotgym.rope.macro_actions import MacroActionConfig
+from knotgym.states.schema import CODE_SPLITS
 from knotgym.topology.knot_table import UNKNOT
 from knotgym.topology.knots import codes_of
 
@@ -62,7 +64,10 @@ def main() -> None:
     }
     if args.every_code:
         for (task, nx), own in drawn.items():
-            if task != "unknot":
+            if args.split in CODE_SPLITS:
+                held_in = TaskConfig(task=task, nx=int(nx), split=args.split, observation="state")
+                drawn[task, nx] = own._replace(goals=goals_not_held_out(held_in))
+            elif task != "unknot":
                 drawn[task, nx] = own._replace(goals=[*codes_of(UNKNOT, int(nx))])
     lanes = MacroLanes(args.lanes, MacroActionConfig())
     starts = [drawn[task, nx] for task, nx in tasks]
@@ -89,7 +94,8 @@ def main() -> None:
         counts = PassCounts.load(path)
     # images of a goal keep the same passes
     goals = dict.fromkeys(first_goal(goal)[0] for one in drawn.values() for goal in one.goals)
-    out = args.out or (EVERY_CODE if args.every_code else PASSES[args.split])
+    towards_every = args.every_code and args.split not in CODE_SPLITS
+    out = args.out or (EVERY_CODE if towards_every else PASSES[args.split])
     counts.pruned([*goals], args.most, args.least).save(out)
 
 

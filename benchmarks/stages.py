@@ -105,12 +105,12 @@ class Stopwatch:
         import knotgym.generate.episodes.collect
         import knotgym.generate.images.image_recipe
         import knotgym.generate.states.state_recipe
-        import knotgym.rope.simulation
+        import knotgym.rope.mujoco_simulation
 
         class Batch(mujoco.batch.Batch):
             step = self.watch("mj_step", mujoco.batch.Batch.step)
 
-        simulation: Any = knotgym.rope.simulation
+        simulation: Any = knotgym.rope.mujoco_simulation
         simulation.Batch = Batch
         modules = [module for name, module in sys.modules.items() if name.startswith("knotgym")]
         for stage, names in WATCHED.items():

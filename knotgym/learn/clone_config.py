@@ -22,6 +22,8 @@ class DemonstrationsConfig:
             state shows, or only from those of the split's states.
         starts: resets of each task that they begin from.
         wander: passes before a demonstration that weren't tried out, at most.
+        led: passes after those, at most, chosen by the clone that training goes on from, so that
+            the demonstrator shows what to do where that clone leads a rope.
         budget: actions simulated for a demonstration, at most; what needs more is given up, and is
             no example of what is done at first sight.
         lanes: demonstrations side by side; makes no difference to them.
@@ -34,6 +36,7 @@ class DemonstrationsConfig:
     every_code: bool = False
     starts: int = 512
     wander: int = 3
+    led: int = 0
     budget: int = 400
     lanes: int = 128
 
@@ -41,7 +44,7 @@ class DemonstrationsConfig:
         check_numbers(
             self,
             counts=("starts", "budget", "lanes"),
-            whole=("episodes", "wander"),
+            whole=("episodes", "wander", "led"),
             error=InvalidTraining,
         )
         if self.split not in ("train", "train-code"):
@@ -141,6 +144,10 @@ class CloneConfig:
         for name in ("average", "held_out"):
             if getattr(self, name) >= 1:
                 raise InvalidTraining(f"{name} must be below 1, got {getattr(self, name)}")
+        if self.demonstrations.led and not self.start:
+            raise InvalidTraining(
+                "demonstrations that a clone leads to need that clone: set start to its folder"
+            )
         if (self.improve or self.demonstrations.episodes) and self.action != "macro":
             raise InvalidTraining(
                 "play and demonstrations in the chain engine consist of macro-actions: set action"

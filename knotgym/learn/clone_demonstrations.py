@@ -1,13 +1,13 @@
 """Demonstrations for the clone, made in the chain engine: a hundred times as fast as episodes.
 
 A demonstration is a way that the demonstrator finds from a start to a goal, with the rope at rest
-before every pass. Most begin after passes that were not tried out before: random ones, or some of
-the demonstrator's first choices. So the clone also sees states that a demonstrator doesn't lead to,
-above all those in which its own mistakes end.
+before every pass. Most begin after passes that were not tried out before: random ones, some of the
+demonstrator's first choices, or those of an earlier clone (DAgger: Ross et al., 2011). So the clone
+also sees states that a demonstrator doesn't lead to, above all those in which its own mistakes end.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import islice
@@ -42,7 +42,10 @@ from knotgym.learn.clone_data import (
     none,
     save_decisions,
 )
+from knotgym.learn.clone_network import CloneNetwork
+from knotgym.learn.clone_policy import choose_macros, load_clone
 from knotgym.rope.engines import CHAIN
+from knotgym.rope.macro_actions import Pass
 from knotgym.rope.model import Array
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.executors import executor
@@ -213,11 +216,43 @@ def _searches(
     demonstrator: DemonstratorConfig,
     part: Part,
 ) -> Iterator[Search[_Sought]]:
+    config = part.clone.demonstrations
     for episode in range(part.first, part.first + part.episodes):
         rng = generator(Stream.DEMONSTRATION, part.clone.seed, part.place, episode)
         row, goal = starts.draw(rng)
-        wander = int(rng.integers(part.clone.demonstrations.wander + 1))
-        yield _way(values, goal, demonstrator, starts.states[row], starts.points[row], wander, rng)
+        before = [partial(_untried, values, goal, rng=rng)] * int(rng.integers(config.wander + 1))
+        if config.led:
+            choose = partial(_clone_choice, part.clone, goal, rng=rng)
+            before += [choose] * int(rng.integers(config.led + 1))
+        state, points = starts.states[row], starts.points[row]
+        yield _way(values, goal, demonstrator, state, points, before)
+
+
+def _untried(
+    values: DiagramValues, goal: GaussCode, points: Array, rng: np.random.Generator
+) -> Pass:
+    """Choose a random pass, or one of the first in the order."""
+    move, in_order = random_pass(len(points), rng), rng.random() < _IN_ORDER
+    if in_order and (first := [*islice(passes_in_order(values, goal, points), _FIRST)]):
+        move, _ = first[int(rng.integers(len(first)))]
+    return move
+
+
+def _clone_choice(
+    clone: CloneConfig, goal: GaussCode, points: Array, rng: np.random.Generator
+) -> Pass:
+    """Choose a pass as the clone that training goes on from does in play."""
+    values = shipped_values(clone.demonstrations.split, every_code=True) if clone.guided else None
+    heat = np.array([clone.play.temperature])
+    (macro,) = choose_macros(_start(clone), points[None], [goal], heat, [rng], values)
+    bead, target, side = macro.tolist()
+    return Pass(bead, target, 2 * side - 1)
+
+
+@lru_cache(maxsize=1)
+def _start(clone: CloneConfig) -> CloneNetwork:
+    """Load the network that training goes on from; once in each worker."""
+    return load_clone(Path(clone.start)).network
 
 
 def _way(
@@ -226,15 +261,11 @@ def _way(
     config: DemonstratorConfig,
     state: Array,
     points: Array,
-    wander: int,
-    rng: np.random.Generator,
+    before: Sequence[Callable[[Array], Pass]],
 ) -> Search[_Sought]:
     """Find a way after some passes that weren't tried out."""
-    for _ in range(wander):
-        move, in_order = random_pass(len(points), rng), rng.random() < _IN_ORDER
-        if in_order and (first := [*islice(passes_in_order(values, goal, points), _FIRST)]):
-            move, _ = first[int(rng.integers(len(first)))]
-        landing: Landing = yield Trial(state, move, goal)
+    for choose in before:
+        landing: Landing = yield Trial(state, choose(points), goal)
         state, points = landing.state, landing.points
         if landing.code.matches(goal):
             return goal, None

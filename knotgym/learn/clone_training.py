@@ -23,6 +23,7 @@ from knotgym.common.atomic_files import remove
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.envs.tasks import TaskConfig
+from knotgym.learn.checkpoint import read_card
 from knotgym.learn.clone_config import CloneConfig
 from knotgym.learn.clone_data import (
     Decisions,
@@ -234,6 +235,8 @@ def train_clone(
         own, source = demonstrations(config, before, folder, workers, shown)
         decisions = join([decisions, own])
         tasks = tasks_of(datasets, demonstrated_tasks(config.demonstrations))
+        if config.start:
+            source["start_sha256"] = read_card(Path(config.start))["weights_sha256"]
         network, curve, facts = fit_clone(decisions, config, tasks, shown, folder, kept)
         remove(folder / "made")
         made = {

@@ -281,6 +281,22 @@ def test_demonstrations_are_made_on_the_way(tmp_path: Path, task: TaskConfig) ->
     assert weights(tmp_path / "one") == weights(tmp_path / "other")
 
 
+def test_demonstrations_begin_where_the_clone_led_a_rope(tmp_path: Path, clone: Path) -> None:
+    own = DemonstrationsConfig(episodes=6, starts=4, nx=(2,), wander=0)
+    for name, led, lanes in (("none", 0, 4), ("led", 3, 4), ("again", 3, 2)):
+        demonstrations = replace(own, led=led, lanes=lanes)
+        train_tiny(None, tmp_path / name, demonstrations=demonstrations, start=str(clone))
+    none, led, again = (
+        json.loads((tmp_path / name / "policy.json").read_text())
+        for name in ("none", "led", "again")
+    )
+    assert led["demonstrations_sha256"] == again["demonstrations_sha256"]
+    assert led["demonstrations_sha256"] != none["demonstrations_sha256"]
+    assert led["start_sha256"] == json.loads((clone / "policy.json").read_text())["weights_sha256"]
+    with pytest.raises(KnotgymError, match="set start to its folder"):
+        CloneConfig(demonstrations=replace(own, led=1))
+
+
 def test_a_killed_training_keeps_the_demonstrations_that_are_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
