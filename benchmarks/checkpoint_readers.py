@@ -79,7 +79,7 @@ def told_trainings(path: Path) -> Told:
     asked = _asked(
         "trainings", json.loads(beside.read_text()) if "trainings" not in _ASKED else None
     )
-    kept = begin_training(path.parent, asked)
+    kept, _ = begin_training(path.parent, asked)
     if not kept:
         return ["there is nothing to go on from, so the training begins anew"], {}
     return [], {name: digest(own.numpy().tobytes()) for name, own in kept.items()}

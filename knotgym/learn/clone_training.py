@@ -229,15 +229,14 @@ def train_clone(
         return decisions, decisions.digest
 
     def make(decisions: Decisions, request: dict[str, Any], folder: Path) -> None:
-        began = time.perf_counter()
-        kept = begin_training(folder, request)
+        kept, began = begin_training(folder, request)
         before = int(decisions.episodes.max(initial=-1)) + 1
         own, source = demonstrations(config, before, folder, workers, shown)
         decisions = join([decisions, own])
         tasks = tasks_of(datasets, demonstrated_tasks(config.demonstrations))
         if config.start:
             source["start_sha256"] = read_card(Path(config.start))["weights_sha256"]
-        network, curve, facts = fit_clone(decisions, config, tasks, shown, folder, kept)
+        network, curve, facts = fit_clone(decisions, config, tasks, shown, folder, kept, began)
         remove(folder / "made")
         made = {
             "knotgym": knotgym.__version__,
@@ -261,6 +260,7 @@ def fit_clone(
     progress: Progress | None = None,
     folder: Path | None = None,
     kept: dict[str, Tensor] | None = None,
+    began: float = 0.0,
 ) -> tuple[CloneNetwork, list[tuple[int, float, float]], dict[str, Any]]:
     """Train a clone on decisions, then by play.
 
@@ -271,6 +271,7 @@ def fit_clone(
         progress: where to show progress.
         folder: staging folder to save to; None to keep nothing.
         kept: what a training that is resumed had saved there.
+        began: when it began, see `begin_training`.
 
     Returns:
         The network, the curve (see `CloneTraining`), and facts for its card.
@@ -290,7 +291,7 @@ def fit_clone(
             training.advance(fitted, aside, start, stop, len(fitted.intended) - len(rows))
             progress.show(status)
             if folder is not None:
-                keep_training(folder, training.state())
+                keep_training(folder, training.state(), began)
 
     def status() -> Status:
         facts = {"held-out loss": f"{training.curve[-1][2]:.3f}"} if training.curve else {}

@@ -41,6 +41,7 @@ from knotgym.runs.staging import (
 
 UNDER_WAY, REQUEST = "training.safetensors", "training.json"
 _SEAL = "seal"  # name of the array that holds the digest of the others
+_SECONDS = "seconds"  # and of the one that says how long the training has taken
 _CURVE_WINDOW = 50  # steps averaged in each row of the learning curve
 
 
@@ -139,8 +140,7 @@ def _trained(
     progress: Progress,
 ) -> Learned:
     """Train in a staging folder, resuming what it holds; write the checkpoint to `made` in it."""
-    began = time.perf_counter()
-    kept = begin_training(folder, request)
+    kept, began = begin_training(folder, request)
     training = ReaderTraining(data, config.steps, config.batch, config.seed)
     if kept:
         _restore(folder, training, kept)
@@ -154,7 +154,7 @@ def _trained(
         progress.show(status)
         training.advance()
         if training.step % config.save_every == 0 or training.step == config.steps:
-            keep_training(folder, training.state())
+            keep_training(folder, training.state(), began)
     progress.show(status, last=True)
     learned = Learned(training.reader.eval(), _starts(data, config))
     made_in = folder / "made"
@@ -177,16 +177,21 @@ def _trained(
     return learned
 
 
-def begin_training(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
+def begin_training(folder: Path, request: dict[str, Any]) -> tuple[dict[str, Tensor], float]:
     """Begin a training in a staging folder, or load the checkpoint of the one to resume.
+
+    Returns:
+        What `keep_training` kept; and when the training began, in seconds of `time.perf_counter`,
+        as if it hadn't been interrupted.
 
     Raises:
         InvalidTraining: that training has other settings or is corrupted.
     """
+    now = time.perf_counter()
     if not has_work(folder):
         with atomic_write(folder / REQUEST) as part:
             part.write_text(json.dumps(request, indent=1) + "\n", encoding="utf-8")
-        return {}
+        return {}, now
     try:
         before = read_json(folder / REQUEST)
     except (OSError, ValueError) as error:
@@ -203,7 +208,7 @@ def begin_training(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
             " or --restart to discard it"
         )
     if not (folder / UNDER_WAY).exists():
-        return {}
+        return {}, now
     require_regular(folder / UNDER_WAY, "training", InvalidTraining)
     try:
         kept: dict[str, Tensor] = load((folder / UNDER_WAY).read_bytes())
@@ -214,7 +219,7 @@ def begin_training(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
         if isinstance(error, InvalidTraining):
             raise
         raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {one_line(error)}") from error
-    return kept
+    return kept, now - kept.pop(_SECONDS, torch.zeros(1)).item()
 
 
 def _restore(folder: Path, training: ReaderTraining, kept: dict[str, Tensor]) -> None:
@@ -224,9 +229,10 @@ def _restore(folder: Path, training: ReaderTraining, kept: dict[str, Tensor]) ->
         raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {error}") from error
 
 
-def keep_training(folder: Path, kept: dict[str, Tensor]) -> None:
+def keep_training(folder: Path, kept: dict[str, Tensor], began: float) -> None:
     """Write the state of a training, sealed by its digest, into its staging folder."""
     kept = {name: own.contiguous() for name, own in kept.items()}
+    kept[_SECONDS] = torch.tensor([time.perf_counter() - began])
     seal = torch.tensor(list(_digest(kept)), dtype=torch.uint8)
     with atomic_write(folder / UNDER_WAY) as part:
         part.write_bytes(save({**kept, _SEAL: seal}))

@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import shutil
+import time
 from pathlib import Path
 
 import h5py
@@ -177,8 +178,10 @@ def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
 
     path = tmp_path / training.UNDER_WAY
     (tmp_path / training.REQUEST).write_text("{}")
-    training.keep_training(tmp_path, {"losses": torch.ones(64, 2)})
-    assert training.begin_training(tmp_path, {}).keys() == {"losses"}
+    training.keep_training(tmp_path, {"losses": torch.ones(64, 2)}, time.perf_counter() - 60)
+    kept, began = training.begin_training(tmp_path, {})
+    assert kept.keys() == {"losses"}
+    assert time.perf_counter() - began > 60  # the time until it was interrupted counts
     raw = bytearray(path.read_bytes())
     raw[-50] ^= 1
     path.write_bytes(raw)
