@@ -37,7 +37,10 @@ def states_and_goals(observations: Floats) -> tuple[Floats, Floats]:
 
 
 def _only_code(states: Floats) -> Floats:
-    return np.where(np.arange(states.shape[1]) < states.shape[1] - CODE, 0, states)
+    shown = np.where(np.arange(states.shape[1]) < states.shape[1] - CODE, 0, states)
+    # else the plain loop would be all zeros, and HIQL divides by the length of its features
+    shown[:, 0] = 1
+    return shown
 
 
 def trajectories(rows: Decisions) -> dict[str, Any]:
