@@ -86,6 +86,8 @@ class CloneConfig:
         guided: whether the clone also chooses by the counts of passes that ship, which tell what
             leads nearer to the goal, in evaluations and in rounds of improvement.
         start: folder of a trained clone to go on from, of the same width and layers; "" for none.
+        blend: share of the weights of `start` in those that training ends with; the mean of both
+            is often better than either (Wortsman et al., "Robust fine-tuning", 2022).
         steps: optimizer steps on the data.
         failed: whether to learn from episodes that didn't reach their goal, too.
         demonstrations: to make, beside those in datasets.
@@ -110,6 +112,7 @@ class CloneConfig:
     action: str = "macro"
     guided: bool = False
     start: str = ""
+    blend: float = 0.0
     steps: int = 4000
     failed: bool = False
     demonstrations: DemonstrationsConfig = DemonstrationsConfig()
@@ -136,6 +139,7 @@ class CloneConfig:
             whole=("seed", "improve", "hindsight", "copies"),
             positive=("rate",),
             non_negative=("decay", "average", "held_out"),
+            shares=("blend",),
             error=InvalidTraining,
         )
         require_engine(self.engine)
@@ -144,9 +148,9 @@ class CloneConfig:
         for name in ("average", "held_out"):
             if getattr(self, name) >= 1:
                 raise InvalidTraining(f"{name} must be below 1, got {getattr(self, name)}")
-        if self.demonstrations.led and not self.start:
+        if (self.demonstrations.led or self.blend) and not self.start:
             raise InvalidTraining(
-                "demonstrations that a clone leads to need that clone: set start to its folder"
+                "to blend with a clone, or let it lead to demonstrations, set start to its folder"
             )
         if (self.improve or self.demonstrations.episodes) and self.action != "macro":
             raise InvalidTraining(

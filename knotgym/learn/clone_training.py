@@ -87,7 +87,8 @@ class CloneTraining:
         self._optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=config.rate, weight_decay=config.decay, fused=True
         )
-        self._average = {name: own.clone() for name, own in self.network.state_dict().items()}
+        self._start = {name: own.clone() for name, own in self.network.state_dict().items()}
+        self._average = {name: own.clone() for name, own in self._start.items()}
         self._best, self._least = self._average, math.inf
         self.step, self.curve = 0, list[tuple[int, float, float]]()
 
@@ -127,9 +128,13 @@ class CloneTraining:
             self._least, self._best = judged, {k: v.clone() for k, v in self._average.items()}
         self.curve.append((self.step, float(np.mean(losses)), judged))
 
-    def best(self) -> CloneNetwork:
-        """Return the network with the averaged weights of least held-out loss."""
-        return self._made(self._best)
+    def ended(self) -> CloneNetwork:
+        """Return the network with the weights that training ends with.
+
+        They are the averaged ones of least held-out loss, or after rounds of improvement the last.
+        """
+        ended, blend = self._average if self._config.improve else self._best, self._config.blend
+        return self._made({k: own.lerp(self._start[k], blend) for k, own in ended.items()})
 
     def averaged(self) -> CloneNetwork:
         """Return the network with the averaged weights."""
@@ -317,7 +322,7 @@ def fit_clone(
         progress.say(f"round {number + 1}: " + ", ".join(f"{k} {v:.0%}" for k, v in rate.items()))
         train(stop - config.round_steps, stop)
     progress.show(status, last=True)
-    network = training.averaged() if config.improve else training.best()
+    network = training.ended()
     facts = {
         "episodes": len(np.unique(decisions.episodes)),
         "decisions": int(decisions.intended.sum()),

@@ -281,6 +281,17 @@ def test_demonstrations_are_made_on_the_way(tmp_path: Path, task: TaskConfig) ->
     assert weights(tmp_path / "one") == weights(tmp_path / "other")
 
 
+def test_a_blend_of_1_is_the_clone_that_training_began_from(
+    tmp_path: Path, macros: Path, clone: Path
+) -> None:
+    for blend in (0.0, 1.0):
+        train_tiny(macros, tmp_path / str(blend), start=str(clone), blend=blend)
+    assert weights(tmp_path / "0.0") != weights(clone)
+    assert weights(tmp_path / "1.0") == weights(clone)
+    with pytest.raises(KnotgymError, match="set start to its folder"):
+        CloneConfig(blend=0.5)
+
+
 def test_demonstrations_begin_where_the_clone_led_a_rope(tmp_path: Path, clone: Path) -> None:
     own = DemonstrationsConfig(episodes=6, starts=4, nx=(2,), wander=0)
     for name, led, lanes in (("none", 0, 4), ("led", 3, 4), ("again", 3, 2)):
