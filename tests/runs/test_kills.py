@@ -336,10 +336,10 @@ def test_spoilt_shards_of_a_collection_are_made_anew(
 def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
     unbroken: Unbroken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from knotgym.generate.images import image_recipe as images
+    from knotgym.generate.images.image_recipe import ImageRecipe
 
     with monkeypatch.context() as patch:
-        patch.setattr(images, "finish", stopped)
+        patch.setattr(ImageRecipe, "finish", stopped)
         assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 130
     spoil(next(tmp_path.rglob("*.npz")))
     spoil(next(tmp_path.rglob("*.parquet")))
