@@ -23,9 +23,14 @@ from rich.console import Console
 from knotgym.common.streams import Stream, generator
 from knotgym.control.macro_lanes import MacroLanes
 from knotgym.control.pass_counts import EVERY_CODE, PASSES, PassCounts, first_goal
-from knotgym.control.pass_play import PassPlay, PassPlayConfig, draw_starts, searches
+from knotgym.control.pass_play import (
+    PassPlay,
+    PassPlayConfig,
+    draw_starts,
+    goals_not_held_out,
+    searches,
+)
 from knotgym.envs.tasks import TaskConfig
-from knotgym.learn.clone_demonstrations import goals_not_held_out
 from knotgym.rope.macro_actions import MacroActionConfig
 from knotgym.states.schema import CODE_SPLITS
 from knotgym.topology.knot_table import UNKNOT

@@ -6,7 +6,7 @@ is a search of `MacroLanes`: a thousand run side by side.
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,9 @@ from knotgym.rope.macro_actions import LONGEST
 from knotgym.rope.model import Array
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import UNKNOT
+from knotgym.topology.knots import codes_of
+from knotgym.topology.symmetry import diagram_form
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +91,27 @@ def draw_starts(task: TaskConfig, count: int, rng: np.random.Generator) -> Start
     simulation = ChainSimulation(count)
     simulation.lay(np.array(qpos))
     return Starts(simulation.states(), simulation.points.copy(), codes, episodes.side_codes("goal"))
+
+
+def goals_not_held_out(task: TaskConfig) -> list[GaussCode]:
+    """Return the split's goals, and the unknot's other codes that aren't held out.
+
+    Held out are the codes of test goals and their images (reversed, crossings switched), which look
+    the same in a canonical frame; in the split by code, all codes of their diagrams.
+    """
+    own, test = (
+        EpisodeBatch(replace(task, split=split)).side_codes("goal")
+        for split in (task.split, task.split.replace("train", "test"))
+    )
+    form = diagram_form if task.split == "train-code" else _least_image
+    held_out = {form(code) for code in test}
+    every = codes_of(UNKNOT, task.nx) if task.task != "unknot" else ()
+    return own + [code for code in every if code not in own and form(code) not in held_out]
+
+
+def _least_image(code: GaussCode) -> GaussCode:
+    walked = code.plain, code.plain.reversed()
+    return min((*walked, *(one.mirrored() for one in walked)), key=lambda one: one.visits)
 
 
 class PassPlay:

@@ -8,7 +8,6 @@ also sees states that a demonstrator doesn't lead to, above all those in which i
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import islice
 from pathlib import Path
@@ -27,8 +26,7 @@ from knotgym.control.demonstrator import (
 )
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
 from knotgym.control.pass_counts import DiagramValues, shipped_values
-from knotgym.control.pass_play import Starts, draw_starts
-from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.control.pass_play import Starts, draw_starts, goals_not_held_out
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig
 from knotgym.learn.clone_data import (
@@ -51,9 +49,6 @@ from knotgym.runs.compilation import compile_first
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress, Status
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT
-from knotgym.topology.knots import codes_of
-from knotgym.topology.symmetry import diagram_form
 
 # a goal and what a look for it found; None if the passes before led there already
 _Sought = tuple[GaussCode, FoundWay | None]
@@ -187,27 +182,6 @@ def _starts(clone: CloneConfig, place: int) -> Starts:
     if clone.demonstrations.every_code:
         starts = starts._replace(goals=goals_not_held_out(task))
     return starts
-
-
-def goals_not_held_out(task: TaskConfig) -> list[GaussCode]:
-    """Return the split's goals, and the unknot's other codes that aren't held out.
-
-    Held out are the codes of test goals and their images (reversed, crossings switched), which look
-    the same to the clone; in the split by code, all codes of their diagrams.
-    """
-    own, test = (
-        EpisodeBatch(replace(task, split=split)).side_codes("goal")
-        for split in (task.split, task.split.replace("train", "test"))
-    )
-    form = diagram_form if task.split == "train-code" else _least_image
-    held_out = {form(code) for code in test}
-    every = codes_of(UNKNOT, task.nx) if task.task != "unknot" else ()
-    return own + [code for code in every if code not in own and form(code) not in held_out]
-
-
-def _least_image(code: GaussCode) -> GaussCode:
-    walked = code.plain, code.plain.reversed()
-    return min((*walked, *(one.mirrored() for one in walked)), key=lambda one: one.visits)
 
 
 def _searches(

@@ -337,7 +337,7 @@ def test_a_killed_training_keeps_the_demonstrations_that_are_done(
 
 @pytest.mark.parametrize("split", ["train", "train-code"])
 def test_with_every_code_no_held_out_goal_is_demonstrated(split: str) -> None:
-    from knotgym.learn.clone_demonstrations import goals_not_held_out
+    from knotgym.control.pass_play import goals_not_held_out
 
     train, test = (
         TaskConfig(task="tie", nx=4, split=own, observation="state")
