@@ -20,6 +20,7 @@ from knotgym.control.pass_counts import (
     template_images,
     templates,
 )
+from knotgym.control.pass_play import goals_not_held_out
 from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram
@@ -34,7 +35,7 @@ from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT
 from knotgym.topology.knots import codes_of
-from knotgym.topology.symmetry import Symmetry
+from knotgym.topology.symmetry import Symmetry, diagram_form
 
 FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
 LOOP, KINKED = SeenDiagram(FLAT, (0,)), SeenDiagram(KINK, (1, 2))
@@ -249,3 +250,20 @@ def test_play_goes_on_to_another_goal_and_its_record_verifies() -> None:
 def test_play_in_a_task_that_ends_at_the_goal_is_refused() -> None:
     with pytest.raises(InvalidPolicy, match="must be endless; give --endless"):
         rollout(TASK, make_policy(PolicyConfig(policy="play")), [0], 0)
+
+
+@pytest.mark.parametrize("split", ["train", "train-code"])
+def test_with_every_code_no_held_out_goal_is_demonstrated(split: str) -> None:
+    train, test = (
+        TaskConfig(task="tie", nx=4, split=own, observation="state")
+        for own in (split, split.replace("train", "test"))
+    )
+    goals = goals_not_held_out(train)
+    own, held_out = (EpisodeBatch(one).side_codes("goal") for one in (train, test))
+    assert goals[: len(own)] == own
+    added = {*goals[len(own) :]}
+    assert len(added) == len(goals) - len(own) > 200
+    images = {one for code in held_out for one in (code, code.reversed())}
+    assert not added & {*images, *(one.mirrored() for one in images)}
+    if split == "train-code":
+        assert not {*map(diagram_form, added)} & {*map(diagram_form, held_out)}

@@ -16,7 +16,6 @@ from knotgym.control.pass_counts import shipped_values
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.policy import InvalidPolicy
 from knotgym.control.rollouts import rollout
-from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig, ImproveConfig
@@ -24,7 +23,6 @@ from knotgym.runs.run_options import Existing, RunOptions
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import diagram_form
 
 from ..small_job import knotgym
 
@@ -333,25 +331,6 @@ def test_a_killed_training_keeps_the_demonstrations_that_are_done(
     train_tiny(None, tmp_path / "parts", demonstrations=demonstrations, resume=True)
     assert saved != [kept]
     assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
-
-
-@pytest.mark.parametrize("split", ["train", "train-code"])
-def test_with_every_code_no_held_out_goal_is_demonstrated(split: str) -> None:
-    from knotgym.control.pass_play import goals_not_held_out
-
-    train, test = (
-        TaskConfig(task="tie", nx=4, split=own, observation="state")
-        for own in (split, split.replace("train", "test"))
-    )
-    goals = goals_not_held_out(train)
-    own, held_out = (EpisodeBatch(one).side_codes("goal") for one in (train, test))
-    assert goals[: len(own)] == own
-    added = {*goals[len(own) :]}
-    assert len(added) == len(goals) - len(own) > 200
-    images = {one for code in held_out for one in (code, code.reversed())}
-    assert not added & {*images, *(one.mirrored() for one in images)}
-    if split == "train-code":
-        assert not {*map(diagram_form, added)} & {*map(diagram_form, held_out)}
 
 
 def test_nothing_to_learn_from_is_told(tmp_path: Path) -> None:
