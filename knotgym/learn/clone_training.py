@@ -230,6 +230,7 @@ def train_clone(
                 "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations"
                 " be made, as in --demonstrations 1000"
             )
+        CloneTraining(config)  # refuses an unsuitable `start` before demonstrations take minutes
         decisions = read_decisions(datasets, config)
         return decisions, decisions.digest
 

@@ -194,6 +194,11 @@ def test_a_training_goes_on_from_an_earlier_clone(
         assert np.allclose(own, earlier[name], atol=1e-3), name
     with pytest.raises(KnotgymError, match="another width or layers than 32 and 1"):
         train_tiny(macros, tmp_path / "wider", start=str(clone), width=32)
+    # before any demonstration is made
+    with pytest.raises(KnotgymError, match="another width or layers than 32 and 1"):
+        many = DemonstrationsConfig(episodes=10**6, led=3)
+        train_tiny(None, tmp_path / "wider", start=str(clone), width=32, demonstrations=many)
+    assert not [*tmp_path.glob("*wider*")]
 
 
 def test_the_commands_train_and_evaluate_a_clone(
