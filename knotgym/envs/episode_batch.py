@@ -131,7 +131,7 @@ class EpisodeBatch:
         own_start, own_goal = given.pop("start", None), given.pop("goal", None)
         if given:
             raise InvalidSetting(
-                f"no reset option {', '.join(map(repr, given))}; there is start, goal"
+                f"no reset option {', '.join(map(repr, given))}; use start or goal"
             )
         rows = []
         for rng in rngs:

@@ -215,7 +215,7 @@ def _untried(
 def _clone_choice(
     clone: CloneConfig, goal: GaussCode, points: Array, rng: np.random.Generator
 ) -> Pass:
-    """Choose a pass as the clone that training goes on from does in play."""
+    """Choose a pass as the clone given by `start` would in play."""
     values = shipped_values(clone.demonstrations.split, every_code=True) if clone.guided else None
     heat = np.array([clone.play.temperature])
     (macro,) = choose_macros(_start(clone), points[None], [goal], heat, [rng], values)

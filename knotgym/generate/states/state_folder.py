@@ -1,13 +1,11 @@
-"""Write the output of a finished run: states.h5, demonstrations, gallery, card and manifest."""
-
-from __future__ import annotations
+"""Lay out the states and demonstrations of a run as rows of a state file and Minari datasets."""
 
 import json
 from collections.abc import Sequence
 from dataclasses import fields
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,33 +15,32 @@ import knotgym
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_writer import EpisodeWriter
-from knotgym.datasets.finished_folders import finish_states
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.states.demonstrations import POLICY
+from knotgym.generate.states.demonstrations import POLICY, Demonstration
+from knotgym.generate.states.drawn_states import MadeState
+from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.generate.states.random_walk import WalkState
 from knotgym.quality.measures import UNITS, Quality
 from knotgym.rendering.picture import draw_many, picture_of
 from knotgym.rope.model import rope_of
 from knotgym.states.schema import DRAWING, STATE_SPLITS
 from knotgym.states.splits import kept_together, split
-from knotgym.states.state_file import States, demonstrations_id, write_states
+from knotgym.states.state_file import States, demonstrations_id
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import type_of
 from knotgym.topology.knots import knot_type
 
-if TYPE_CHECKING:
-    from knotgym.generate.states.drawn_states import MadeState
-    from knotgym.generate.states.random_walk import WalkState
-    from knotgym.generate.states.state_recipe import StateRecipe
-
 HORIZON = 200  # actions, longer than any demonstration
 
 
-def states_of(recipe: StateRecipe) -> States:
-    """Return the accepted states as rows, sorted by nx and code."""
-    config = recipe.config
-    slots = [slot for nx in config.nx for slot in recipe.made(nx)]
-    made = [recipe.states[slot] for slot in slots]
+def states_of(
+    config: GenerateConfig,
+    knot: str,
+    made: Sequence[MadeState],
+    demonstrations: Sequence[Demonstration | None],
+) -> States:
+    """Return accepted states, sorted by nx and code, as rows of a state file."""
     splits: list[str] = []
     for nx in config.nx:
         codes = [one.code for one in made if one.code.nx == nx]
@@ -52,7 +49,6 @@ def states_of(recipe: StateRecipe) -> States:
     crossings = np.array([one.code.nx for one in made], dtype=np.int64)
     points = np.stack([one.points for one in made])
     dealt = kept_together(np.array(splits), points, [one.code for one in made])
-    demonstrated = [recipe.demonstration(slot) for slot in slots]
     drawing, source = json.dumps(as_json(config.drawing)), source_of(made)
     return rows_of(
         made,
@@ -60,12 +56,12 @@ def states_of(recipe: StateRecipe) -> States:
         source={
             **source,
             **demonstrations_of(
-                crossings, dealt, type_of(recipe.knot), [one is not None for one in demonstrated]
+                crossings, dealt, type_of(knot), [one is not None for one in demonstrations]
             ),
             "step": np.array(
                 [
                     steps if one is None else len(one)
-                    for steps, one in zip(source["steps"], demonstrated, strict=True)
+                    for steps, one in zip(source["steps"], demonstrations, strict=True)
                 ],
                 dtype=np.int64,
             ),
@@ -142,37 +138,30 @@ def demonstrations_of(
     }
 
 
-def write(recipe: StateRecipe, folder: Path, request: dict[str, Any]) -> None:
-    """Write the output of a run into a new folder, the manifest last."""
-    folder.mkdir(parents=True)
-    states = states_of(recipe)
-    write_states(folder / "states.h5", states)
-    if recipe.archive.niches:
-        recipe.archive.save(folder / "archive.h5")
-    if states.source["dataset"].any():
-        write_demonstrations(recipe, states, folder / "minari", folder / "states.h5")
-    finish_states(folder, states, recipe.report(), request)
-
-
-def write_demonstrations(recipe: StateRecipe, states: States, folder: Path, carried: Path) -> None:
+def write_demonstrations(
+    states: States,
+    demonstrations: Sequence[Demonstration | None],
+    config: GenerateConfig,
+    knot: str,
+    folder: Path,
+    carried: Path,
+) -> None:
     """Write one Minari dataset per nx and split below `folder`, with pixels and states.
 
     It has one episode for each state with a demonstration, in the order of the states.
     """
-    slots = [slot for nx in recipe.config.nx for slot in recipe.made(nx)]
-    for nx, name in product(recipe.config.nx, STATE_SPLITS):
+    for nx, name in product(config.nx, STATE_SPLITS):
         rows = [row for row in states.rows(nx, name).tolist() if states.source["dataset"][row]]
         if not rows:
             continue
-        shard, knot = folder / f"nx{nx}.h5", type_of(recipe.knot)
-        engine = recipe.config.engine
-        with EpisodeWriter(shard, demonstration_task(nx, name, knot, engine)) as writer:
+        shard = folder / f"nx{nx}.h5"
+        with EpisodeWriter(shard, demonstration_task(nx, name, knot, config.engine)) as writer:
             for row in rows:
-                made = recipe.demonstration(slots[row])
+                made = demonstrations[row]
                 assert made is not None
                 goal = GaussCode.parse(str(states.gauss_code[row]))
                 writer.add(made.episode(states.points[row], goal))
-        publish_demonstrations(nx, name, knot, engine, [shard], len(rows), folder, carried)
+        publish_demonstrations(nx, name, knot, config.engine, [shard], len(rows), folder, carried)
         shard.unlink()
 
 

@@ -26,7 +26,7 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import InvalidConfig, as_json
 from knotgym.common.errors import MissingFile
 from knotgym.common.streams import Stream, derived_seed, key
-from knotgym.generate.states import state_folder
+from knotgym.datasets.finished_folders import finish_states
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.code_order import CodeOrder
 from knotgym.generate.states.curves import Start, start_of
@@ -43,6 +43,7 @@ from knotgym.generate.states.generate_config import GenerateConfig, is_tabled, r
 from knotgym.generate.states.made_states import MadeStates, Slot
 from knotgym.generate.states.planned_sequences import Found, Target, reach
 from knotgym.generate.states.search import SearchConfig, new_archive, replays, search_round
+from knotgym.generate.states.state_folder import states_of, write_demonstrations
 from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Rope
 from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
@@ -50,6 +51,7 @@ from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.states.schema import DRAWING
+from knotgym.states.state_file import write_states
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
 from knotgym.topology.symmetry import mirror_images
@@ -399,7 +401,22 @@ class StateRecipe(MadeStates, Recipe):
         return Status(len(self.states), self.wanted, "states", facts, share=share)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
-        state_folder.write(self, folder, request)
+        """Write states.h5, the archive, demonstrations, and the manifest last."""
+        slots = [slot for nx in self.config.nx for slot in self.made(nx)]
+        made, demonstrations = (
+            [self.states[slot] for slot in slots],
+            list(map(self.demonstration, slots)),
+        )
+        states, knot = states_of(self.config, self.knot, made, demonstrations), type_of(self.knot)
+        folder.mkdir(parents=True)
+        write_states(folder / "states.h5", states)
+        if self.archive.niches:
+            self.archive.save(folder / "archive.h5")
+        if any(states.source["dataset"]):
+            write_demonstrations(
+                states, demonstrations, self.config, knot, folder / "minari", folder / "states.h5"
+            )
+        finish_states(folder, states, self.report(), request)
         return folder
 
     def summary(self) -> str:
