@@ -67,9 +67,9 @@ class AgentConfig:
         planner: of the imagined actions.
     """
 
-    budget: int = 1500
-    episode_budget: int = 12000
-    least_budget: int = 500
+    budget: int = 6000
+    episode_budget: int = 40000
+    least_budget: int = 1500
     max_plans: int = 6
     patience: int = 2
     enough: float = 0.85
