@@ -2,8 +2,8 @@
 
 At a state it goes through the passes that lead nearer to the goal, in one order for the diagram and
 the goal (`pass_counts`), and takes the first that begins a way to the goal. Ways are found in the
-chain engine, depth first, with the rope at rest at every look. Each pass is acted out until its
-end, the goal, or LONGEST pulls; then it looks again. So what it does is a function of where
+chain engine, depth first, with the rope at rest at every choice. Each pass is acted out until its
+end, the goal, or LONGEST pulls; then it searches again. So what it does is a function of where
 the rope lies, which a network can learn; `planner` is a better player and a worse teacher.
 """
 
@@ -40,9 +40,9 @@ from knotgym.topology.gauss import GaussCode
 
 PLANNER = "planner"  # first word of the reason for an action of the planner's
 RANDOM = "random pass"  # reason for a pass that nobody chose
-_LANES = 64  # ropes of the chain engine in which looks are simulated
+_LANES = 64  # ropes of the chain engine in which searches are simulated
 _BOUNDED = 4  # times as many candidates where the rope's centre must stay in a region
-_TOWING = 0.9  # share of the limit on towing that looks go to: engines differ a little
+_TOWING = 0.9  # share of the limit on towing that searches go to: engines differ a little
 _CLOSE = 8  # fewest beads along the rope between the two of a random pass
 
 
@@ -52,7 +52,7 @@ class DemonstratorConfig:
 
     Attributes:
         candidates: passes tried at a state, at most; four times as many where towing is limited.
-        budget: actions simulated for a look, at most.
+        budget: actions simulated for a search, at most.
         steps: actions of a way, at most.
         last_resort: actions that the planner may simulate for an episode without a way.
         macro_actions: settings of the passes.
@@ -87,7 +87,7 @@ class Decision(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """A pass that a look simulated.
+    """A pass that a search simulated.
 
     Attributes:
         points: float64 (beads, 3), metres: where the rope lay at rest; the same array for all
@@ -100,7 +100,7 @@ class Tried(NamedTuple):
 
 
 class FoundWay(NamedTuple):
-    """What a look found.
+    """What a search found.
 
     Attributes:
         way: decisions on the way to the goal; empty if none was found.
@@ -114,8 +114,8 @@ class FoundWay(NamedTuple):
 
 
 @dataclass(eq=False)
-class _Look:
-    """A search from one state.
+class _DepthFirst:
+    """A depth-first search from one state.
 
     Attributes:
         values: order of the passes.
@@ -146,7 +146,7 @@ class _Look:
         for rank, (move, _) in enumerate(ordered, 1):
             if self.spent >= self.config.budget:
                 return None
-            # A generator yields what it wants simulated, so that many looks share the lanes.
+            # A generator yields what it wants simulated, so that many searches share the lanes.
             pulls = min(LONGEST, steps)
             outcome: Landing = yield Trial(state, move, self.goal, pulls, self.bound)
             self.spent += outcome.pulls
@@ -197,9 +197,9 @@ def find_way(
     bound: TowBound | None = None,
 ) -> Search[FoundWay]:
     """Search for the demonstrator's way from a state at rest; see `MacroLanes.run`."""
-    look = _Look(values, goal, config, bound)
-    way = yield from look.way(state, points, config.steps)
-    return FoundWay(way or [], look.spent, look.tried)
+    search = _DepthFirst(values, goal, config, bound)
+    way = yield from search.way(state, points, config.steps)
+    return FoundWay(way or [], search.spent, search.tried)
 
 
 @dataclass(eq=False)
@@ -207,11 +207,11 @@ class _Acting:
     """The demonstrator's state in one episode.
 
     Attributes:
-        move: the pass being acted out; None before a look.
+        move: the pass being acted out; None before a search.
         pulls: actions taken of it.
         why: the reason for it.
         taken_over: whether the planner acts until the end.
-        effort: cost of the looks so far.
+        effort: cost of the searches so far.
     """
 
     move: Pass | None = None
@@ -224,7 +224,7 @@ class _Acting:
 class Demonstrator(Policy):
     """Policy that leads every rope to its goal code.
 
-    Where a look finds no way, the planner takes over until the episode ends. It says so in the
+    Where a search finds no way, the planner takes over until the episode ends. It says so in the
     reasons for its actions.
     """
 
@@ -254,12 +254,12 @@ class Demonstrator(Policy):
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         simulation, controller = episodes.simulation, self._controller
         # Waypoints that were reached are passed before anything is decided, so that a pass that
-        # is over leads to a look in this very action.
+        # is over leads to a search in this very action.
         controller.advance(simulation.points)
-        looking = [index for index in ids.tolist() if self._is_over(episodes, index)]
-        # Looks depend on the rope alone, so how many are made together changes nothing.
-        for first in range(0, len(looking), _LANES):
-            self._look(episodes, np.array(looking[first : first + _LANES]))
+        searching = [index for index in ids.tolist() if self._is_over(episodes, index)]
+        # Searches depend on the rope alone, so how many are made together changes nothing.
+        for first in range(0, len(searching), _LANES):
+            self._search(episodes, np.array(searching[first : first + _LANES]))
         forces = controller.forces(simulation.points)[ids] * simulation.max_force
         actions = simulation.actions(controller.beads[ids], forces, ids)
         moves, macros = [], np.tile(NO_MACRO, (len(ids), 1))
@@ -287,12 +287,12 @@ class Demonstrator(Policy):
         self._planner.replan(index)
 
     def begin_with(self, episodes: EpisodeBatch, index: int, move: Pass) -> None:
-        """Act out a pass of somebody else's choice before the first look."""
+        """Act out a pass of somebody else's choice before the first search."""
         self._start(episodes, index, move, RANDOM)
 
     def simplest(self, episodes: EpisodeBatch, index: int, passes: list[Pass]) -> Pass:
         """Return the first of the passes that leave an episode's rope with the fewest crossings."""
-        assert self._lanes is not None  # a look came before
+        assert self._lanes is not None  # a search came before
         goal = self.goal(episodes, index)
         (state,), _ = self._lanes.at_rest(episodes.simulation.qpos([index]))
         left = dict(self._lanes.run(_crossings_left(state, move, goal) for move in passes))
@@ -303,7 +303,7 @@ class Demonstrator(Policy):
         return episodes.goals[index]
 
     def give_up(self, episodes: EpisodeBatch, index: int) -> None:
-        """Go on after a look that found no way."""
+        """Go on after a search that found no way."""
         self._progress[index].taken_over = True
         self._controller.release(index)
 
@@ -314,7 +314,7 @@ class Demonstrator(Policy):
         return self._progress[index].effort.plus(self._planner.effort(index))
 
     def _is_over(self, episodes: EpisodeBatch, index: int) -> bool:
-        """Tell whether an episode needs a look; where the goal is shown, the rope rests."""
+        """Tell whether an episode needs a search; where the goal is shown, the rope rests."""
         progress = self._progress[index]
         if progress.taken_over:
             return False
@@ -328,15 +328,15 @@ class Demonstrator(Policy):
         bound = episodes.tow_bound(index)
         return bound and replace(bound, limit=_TOWING * bound.limit)
 
-    def _look(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> None:
+    def _search(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> None:
         """Find the next pass of some episodes, side by side."""
         began = time.perf_counter()
         if self._lanes is None:
             rope = episodes.simulation.rope
             self._lanes = MacroLanes(_LANES, self.config.macro_actions, rope)
         values = self._values or shipped_values(episodes.config.split)
-        # Looks begin from the rope at rest in the chain engine, whichever engine the episode has:
-        # velocities fade within 20 ms, and a look must not depend on them.
+        # Searches begin from the rope at rest in the chain engine, whichever engine the episode
+        # has: velocities fade within 20 ms, and a search must not depend on them.
         states, points = self._lanes.at_rest(episodes.simulation.qpos(ids))
         searches = [
             find_way(

@@ -1,8 +1,8 @@
 """Led sequences: the demonstrator leads ropes from known states to a code, several side by side.
 
-Each rope is led like an episode of the expert: a look simulates passes in the chain engine, the
-first pass of the way found is acted out in the engine of the run, and then it looks again. What the
-planner needs minutes for takes seconds where the counts of passes know a way.
+Each rope is led like an episode of the expert: a search simulates passes in the chain engine, the
+first pass of the way found is acted out in the engine of the run, and then it searches again. What
+the planner needs minutes for takes seconds where the counts of passes know a way.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ from knotgym.topology.gauss import GaussCode
 # called with a code without chirality, a sequence to it and the integration state there
 Met = Callable[[GaussCode, ActionSequence, Array], object]
 
-_LOOKING = DemonstratorConfig(budget=800)
+_SEARCHING = DemonstratorConfig(budget=800)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,24 +53,24 @@ def lead(ropes: Simulation, starts: Sequence[LedRope], longest: int, met: Met) -
         The number of simulated actions, of both engines.
     """
     values, spent = shipped_values(every_code=True), 0
-    lanes = MacroLanes(len(starts), _LOOKING.macro_actions, ropes.rope)
-    controller = WaypointController(len(starts), _LOOKING.macro_actions)
+    lanes = MacroLanes(len(starts), _SEARCHING.macro_actions, ropes.rope)
+    controller = WaypointController(len(starts), _SEARCHING.macro_actions)
     ropes.restore(np.stack([start.elite.state for start in starts]))
     pulls = [NO_ACTIONS] * len(starts)
     left = [longest - len(start.elite.sequence) for start in starts]
     able = [rope for rope in range(len(starts)) if left[rope] > 0]
     while able:
         states, points = lanes.at_rest(ropes.qpos(able))
-        looks = [
-            find_way(values, starts[rope].goal, replace(_LOOKING, steps=left[rope]), *where)
+        searches = [
+            find_way(values, starts[rope].goal, replace(_SEARCHING, steps=left[rope]), *where)
             for rope, *where in zip(able, states, points, strict=True)
         ]
-        found = dict(lanes.run(looks))
+        found = dict(lanes.run(searches))
         spent += sum(one.spent for one in found.values())
         moves = {rope: found[row].way[0].move for row, rope in enumerate(able) if found[row].way}
         for rope, move in moves.items():
             at = ropes.points[rope]
-            controller.begin(rope, pass_straight(at, *move, _LOOKING.macro_actions), at)
+            controller.begin(rope, pass_straight(at, *move, _SEARCHING.macro_actions), at)
         able, before = list(moves), left.copy()
         for _ in range(LONGEST):
             controller.advance(ropes.points)
