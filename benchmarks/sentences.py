@@ -1,7 +1,9 @@
 """Draw sentences at random, to be read by a person: docstrings, errors, help texts and pages.
 
-python benchmarks/sentences.py --seed 20261127 [--docstrings 40] [--errors 20] [--helps 10]
-    [--pages 3]
+    python benchmarks/sentences.py --seed 20261128 [--docstrings 40] [--errors 20] [--helps 10]
+        [--pages 3]
+
+The same seed draws the same ones from the same checkout. Pages are named, the rest is printed.
 """
 
 import argparse

@@ -76,6 +76,21 @@ def test_every_benchmark_says_how_to_use_it(
     assert f"\n    python benchmarks/{script.name}" in script.read_text(encoding="utf-8")
 
 
+def test_sentences_are_drawn_by_a_seed(capsys: pytest.CaptureFixture[str]) -> None:
+    few = ("--seed", 1, "--docstrings", 2, "--errors", 2, "--helps", 1, "--pages", 1)
+    drawn = []
+    for _ in range(2):
+        run_script(FOLDER / "sentences.py", *few)
+        drawn.append(capsys.readouterr().out)
+    assert drawn[0] == drawn[1]
+    assert [line.split(",")[0] for line in drawn[0].splitlines() if line.startswith("== ")] == [
+        "== docstrings",
+        "== errors",
+        "== helps",
+        "== pages",
+    ]
+
+
 @pytest.mark.slow  # tests/topology/test_reference_labeller.py is its fast twin
 def test_both_labellers_agree_on_fourier_curves(tmp_path: Path) -> None:
     written = figures("codes", tmp_path, "--curves", 16, "--ropes", 0)
