@@ -55,8 +55,8 @@ carries the score: cut to nx 2, 15 of 24 goals are reached; with all of it, 15 o
 simulator.
 
 Offline learners are trained on the datasets of `knotgym suite`, which come with the package as
-recordings: [Learning](learning.md#the-benchmark) says which there are, and how hard they are to
-learn from. Scores on the split by code stand in tables of their own.
+recordings: [The suite](suite.md) says which there are, and how hard they are to learn from. Scores
+on the split by code stand in tables of their own.
 
 `settings` are those that differ from the defaults of `knotgym evaluate`; `files` is the digest of
 the files that decide how a policy acts (weights, tables, own code), `code` that of the package. A

@@ -409,8 +409,8 @@ def test_whole_episodes_have_no_windows(folder: Path) -> None:
 
 
 def test_the_example_of_the_page_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = (Path(__file__).parents[2] / "docs/learning.md").read_text(encoding="utf-8")
-    section = page.split("### Windows and goals")[1].split("\n### ")[0]
+    page = (Path(__file__).parents[2] / "docs/loading.md").read_text(encoding="utf-8")
+    section = page.split("## Windows and goals")[1].split("\n### ")[0]
     (block,) = re.findall(r"```python\n(.*?)```", section, re.S)
     exec(block.replace("knotgym/tie-nx3/expert-v0", str(folder / "state.h5")), {})
     assert capsys.readouterr().out == block.rstrip().rpartition("# ")[2] + "\n"
