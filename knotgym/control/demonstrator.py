@@ -3,8 +3,8 @@
 At a state it goes through the passes that lead nearer to the goal, in one order for the diagram and
 the goal (`pass_counts`), and takes the first that begins a way to the goal. Ways are found in the
 chain engine, depth first, with the rope at rest at every choice. Each pass is acted out until its
-end, the goal, or LONGEST pulls; then it searches again. So what it does is a function of where
-the rope lies, which a network can learn; `planner` is a better player and a worse teacher.
+end, the goal, or LONGEST pulls; then it searches again. So what it does is a function of where the
+rope lies, which a network can learn; `planner` is a better player and a worse teacher.
 """
 
 import time

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from knotgym.common.atomic_files import sha256
+from knotgym.control import policies
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.policies import InvalidPolicy
 from knotgym.envs.tasks import TaskConfig
@@ -14,7 +15,10 @@ from knotgym.generate.episodes.learner_evaluation import EVALUATION, evaluate_le
 from knotgym.generate.episodes.suite_scores import read_scores
 
 
-def test_scores_stand_beside_the_training_and_a_name_is_had_once(tmp_path: Path) -> None:
+def test_scores_stand_beside_the_training_and_a_name_is_had_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(policies, "_constructors", dict(policies._constructors))
     weights = tmp_path / "weights.pt"
     weights.write_bytes(b"of the learner")
     task = TaskConfig(task="tie", observation="state", horizon=2)

@@ -121,6 +121,15 @@ class Archive:
         self.niches[niche] = short + [elite for elite in good_looking if elite not in short]
         return is_new
 
+    @property
+    def origin(self) -> str:
+        """The start, the rope and the engine of the sequences as JSON.
+
+        JSON makes the settings of a file, with lists, comparable to those of a search, with tuples.
+        """
+        known = [self.settings.get(name) for name in ("start", "rope", "engine")]
+        return json.dumps(known, sort_keys=True)
+
     def sure(self, code: GaussCode) -> bool:
         """Whether `code`, which has chirality, or a mirror image of it has an exact elite."""
         return any(elite.exact for elite in self.leading_to(code))

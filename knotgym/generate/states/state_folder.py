@@ -28,7 +28,6 @@ from knotgym.states.schema import DRAWING, STATE_SPLITS
 from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import States, demonstrations_id
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import type_of
 from knotgym.topology.knots import knot_type
 
 HORIZON = 200  # actions, longer than any demonstration
@@ -40,7 +39,10 @@ def states_of(
     made: Sequence[MadeState],
     demonstrations: Sequence[Demonstration | None],
 ) -> States:
-    """Return accepted states, sorted by nx and code, as rows of a state file."""
+    """Return accepted states, sorted by nx and code, as rows of a state file.
+
+    `knot` is the type of all, as `type_of` names it.
+    """
     splits: list[str] = []
     for nx in config.nx:
         codes = [one.code for one in made if one.code.nx == nx]
@@ -56,7 +58,7 @@ def states_of(
         source={
             **source,
             **demonstrations_of(
-                crossings, dealt, type_of(knot), [one is not None for one in demonstrations]
+                crossings, dealt, knot, [one is not None for one in demonstrations]
             ),
             "step": np.array(
                 [

@@ -12,7 +12,6 @@ A code with no sequence found or no drawing accepted is skipped in favour of the
 the run is finished, `made_states` keeps what it has in the staging folder.
 """
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -151,7 +150,7 @@ class StateRecipe(MadeStates, Recipe):
         is_loop = np.array_equal(self.start.points, Rope().loop())
         fresh = new_archive(self.search, None if is_loop else self.start.points)
         self.archive = fresh if given is None else given
-        if _origin(self.archive) != _origin(fresh):
+        if self.archive.origin != fresh.origin:
             raise InvalidConfig(
                 f"the action sequences of {self.given} start from another curve, move another rope"
                 f" or were made with another engine than those of knot {self.config.knot} with"
@@ -403,11 +402,9 @@ class StateRecipe(MadeStates, Recipe):
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
         """Write states.h5, the archive, demonstrations, and the manifest last."""
         slots = [slot for nx in self.config.nx for slot in self.made(nx)]
-        made, demonstrations = (
-            [self.states[slot] for slot in slots],
-            list(map(self.demonstration, slots)),
-        )
-        states, knot = states_of(self.config, self.knot, made, demonstrations), type_of(self.knot)
+        demonstrations = [self.demonstration(slot) for slot in slots]
+        made, knot = [self.states[slot] for slot in slots], type_of(self.knot)
+        states = states_of(self.config, knot, made, demonstrations)
         folder.mkdir(parents=True)
         write_states(folder / "states.h5", states)
         if self.archive.niches:
@@ -446,12 +443,3 @@ class StateRecipe(MadeStates, Recipe):
             },
             "growth": self.growth,
         }
-
-
-def _origin(archive: Archive) -> str:
-    """Return the start, the rope and the engine of an archive's sequences as JSON.
-
-    JSON makes the settings of a file, with lists, comparable to those of a search, with tuples.
-    """
-    known = [archive.settings.get(name) for name in ("start", "rope", "engine")]
-    return json.dumps(known, sort_keys=True)
