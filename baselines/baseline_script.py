@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from knotgym.cli.options import words
 from knotgym.common.atomic_files import atomic_write, require_writable
 from knotgym.common.configuration import differences
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import InvalidInput, KnotgymError, one_line
 from knotgym.control.policies import PolicyConfig
 from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
@@ -22,15 +22,11 @@ from knotgym.generate.episodes.evaluate import EvaluateConfig
 PROGRESS = "progress.json"
 
 
-class InvalidBaseline(KnotgymError, ValueError):
-    """A training that can't run: its options, checkout or folder are invalid."""
-
-
 class _OneLine(argparse.ArgumentParser):
-    """Raise usage errors as InvalidBaseline, for one line of output."""
+    """Raise usage errors as InvalidInput, for one line of output."""
 
     def error(self, message: str) -> NoReturn:
-        raise InvalidBaseline(f"{message}; see --help")
+        raise InvalidInput(f"{message}; see --help")
 
 
 def parser(description: str, steps: str) -> argparse.ArgumentParser:
@@ -69,7 +65,7 @@ def evaluation_settings(given: argparse.Namespace, task: TaskConfig) -> dict[str
     """Return the settings of the evaluation after training; None if there is none.
 
     Raises:
-        InvalidSetting, InvalidConfig: a setting is invalid or its states are missing.
+        InvalidInput, InvalidInput: a setting is invalid or its states are missing.
     """
     state_origins(task)
     if given.episodes == 0:
@@ -90,24 +86,24 @@ def require_folder(out: Path, name: str, request: dict[str, Any], resume: bool) 
     """Check that a folder is empty, or, to resume, that it holds a training with these settings.
 
     Raises:
-        InvalidBaseline: it isn't, or it doesn't.
-        Unwritable: nothing can be written there.
+        InvalidInput: it isn't, or it doesn't.
+        Failed: nothing can be written there.
     """
     if not resume:
         require_writable(out / name)
         if out.is_file() or (out.is_dir() and any(out.iterdir())):
-            raise InvalidBaseline(
+            raise InvalidInput(
                 f"{out} isn't empty; name a new folder, or --resume the training in it"
             )
         return
     try:
         before = json.loads((out / name).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InvalidBaseline(
+        raise InvalidInput(
             f"no training of this script in {out}; leave out --resume to begin one"
         ) from error
     if found := list(differences(before, request)):
-        raise InvalidBaseline(f"the training in {out} has other settings: {'; '.join(found)}")
+        raise InvalidInput(f"the training in {out} has other settings: {'; '.join(found)}")
 
 
 def write_json(path: Path, value: dict[str, Any]) -> None:
@@ -132,7 +128,7 @@ class Progress:
             try:
                 fields |= json.loads(self._path.read_text(encoding="utf-8"))
             except (OSError, ValueError, TypeError) as error:
-                raise InvalidBaseline(f"{self._path} is corrupted") from error
+                raise InvalidInput(f"{self._path} is corrupted") from error
         self.steps = int(fields["steps"])
         self.resumed_at = [int(one) for one in fields["resumed_at"]]
         self._began = time.perf_counter() - float(fields["seconds"])

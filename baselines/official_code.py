@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baseline_script import InvalidBaseline
-
-from knotgym.common.errors import MissingExtra
+from knotgym.common.errors import InvalidInput, MissingExtra
 
 Settings = dict[str, Any]
 
@@ -57,11 +55,11 @@ def require_checkout(code: OfficialCode, folder: Path) -> str:
     """Return the commit of a checkout, or "unknown"; print a warning if it isn't the tested one.
 
     Raises:
-        InvalidBaseline: the folder isn't a checkout of that code.
+        InvalidInput: the folder isn't a checkout of that code.
         MissingExtra: a library that the code imports isn't installed.
     """
     if missing := [name for name in code.files if not (folder / name).is_file()]:
-        raise InvalidBaseline(
+        raise InvalidInput(
             f"{folder} isn't a checkout of {code.repository} at {code.commit[:12]}: it has no"
             f" {missing[0]}"
         )
@@ -87,11 +85,11 @@ def read_settings(file: Path, table: str, changes: Sequence[str]) -> Settings:
     """Read a table of a settings file and apply changes such as "run.envs=8".
 
     Raises:
-        InvalidBaseline: the table or a setting is unknown, or a value has the wrong type.
+        InvalidInput: the table or a setting is unknown, or a value has the wrong type.
     """
     tables = tomllib.loads(file.read_text(encoding="utf-8"))
     if table not in tables:
-        raise InvalidBaseline(f"no settings {table!r}; choose from {', '.join(tables)}")
+        raise InvalidInput(f"no settings {table!r}; choose from {', '.join(tables)}")
     known: Settings = {}
     for one in (*tables.values(), tables[table]):
         known |= one
@@ -99,7 +97,7 @@ def read_settings(file: Path, table: str, changes: Sequence[str]) -> Settings:
     for change in changes:
         name, equals, text = change.partition("=")
         if not equals or name not in known:
-            raise InvalidBaseline(
+            raise InvalidInput(
                 f"--set takes NAME=VALUE with one of {', '.join(known)}; got {change!r}"
             )
         chosen[name] = _value(name, text, known[name])
@@ -115,7 +113,7 @@ def _value(name: str, text: str, usual: Any) -> Any:
     if isinstance(usual, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if type(value) is not type(usual):
-        raise InvalidBaseline(f"{name} must be like {usual!r}, got {text!r}")
+        raise InvalidInput(f"{name} must be like {usual!r}, got {text!r}")
     return value
 
 

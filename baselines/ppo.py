@@ -34,21 +34,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from baseline_script import (
-    InvalidBaseline,
-    evaluation_settings,
-    parser,
-    require_folder,
-    run,
-    write_json,
-)
+from baseline_script import evaluation_settings, parser, require_folder, run, write_json
 from rich.console import Console
 
 import knotgym
 from knotgym.adapters import sb3_vec_env
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.configuration import as_json, check_numbers
-from knotgym.common.errors import MissingExtra, one_line
+from knotgym.common.errors import InvalidInput, MissingExtra, one_line
 from knotgym.control.learned_policies import ModelPolicy
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
@@ -91,11 +84,11 @@ class PpoConfig:
             whole=("seed",),
             positive=("learning_rate", "clip"),
             shares=("gamma", "gae_lambda"),
-            error=InvalidBaseline,
+            error=InvalidInput,
         )
         steps = self.envs * self.rollout
         if self.batch < 2 or steps % self.batch:
-            raise InvalidBaseline(
+            raise InvalidInput(
                 f"batch must be at least 2 and divide the {steps} steps of a rollout (envs times"
                 f" rollout), got {self.batch}"
             )
@@ -134,7 +127,7 @@ def train(given: argparse.Namespace) -> None:
         tow_limit=given.tow_limit,
     )
     evaluation = evaluation_settings(given, task)
-    check_numbers(given, counts=("steps", "every"), whole=("threads",), error=InvalidBaseline)
+    check_numbers(given, counts=("steps", "every"), whole=("threads",), error=InvalidInput)
     _require_device(given.device)
     request = {"ppo": as_json(config), "task": as_json(task)}
     require_folder(given.out, REQUEST, request, given.resume)
@@ -169,7 +162,7 @@ def _require_device(device: str) -> None:
     try:
         torch.zeros(1, device=get_device(device))
     except (RuntimeError, AssertionError) as error:  # torch raises the latter for CUDA
-        raise InvalidBaseline(
+        raise InvalidInput(
             f"device {device!r} is not available: {one_line(error)[:200]}"
         ) from error
 
@@ -216,7 +209,7 @@ def _learner(
     except (
         Exception
     ) as error:  # pickle, zipfile and torch each raise their own for a corrupted file
-        raise InvalidBaseline(f"can't resume from {found}: {one_line(error)[:200]}") from error
+        raise InvalidInput(f"can't resume from {found}: {one_line(error)[:200]}") from error
     if steps < given.steps:
         before = [*(one for one in before if one < steps), steps]
     model.tensorboard_log = log

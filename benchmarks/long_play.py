@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import Failed, InvalidInput
 from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
 from knotgym.rope.chain.solver import SCHEDULE, STATE, advance
 from knotgym.rope.engines import ENGINES, MUJOCO
@@ -42,9 +43,8 @@ from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings, label, label_many
-from knotgym.topology.diagrams import NotPlanar
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import UndecidedKnot, is_unknot
+from knotgym.topology.knots import is_unknot
 from knotgym.topology.single_moves import removals, sideways
 
 HOLD = 20  # actions with the same bead and direction
@@ -139,9 +139,9 @@ def verdict(points: Array, code: GaussCode, rng: Random) -> str:
     for _ in range(8):
         try:
             return "unknotted" if is_unknot(code) else "knotted"
-        except NotPlanar:  # beads on one another
+        except InvalidInput:  # beads on one another
             found = "no diagram"
-        except UndecidedKnot:
+        except Failed:
             found = "undecided"
         code = label(points @ turned(rng))
     return found

@@ -30,8 +30,8 @@ from damaged_files import DAMAGES, copied
 from file_readers import TOLD
 
 from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import KnotgymError
-from knotgym.datasets.foreign_file import HarmfulFile, try_files
+from knotgym.common.errors import InvalidFile, KnotgymError
+from knotgym.datasets.foreign_file import try_files
 
 LIMIT = 60.0  # seconds for a file
 READ_BY_ONE = 200  # files, then another process reads
@@ -63,7 +63,7 @@ def _as_commands_say(path: Path) -> str:
     """ "harmful" where `verify`, which tries files first, would say so in a line."""
     try:
         try_files([path])
-    except HarmfulFile:
+    except InvalidFile:
         return "harmful"
     return ""
 

@@ -5,13 +5,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.rendering.camera import (
-    DEFAULT,
-    PictureConfig,
-    PictureError,
-    checked_points,
-    rope_colours,
-)
+from knotgym.common.errors import InvalidInput
+from knotgym.rendering.camera import DEFAULT, PictureConfig, checked_points, rope_colours
 from knotgym.rendering.picture import crossing_pixels
 from knotgym.topology.crossings import Crossings
 
@@ -50,17 +45,17 @@ def shown_strands(
         drawn radius and half a pixel's diagonal of the crossing.
 
     Raises:
-        PictureError: the camera is not orthographic or there is no top view, so that the picture
+        InvalidInput: the camera is not orthographic or there is no top view, so that the picture
             shows other crossings; or pixels are larger than 1.1 drawn radii, so that the over
             strand need not fill most of a crossing's pixel.
     """
     if config.camera != "orthographic":
-        raise PictureError(
+        raise InvalidInput(
             "only an orthographic picture shows the crossings of the code, got camera"
             f" {config.camera!r}"
         )
     if "top" not in config.views:
-        raise PictureError(
+        raise InvalidInput(
             "only the top view shows the crossings of the code, got views"
             f" {', '.join(config.views)}"
         )
@@ -68,7 +63,7 @@ def shown_strands(
     image = image[first : first + config.size, :, :3]
     pixel = 1.0 / config.pixels_per_metre
     if pixel > 1.1 * config.drawn_radius:
-        raise PictureError(
+        raise InvalidInput(
             f"pixels of {1e3 * pixel:.1f} mm are too coarse to read a rope drawn"
             f" {1e3 * config.drawn_radius:.1f} mm in radius; draw it with size at least"
             f" {math.ceil(config.size * pixel / (1.1 * config.drawn_radius))}"

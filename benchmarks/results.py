@@ -22,13 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.generate.episodes.suite_scores import (
-    CELL,
-    LINE,
-    InvalidScores,
-    read_scores,
-    score_tables,
-)
+from knotgym.common.errors import InvalidFile
+from knotgym.generate.episodes.suite_scores import CELL, LINE, read_scores, score_tables
 from knotgym.runs.engine import versions
 
 ROOT = Path(__file__).parents[1]
@@ -108,10 +103,10 @@ def as_cell(row: Mapping[str, Any], at: str) -> Row:
     """A row of `read_scores` as the table has it; measured with the code of commit `at`.
 
     Raises:
-        InvalidScores: the code that measured it isn't that of this checkout.
+        InvalidFile: the code that measured it isn't that of this checkout.
     """
     if row["code_sha256"] != versions()["code"]:
-        raise InvalidScores(
+        raise InvalidFile(
             f"{row['policy']}, {row['task']} nx {row['nx']} was measured with code"
             f" {row['code_sha256'][:8]}, and this checkout has {versions()['code'][:8]}: check out"
             " its commit, or measure it again"
@@ -174,7 +169,7 @@ def main() -> None:
     given = parser.parse_args()
     try:
         measured = [as_cell(row, commit()) for row in read_scores(given.evaluations)]
-    except InvalidScores as error:
+    except InvalidFile as error:
         sys.exit(str(error))
     rows = {tuple(str(row[name]) for name in SAME): row for row in read_table(given.out)}
     rows |= {tuple(str(row[name]) for name in SAME): row for row in measured}

@@ -13,26 +13,27 @@ from typing import TYPE_CHECKING
 import gymnasium
 
 if TYPE_CHECKING:
+    from knotgym.common.errors import Failed as Failed
+    from knotgym.common.errors import InvalidFile as InvalidFile
+    from knotgym.common.errors import InvalidInput as InvalidInput
+    from knotgym.common.errors import InvalidPolicy as InvalidPolicy
     from knotgym.common.errors import KnotgymError as KnotgymError
+    from knotgym.common.errors import MissingExtra as MissingExtra
+    from knotgym.common.errors import MissingFile as MissingFile
+    from knotgym.common.errors import Occupied as Occupied
     from knotgym.datasets.verification import verify as verify
     from knotgym.envs.environment import KnotEnv as KnotEnv
     from knotgym.envs.environment import KnotVectorEnv as KnotVectorEnv
-    from knotgym.envs.tasks import InvalidSetting as InvalidSetting
     from knotgym.envs.tasks import TaskConfig as TaskConfig
     from knotgym.rendering.picture import PictureConfig as PictureConfig
     from knotgym.rendering.picture import draw as draw
-    from knotgym.rope.model import InvalidCurve as InvalidCurve
     from knotgym.rope.model import Rope as Rope
     from knotgym.rope.model import RopeConfig as RopeConfig
-    from knotgym.rope.simulation import InvalidAction as InvalidAction
-    from knotgym.states.state_file import InvalidStates as InvalidStates
     from knotgym.states.state_file import States as States
     from knotgym.states.state_file import read_states as read_states
     from knotgym.states.state_file import shipped as shipped
-    from knotgym.topology.crossings import InvalidPoints as InvalidPoints
     from knotgym.topology.crossings import label as label
     from knotgym.topology.gauss import GaussCode as GaussCode
-    from knotgym.topology.gauss import InvalidGaussCode as InvalidGaussCode
 else:
     from knotgym.common.lazy_exports import lazy_exports
 

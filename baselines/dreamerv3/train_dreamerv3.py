@@ -34,15 +34,7 @@ from dreamer_rope import DreamerPolicy, DreamerRope
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))  # modules that all baselines share
 
-from baseline_script import (
-    InvalidBaseline,
-    Progress,
-    evaluation_settings,
-    parser,
-    require_folder,
-    run,
-    write_json,
-)
+from baseline_script import Progress, evaluation_settings, parser, require_folder, run, write_json
 from official_code import (
     OfficialCode,
     Settings,
@@ -54,6 +46,7 @@ from official_code import (
 
 import knotgym
 from knotgym.common.configuration import as_json, check_numbers
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
 
@@ -82,11 +75,11 @@ def train(given: argparse.Namespace) -> None:
         task=given.task, nx=given.nx, states=given.states, image_size=given.image_size
     )
     if given.image_size not in range(48, 129, 16):
-        raise InvalidBaseline(
+        raise InvalidInput(
             f"image_size must be 48, 64, 80, 96, 112 or 128, to be halved four times; got"
             f" {given.image_size}"
         )
-    check_numbers(given, counts=("steps",), whole=("seed",), error=InvalidBaseline)
+    check_numbers(given, counts=("steps",), whole=("seed",), error=InvalidInput)
     settings = read_settings(SETTINGS, given.settings, given.set)
     evaluation = evaluation_settings(given, task)
     commit = require_checkout(DREAMER, given.checkout)
@@ -120,7 +113,7 @@ def _require_platform(platform: str) -> None:
     """
     plugins = ("jax_cuda12_plugin", "jax_cuda13_plugin")
     if platform == "cuda" and not any(map(importlib.util.find_spec, plugins)):
-        raise InvalidBaseline(
+        raise InvalidInput(
             "jax has no CUDA here, which --settings paper needs; install jax[cuda12], or give"
             " --set jax.platform=cpu"
         )

@@ -38,15 +38,7 @@ from rope_rounds import RopeRounds, TdMpcPolicy
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))  # modules that all baselines share
 
-from baseline_script import (
-    InvalidBaseline,
-    Progress,
-    evaluation_settings,
-    parser,
-    require_folder,
-    run,
-    write_json,
-)
+from baseline_script import Progress, evaluation_settings, parser, require_folder, run, write_json
 from official_code import (
     OfficialCode,
     Settings,
@@ -59,7 +51,7 @@ from official_code import (
 import knotgym
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.configuration import as_json, check_numbers
-from knotgym.common.errors import one_line
+from knotgym.common.errors import InvalidInput, one_line
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
 
@@ -94,10 +86,10 @@ def train(given: argparse.Namespace) -> None:
         task=given.task, nx=given.nx, states=given.states, image_size=given.image_size
     )
     if given.image_size < LEAST_SIZE:
-        raise InvalidBaseline(
+        raise InvalidInput(
             f"image_size must be at least {LEAST_SIZE} for the encoder, got {given.image_size}"
         )
-    check_numbers(given, counts=("steps",), whole=("seed", "threads"), error=InvalidBaseline)
+    check_numbers(given, counts=("steps",), whole=("seed", "threads"), error=InvalidInput)
     settings = read_settings(SETTINGS, given.settings, given.set)
     check_settings(settings, task.horizon)
     evaluation = evaluation_settings(given, task)
@@ -127,20 +119,20 @@ def check_settings(settings: Settings, horizon: int) -> None:
     """Check the settings that the official trainer doesn't check itself.
 
     Raises:
-        InvalidBaseline: a setting would make it crash or skip evaluation or training.
+        InvalidInput: a setting would make it crash or skip evaluation or training.
     """
     if settings["device"] not in DEVICES:
-        raise InvalidBaseline(f"device must be {' or '.join(DEVICES)}, got {settings['device']!r}")
+        raise InvalidInput(f"device must be {' or '.join(DEVICES)}, got {settings['device']!r}")
     ropes = settings["num_envs"]
     if ropes < 1:
-        raise InvalidBaseline(f"num_envs must be at least 1, got {ropes}")
+        raise InvalidInput(f"num_envs must be at least 1, got {ropes}")
     for name in ("eval_freq", "seed_steps"):
         if settings[name] < 1 or settings[name] % ropes:
-            raise InvalidBaseline(
+            raise InvalidInput(
                 f"{name} must be a multiple of num_envs, {ropes}, got {settings[name]}"
             )
     if settings["seed_steps"] < ropes * horizon:
-        raise InvalidBaseline(
+        raise InvalidInput(
             f"seed_steps must be at least {ropes * horizon}, a round of num_envs episodes, got"
             f" {settings['seed_steps']}"
         )
@@ -189,9 +181,7 @@ def _agent(
         torch.zeros(1, device=settings["device"])
     except (RuntimeError, AssertionError) as error:  # torch raises the latter for CUDA
         reason = one_line(error)[:200]
-        raise InvalidBaseline(
-            f"device {settings['device']!r} is not available: {reason}"
-        ) from error
+        raise InvalidInput(f"device {settings['device']!r} is not available: {reason}") from error
     patch(config.latent_dim, settings["device"])
     agent = importlib.import_module("tdmpc2").TDMPC2(config)
     optimizers = {"optim": agent.optim, "pi_optim": agent.pi_optim}
@@ -205,7 +195,7 @@ def _agent(
             Exception
         ) as error:  # pickle, zipfile and torch each raise their own for a corrupted file
             reason = one_line(error)[:200]
-            raise InvalidBaseline(f"can't resume from {given.out / MODEL}: {reason}") from error
+            raise InvalidInput(f"can't resume from {given.out / MODEL}: {reason}") from error
     for one in optimizers.values():
         for group in one.param_groups:
             group["capturable"] = agent.device.type == "cuda"

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from knotgym.adapters.goal_environment import Goals
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import action_space, observation_space, task_config
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import InvalidSetting
 
 Indices = int | Iterable[int] | None
 
@@ -74,7 +74,7 @@ class BatchedVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute of all ropes; setting it for some of them is not supported."""
         if len(self._which(indices)) < self.num_envs:
-            raise InvalidSetting(f"{attr_name} is the same for all ropes: set it without indices")
+            raise InvalidInput(f"{attr_name} is the same for all ropes: set it without indices")
         setattr(self, attr_name, value)
 
     def env_method(
@@ -91,7 +91,7 @@ class BatchedVecEnv(VecEnv):
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
         """Compute rewards as `Goals.reward`; `info` is not used."""
         if self.goals is None:
-            raise InvalidSetting("compute_reward needs goals: create the VecEnv with goals=True")
+            raise InvalidInput("compute_reward needs goals: create the VecEnv with goals=True")
         return self.goals.reward(achieved_goal, desired_goal)
 
     def _begin(self, ids: NDArray[np.int64], options: dict[str, Any] | None = None) -> None:

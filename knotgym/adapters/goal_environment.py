@@ -13,10 +13,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv, observation_space
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS, numbers
-from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.towing import distances_towed
 from knotgym.topology.gauss import GaussCode
 
@@ -67,7 +68,7 @@ def goal_env(task: str, **settings: Any) -> GoalEnv:
             how long it was held nor how many steps are left.
 
     Raises:
-        InvalidSetting: a setting is invalid.
+        InvalidInput: a setting is invalid.
     """
     return GoalEnv(task, **settings)
 
@@ -79,7 +80,7 @@ class Goals:
         config = episodes.config
         require_one_side(config)
         if config.hold != 1 or config.failure_reward:
-            raise InvalidSetting(
+            raise InvalidInput(
                 "with goals that may be relabelled, hold must be 1 and failure_reward 0, got"
                 f" {config.hold} and {config.failure_reward}"
             )
@@ -134,9 +135,9 @@ def halves(observation: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def require_one_side(config: TaskConfig) -> None:
-    """Raise InvalidSetting if observations of the task can't be split by `halves`."""
+    """Raise InvalidInput if observations of the task can't be split by `halves`."""
     if config.observation in ("both", "marked") or config.layout != "beside":
-        raise InvalidSetting(
+        raise InvalidInput(
             "an environment that shows the rope without its goal needs observation 'pixels',"
             " 'state' or 'symbolic', and layout 'beside';"
             f" got {config.observation!r} and {config.layout!r}"

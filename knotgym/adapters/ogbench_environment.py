@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.adapters.goal_environment import halves, require_one_side, rope_space
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv
-from knotgym.envs.tasks import InvalidSetting
 
 TASKS = 5  # number of evaluation goals, as in OGBench
 
@@ -54,7 +54,7 @@ class OGBenchEnv(KnotEnv):
         task_id, render_goal = options.pop("task_id", None), options.pop("render_goal", False)
         if task_id is not None:
             if task_id not in range(1, TASKS + 1):
-                raise InvalidSetting(f"task_id must be a number from 1 to {TASKS}, got {task_id!r}")
+                raise InvalidInput(f"task_id must be a number from 1 to {TASKS}, got {task_id!r}")
             chosen = self.task_infos[task_id - 1]
             options = {"start": chosen["start"], "goal": chosen["goal"], **options}
         both, info = super().reset(seed=seed, options=options)

@@ -24,7 +24,7 @@ def sb3_vec_env(
 
     Raises:
         MissingExtra: Stable-Baselines3 isn't installed.
-        InvalidSetting: a setting is invalid.
+        InvalidInput: a setting is invalid.
     """
     try:
         from knotgym.adapters.batched_vec_env import BatchedVecEnv

@@ -16,11 +16,10 @@ from knotgym.common.atomic_files import (
     require_output,
     require_writable,
 )
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import Failed, InvalidInput
 from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import Count, EpisodeReader, episode_file, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
-from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.exports.forms import export as convert
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
@@ -29,7 +28,6 @@ from knotgym.datasets.gallery import write_episode_gallery, write_gallery, write
 from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.located import (
     Dataset,
-    UnknownDataset,
     episodes_at,
     name_of,
     resolve_dataset,
@@ -65,10 +63,6 @@ def demonstrations(path: Path) -> list[Dataset]:
     return episodes_at(str(path)) if (path / "minari").is_dir() else []
 
 
-class UntrueReplay(KnotgymError, RuntimeError):
-    """A replay ended in another state than the stored one."""
-
-
 def show(named: str, console: Console) -> None:
     """Print a summary of a dataset or of transcripts."""
     if transcripts_at(named) is not None:
@@ -87,7 +81,7 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
     """Check the datasets that a path or an id names; yield their faults.
 
     Raises:
-        HarmfulFile: the HDF5 library crashes on one of the files.
+        InvalidFile: the HDF5 library crashes on one of the files.
     """
     given = [Path(named)]
     if not given[0].exists() and not leads_out(named):
@@ -158,7 +152,7 @@ def export(
         video: "h264" or "av1" for the pictures of format lerobot as video.
     """
     if video and form != "lerobot":
-        raise ExportError(f"--video is for --to lerobot, got {video!r} for {form}")
+        raise InvalidInput(f"--video is for --to lerobot, got {video!r} for {form}")
     require_writable(out)  # each exporter then checks what it would replace
     require_own_files(named)
     if form == "huggingface":
@@ -178,7 +172,7 @@ def export(
         return f"a Minari root with {len(found)} datasets; upload the folder in it"
     if form != "compact":
         if len(found) > 1:
-            raise UnknownDataset(
+            raise InvalidInput(
                 f"{named} has {len(found)} datasets; export them to {form} one by one"
             )
         convert(found[0].path, out, form, count, overwrite=overwrite, video=video)
@@ -202,7 +196,7 @@ def require_own_files(named: str) -> None:
     """Require that no file of a dataset is a link to another place.
 
     Raises:
-        LinkedFile: one is; see `require_no_links`.
+        InvalidFile: one is; see `require_no_links`.
     """
     root = Path(named) if Path(named).exists() else minari_root() / named
     for kind, path in resolve_datasets(named):
@@ -230,9 +224,9 @@ def _sources(named: str) -> ToUpload:
 
 
 def refuse_minaris_folder(out: Path) -> None:
-    """Raise UnknownDataset if a plain file would be written into Minari's folder."""
+    """Raise InvalidInput if a plain file would be written into Minari's folder."""
     if out.resolve().is_relative_to(minari_root().resolve()):
-        raise UnknownDataset(
+        raise InvalidInput(
             f"{out} is in Minari's folder, where Minari can't read a plain file: merge with --id"
             " knotgym/name-v0, or give another --out"
         )
@@ -270,7 +264,7 @@ def merge(sources: Sequence[str], out: Path, overwrite: bool, count: Count = unc
     if run_shards:
         others = len(sources) - len(run_shards)
         if others:
-            raise UnknownDataset(
+            raise InvalidInput(
                 f"shards of a run are only merged with each other; {others} of these"
                 f" {len(sources)} are not shards"
             )
@@ -283,11 +277,11 @@ def merge(sources: Sequence[str], out: Path, overwrite: bool, count: Count = unc
     found = [resolve_dataset(source) for source in sources]
     kinds = {one.kind for one in found}
     if "images" in kinds:
-        raise UnknownDataset(
+        raise InvalidInput(
             "perception tables can only be merged as shards of one run (knotgym images --shard)"
         )
     if len(kinds) > 1:
-        raise UnknownDataset(
+        raise InvalidInput(
             f"states and trajectories can't be merged into one file: {', '.join(sources)}"
         )
     if kinds == {"states"}:
@@ -305,8 +299,8 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
     """Replay a state or an episode and write it as a video; return a one-line summary.
 
     Raises:
-        UnknownDataset: there is no such row, or it has no recorded actions.
-        UntrueReplay: the replay ended in another state; nothing is written.
+        InvalidInput: there is no such row, or it has no recorded actions.
+        Failed: the replay ended in another state; nothing is written.
     """
     require_output(out, folder=False, overwrite=overwrite)
     require_film(out)
@@ -322,7 +316,7 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
         simulation.act(action[None])
         ropes.append(simulation.points[0].copy())
     if not np.array_equal(simulation.points[0], scene.end):
-        raise UntrueReplay(
+        raise Failed(
             f"row {row} of {named} ends in another state when replayed: beads differ by up to"
             f" {np.abs(simulation.points[0] - scene.end).max():.3g} m per coordinate"
         )
@@ -350,7 +344,7 @@ def _state_scene(path: Path, row: int) -> _Scene:
     states = read_states(states_at(path), images=False)
     _require_row(row, len(states))
     if not {"start_qpos", "actions", "steps"} <= states.source.keys():
-        raise UnknownDataset(
+        raise InvalidInput(
             f"{path} has no recorded actions for its states, so they can't be replayed"
         )
     actions = states.source["actions"][row, : states.source["steps"][row]]
@@ -378,4 +372,4 @@ def _episode_scene(path: Path, row: int) -> _Scene:
 
 def _require_row(row: int, count: int) -> None:
     if row >= count:
-        raise UnknownDataset(f"there is no row {row}; the dataset has {count} rows, counted from 0")
+        raise InvalidInput(f"there is no row {row}; the dataset has {count} rows, counted from 0")

@@ -4,9 +4,9 @@ import importlib.util
 from pathlib import Path
 
 from knotgym.cli.options import EXISTING, Given, Option, command, option, options_of, run_options
-from knotgym.common.errors import MissingExtra, install_command
+from knotgym.common.errors import InvalidInput, MissingExtra, install_command
 from knotgym.learn.clone_config import CloneConfig
-from knotgym.learn.train_config import InvalidTraining, TrainConfig
+from knotgym.learn.train_config import TrainConfig
 
 
 def _options() -> list[Option]:
@@ -64,13 +64,13 @@ def train(given: Given) -> None:
         run = given.run
         train_clone(data, out, clone, existing=run, workers=run.workers, progress=given.progress)
     elif learner != "pictures":
-        raise InvalidTraining(f"no learner {learner!r}; there is pictures, clone")
+        raise InvalidInput(f"no learner {learner!r}; there is pictures, clone")
     elif given.typed & {option.path for option in _of_the_clone()}:
-        raise InvalidTraining(
+        raise InvalidInput(
             "only the clone makes demonstrations and improves by playing: add --learner clone"
         )
     elif not data:
-        raise InvalidTraining("name at least one dataset to train on, as in --data FOLDER")
+        raise InvalidInput("name at least one dataset to train on, as in --data FOLDER")
     else:
         pictures = given.config(TrainConfig)
         train_from_pictures(data, out, pictures, existing=given.run, progress=given.progress)

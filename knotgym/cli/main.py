@@ -26,9 +26,7 @@ from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
 from knotgym.cli.selection_commands import delete, import_curves, select, split
 from knotgym.cli.suite_command import suite
-from knotgym.common.errors import KnotgymError, printable
-from knotgym.runs.pools import LostWorkers
-from knotgym.runs.run_options import NotEnough
+from knotgym.common.errors import Failed, KnotgymError, printable
 
 
 class Command(DerivedCommand):
@@ -143,7 +141,7 @@ def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> No
         status = result if isinstance(result, int) else 0
         if status == _INTERRUPTED:  # typer returns this after a KeyboardInterrupt
             _say(stopped(), status)
-    except (NotEnough, LostWorkers) as error:
+    except Failed as error:
         status = _say(str(error), _FAILED)
     except _USAGE as error:
         # an empty message means that the help was shown

@@ -28,7 +28,8 @@ from typing import (
 import typer
 from typer.core import TyperCommand
 
-from knotgym.common.configuration import InvalidConfig, from_json, read_json
+from knotgym.common.configuration import from_json, read_json
+from knotgym.common.errors import InvalidInput
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
@@ -391,7 +392,7 @@ def read_settings(path: Path | None) -> dict[str, Any]:
     """Read a --settings file; an empty dict without one.
 
     Raises:
-        InvalidConfig: the file can't be read as TOML or JSON, or isn't an object.
+        InvalidInput: the file can't be read as TOML or JSON, or isn't an object.
     """
     if path is None:
         return {}
@@ -402,9 +403,9 @@ def read_settings(path: Path | None) -> dict[str, Any]:
         else:
             found = read_json(path)
     except (OSError, ValueError) as error:
-        raise InvalidConfig(f"--settings {path} can't be read as {form}: {error}") from error
+        raise InvalidInput(f"--settings {path} can't be read as {form}: {error}") from error
     if not isinstance(found, dict):
-        raise InvalidConfig(f"--settings {path} must hold an object, got {found!r}")
+        raise InvalidInput(f"--settings {path} must hold an object, got {found!r}")
     return found
 
 

@@ -141,12 +141,13 @@ def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
     """Return the first `count` pictures of a split; the table is shuffled."""
     from itertools import islice
 
-    from knotgym.datasets.image_table import InvalidImages, read_rows
+    from knotgym.common.errors import InvalidFile
+    from knotgym.datasets.image_table import read_rows
 
     columns = ["image", "gauss_code", "nx", "grade", "accepted"]
     rows = list(islice(read_rows(pictures, split, columns), count))
     if not rows:
-        raise InvalidImages(f"{pictures} has no pictures of split {split}")
+        raise InvalidFile(f"{pictures} has no pictures of split {split}")
     return rows
 
 

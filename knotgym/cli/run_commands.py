@@ -241,7 +241,7 @@ def code_list(
         rng: source of the sample.
 
     Raises:
-        InvalidGaussCode: a line is none of them.
+        InvalidInput: a line is none of them.
     """
     if str(path) == HARD_UNKNOTS and not path.exists():
         path = Path(str(files("knotgym.topology") / "data/hard-unknots.txt"))

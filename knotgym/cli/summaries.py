@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
+from knotgym.common.errors import InvalidFile
 from knotgym.datasets.cards.fact_tables import Table, image_tables, state_tables
 from knotgym.datasets.cards.image_card import summary as image_summary
 from knotgym.datasets.cards.state_card import summary as state_summary
@@ -15,7 +16,7 @@ from knotgym.datasets.image_table import shards
 from knotgym.datasets.manifest_check import read_manifest, run_report
 from knotgym.prompting.reading_scores import HEAD, ReadingScores
 from knotgym.prompting.summary import summarize
-from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts, transcripts_at
+from knotgym.prompting.transcripts import read_transcripts, transcripts_at
 from knotgym.runs.tables import narrow_table
 from knotgym.states.state_file import read_states
 
@@ -60,7 +61,7 @@ def print_transcripts(path: Path, console: Console) -> None:
     file = transcripts_at(path)
     found = [] if file is None else read_transcripts(file)
     if not found:
-        raise InvalidTranscript(f"{path} contains no transcripts")
+        raise InvalidFile(f"{path} contains no transcripts")
     config, facts = found[0]["config"], summarize(found)
     task = config.get("task")
     of = f"{task['task']} nx {task['nx']}, {task['split']}" if task else "pictures"

@@ -19,15 +19,7 @@ from typing import Any
 
 import h5py
 
-from knotgym.common.errors import KnotgymError
-
-
-class Unwritable(KnotgymError, OSError):
-    """The path can't be written."""
-
-
-class Occupied(KnotgymError, ValueError):
-    """Something that may not be replaced is in the way of an output."""
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, Occupied
 
 
 def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: bool = False) -> None:
@@ -37,7 +29,7 @@ def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: boo
 
     Raises:
         Occupied: something exists at `path` that may not be replaced.
-        Unwritable: the path can't be written.
+        InvalidInput: the path can't be written.
     """
     _require_free(Path(path), folder, overwrite)
     require_writable(path)
@@ -59,7 +51,7 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
 
 
 def require_writable(path: str | os.PathLike[str]) -> None:
-    """Check by a trial that leaves no trace that `path` can be written; raise Unwritable
+    """Check by a trial that leaves no trace that `path` can be written; raise InvalidInput
     otherwise.
     """
     target, folder = Path(path), None
@@ -71,7 +63,7 @@ def require_writable(path: str | os.PathLike[str]) -> None:
                 (Path(staged) / name).mkdir(exist_ok=True)
     except OSError as error:
         where = f", {folder}" if folder else ""
-        raise Unwritable(f"{target} can't be written: {error.strerror}{where}") from error
+        raise InvalidInput(f"{target} can't be written: {error.strerror}{where}") from error
 
 
 @contextmanager
@@ -175,12 +167,8 @@ def require_own_tree(folder: Path) -> None:
             require_own(Path(inside) / name)
 
 
-class LinkedFile(KnotgymError, ValueError):
-    """A file of a dataset is a link, or is reached by one."""
-
-
 def require_no_links(root: Path, files: Iterable[Path]) -> None:
-    """Raise LinkedFile if files of a folder are reached by links inside it.
+    """Raise InvalidFile if files of a folder are reached by links inside it.
 
     In a downloaded folder, such a link could make a private file of the user part of what is copied
     and published. The folder itself may be a link, because the user named it.
@@ -190,7 +178,7 @@ def require_no_links(root: Path, files: Iterable[Path]) -> None:
             if step == root:
                 break
             if step.is_symlink():
-                raise LinkedFile(
+                raise InvalidFile(
                     f"{step} is a link, and only a dataset's own files are copied; replace it by"
                     " the file itself"
                 )

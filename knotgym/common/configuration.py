@@ -1,9 +1,17 @@
-"""Configurations: validation, conversion from and to JSON, updates of single fields, comparison.
+"""Configurations: frozen pydantic dataclasses, which are the options of commands too.
 
-A configuration is a frozen dataclass of numbers, strings, tuples and further configurations. It is
-stored as JSON in every file that was made with it.
+A configuration is a dataclass of numbers, strings, tuples and further configurations; its annotated
+types hold its bounds. It is stored as JSON in every file that was made with it.
+
+    @configuration
+    class RolloutConfig:
+        horizon: Count = 50
+        task: Literal["tie", "unknot"] = "tie"
+
+What doesn't fit raises InvalidInput with one line, wherever the values came from.
 """
 
+import dataclasses
 import json
 import math
 import os
@@ -13,22 +21,94 @@ from dataclasses import asdict, fields, is_dataclass, replace
 from functools import partial
 from numbers import Integral
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
-from knotgym.common.errors import KnotgymError, one_line
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic.dataclasses import dataclass as validated_dataclass
+
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line
 
 Config = TypeVar("Config")
 
-
 MOST_JSON = 256 << 20  # largest JSON file that is read, bytes
 
-
-class UnreadableJson(KnotgymError, ValueError):
-    """The file isn't a valid JSON file, or is too large."""
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class InvalidConfig(KnotgymError, ValueError):
-    """An unknown field of a configuration, or a value of the wrong type or out of range."""
+def _plain(value: Any) -> Any:
+    """NumPy's integers as Python's; strict validation refuses them otherwise."""
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise InvalidInput("must have the smaller number first")
+    return pair
+
+
+def _distinct(values: tuple[int, ...]) -> tuple[int, ...]:
+    if not values or len(set(values)) < len(values):
+        raise InvalidInput("must be at least one number, each once")
+    return values
+
+
+Whole = Annotated[int, BeforeValidator(_plain), Field(ge=0)]
+Count = Annotated[int, BeforeValidator(_plain), Field(ge=1)]
+Seed = Annotated[int, BeforeValidator(_plain), Field(ge=0, le=2**63 - 1)]  # stored as int64
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Interval = Annotated[tuple[NonNegative, NonNegative], AfterValidator(_ordered)]
+Crossings = Annotated[tuple[Whole, ...], AfterValidator(_distinct)]
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def configuration(cls: type[Config]) -> type[Config]:
+    """Make a class a configuration: frozen, keywords only, validated by its annotations.
+
+    Raises (when one is made):
+        InvalidInput: an unknown field, a missing one, or a value of the wrong type or out of range.
+    """
+    made: Any = validated_dataclass(frozen=True, kw_only=True, config=STRICT)(cls)
+    validate = made.__init__
+
+    def __init__(self: Any, /, *values: Any, **fields: Any) -> None:
+        try:
+            validate(self, *values, **fields)
+        except ValidationError as error:
+            raise InvalidInput(_sentence(error, made)) from None
+
+    made.__init__ = __init__
+    return made
+
+
+def _sentence(error: ValidationError, kind: type) -> str:
+    """The first problem of a validation, as one line."""
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"]) or kind.__name__
+    given = repr(first["input"])
+    given = given if len(given) <= 80 else f"{given[:77]}..."
+    known = [field.name for field in dataclasses.fields(kind)]
+    if first["type"] == "unexpected_keyword_argument":
+        return f"{kind.__name__} has no field {where!r}; it has {', '.join(known)}"
+    if first["type"] == "missing":
+        return f"{kind.__name__} needs the field {where}"
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, InvalidInput) and not first["loc"]:
+        return str(cause)  # of the configuration's own check: a whole sentence
+    problem = str(cause) if cause else first["msg"].replace("Input should be", "must be")
+    return f"{where} {problem}, got {given}"
 
 
 def check_numbers(
@@ -40,7 +120,7 @@ def check_numbers(
     non_negative: Sequence[str] = (),
     shares: Sequence[str] = (),
     ranges: Sequence[str] = (),
-    error: type[KnotgymError] = InvalidConfig,
+    error: type[KnotgymError] = InvalidInput,
 ) -> None:
     """Check the numbers of a configuration; NaN and infinity are never valid.
 
@@ -69,9 +149,9 @@ def check_numbers(
 
 
 def check_nx(nx: Sequence[int], most: int) -> None:
-    """Raise InvalidConfig unless there are crossing numbers, distinct and in [0, most]."""
+    """Raise InvalidInput unless there are crossing numbers, distinct and in [0, most]."""
     if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
-        raise InvalidConfig(
+        raise InvalidInput(
             f"nx takes distinct numbers of crossings from 0 to {most}, got"
             f" {', '.join(map(str, nx)) or 'none'}"
         )
@@ -81,19 +161,19 @@ def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:
     """Read a JSON file of at most `most` bytes; anything but a regular file isn't opened.
 
     Raises:
-        UnreadableJson: it isn't a regular file, too large, not JSON, or too deeply nested.
+        InvalidFile: it isn't a regular file, too large, not JSON, or too deeply nested.
     """
     given = Path(path)
     if given.exists() and not given.is_file():
-        raise UnreadableJson(f"{given} isn't a regular file")
+        raise InvalidFile(f"{given} isn't a regular file")
     with open(given, "rb") as file:
         text = file.read(most + 1)
     if len(text) > most:
-        raise UnreadableJson(f"{given} has more than {most} bytes, too many for a JSON file")
+        raise InvalidFile(f"{given} has more than {most} bytes, too many for a JSON file")
     try:
         return json.loads(text.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise UnreadableJson(f"{given} isn't valid JSON: {one_line(error)}") from error
+        raise InvalidFile(f"{given} isn't valid JSON: {one_line(error)}") from error
 
 
 def as_json(config: Any) -> dict[str, Any]:
@@ -108,7 +188,7 @@ def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Conf
     `changes` have the form that `as_json` returns; `where` names the configuration in errors.
 
     Raises:
-        InvalidConfig: an unknown field, or a value of the wrong type.
+        InvalidInput: an unknown field, or a value of the wrong type.
         KnotgymError: the configuration rejects the value.
 
     >>> from knotgym.envs.tasks import TaskConfig
@@ -126,7 +206,7 @@ def from_json(kind: type[Config], values: Mapping[str, Any], where: str = "") ->
     Fields that aren't given get their defaults, in nested configurations too.
 
     Raises:
-        InvalidConfig: an unknown field, or a value of the wrong type.
+        InvalidInput: an unknown field, or a value of the wrong type.
         KnotgymError: the configuration rejects a value.
     """
     made: Any = kind
@@ -148,10 +228,10 @@ def _fields(
         current: name -> value to update, if it is a configuration.
     """
     if not isinstance(values, Mapping):
-        raise InvalidConfig(f"{named} must be an object, got {values!r}")
+        raise InvalidInput(f"{named} must be an object, got {values!r}")
     hints = get_type_hints(kind)
     if unknown := [name for name in values if name not in hints]:
-        raise InvalidConfig(
+        raise InvalidInput(
             f"{named}: no field {', '.join(map(repr, unknown))}; there is {', '.join(hints)}"
         )
     found: dict[str, Any] = {}
@@ -181,6 +261,8 @@ def _typed(value: Any, hint: Any, where: str) -> Any:
     options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     for option in options:
         origin = get_origin(option) or option
+        if origin is Literal:
+            return value  # the configuration itself checks it
         if option is type(None):
             if value is None:
                 return None
@@ -198,7 +280,7 @@ def _typed(value: Any, hint: Any, where: str) -> Any:
         elif isinstance(value, origin) and (origin is bool or not isinstance(value, bool)):
             return value
     names = " or ".join(getattr(option, "__name__", str(option)) for option in options)
-    raise InvalidConfig(f"{where} must be {names}, got {value!r}")
+    raise InvalidInput(f"{where} must be {names}, got {value!r}")
 
 
 def _is_range(value: Any) -> bool:

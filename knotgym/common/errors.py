@@ -1,4 +1,6 @@
-"""The base class of the package's errors, and the errors that several packages share."""
+"""The errors of this package. A class is for a caller who would catch it; the sentence stands where
+it is raised.
+"""
 
 from typing import Any
 
@@ -14,8 +16,28 @@ class KnotgymError(Exception):
         return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
+class InvalidInput(KnotgymError, ValueError):
+    """An argument, option, setting, code or array that isn't valid."""
+
+
+class InvalidFile(KnotgymError, ValueError):
+    """A file isn't what it should be: corrupted, of another format, harmful or a link."""
+
+
 class MissingFile(KnotgymError, FileNotFoundError):
     """The file or dataset doesn't exist."""
+
+
+class Occupied(KnotgymError, FileExistsError):
+    """The output exists, or another process uses it."""
+
+
+class InvalidPolicy(KnotgymError, ValueError):
+    """A policy doesn't exist, doesn't fit the task, raised an error or gave invalid actions."""
+
+
+class Failed(KnotgymError, RuntimeError):
+    """The request was valid, but what it asked for could not be made, or not all of it."""
 
 
 def install_command(extra: str) -> str:

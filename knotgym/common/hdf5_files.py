@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError, MissingFile, one_line
+from knotgym.common.errors import InvalidFile, KnotgymError, MissingFile, one_line
 
 # errors that h5py and array operations raise on corrupted or foreign files
 _FOREIGN = (
@@ -38,10 +38,6 @@ _SMALL = 1 << 20  # columns up to this many bytes are accepted whatever the rati
 _FILTERS = frozenset({h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32})
 _TEXTS_AT_ONCE, _LONGEST_TEXT = 256, 1 << 20
 _CLASSES = {"f": "f", "i": "iu", "u": "iu", "b": "b"}  # kinds of dtype accepted for a column's kind
-
-
-class UnexpectedContent(KnotgymError, ValueError):
-    """A file's content doesn't match its schema; readers turn this into their own error."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +79,7 @@ class Column:
         return (rows, *(sizes[n] if isinstance(n, str) else n for n in self.shape or ()))
 
     def require_type(self, found: h5py.h5t.TypeID, dtype: Any) -> None:
-        """Raise UnexpectedContent if a stored type, `dtype` in NumPy, doesn't match `kind`."""
+        """Raise InvalidFile if a stored type, `dtype` in NumPy, doesn't match `kind`."""
         text = h5py.check_string_dtype(dtype) is not None or dtype.kind == "S"
         if isinstance(found, h5py.h5t.TypeEnumID) and dtype.kind != "b":  # h5py stores bool as enum
             matches = False
@@ -92,9 +88,7 @@ class Column:
         else:
             matches = dtype.kind in "fiub" if self.kind == "any" else self._holds(dtype)
         if not matches:
-            raise UnexpectedContent(
-                f"{self.name} is {_type_name(found, dtype)}, should be {self.kind}"
-            )
+            raise InvalidFile(f"{self.name} is {_type_name(found, dtype)}, should be {self.kind}")
 
     def _holds(self, dtype: Any) -> bool:
         if self.kind in ("text", "integer"):
@@ -103,18 +97,16 @@ class Column:
         return dtype.kind in _CLASSES[wanted.kind] and np.can_cast(dtype, wanted)
 
     def require_values(self, values: NDArray[Any]) -> None:
-        """Raise UnexpectedContent if numbers are out of range or text has control characters."""
+        """Raise InvalidFile if numbers are out of range or text has control characters."""
         if values.dtype.kind == "U":
             if not "".join(values.ravel().tolist()).isprintable():
-                raise UnexpectedContent(f"{self.name} holds control characters")
+                raise InvalidFile(f"{self.name} holds control characters")
             return
         if self.finite and not np.isfinite(values).all():
             first = np.argwhere(~np.isfinite(values))[0].tolist()
-            raise UnexpectedContent(f"{self.name} holds {values[tuple(first)]} at {first}")
+            raise InvalidFile(f"{self.name} holds {values[tuple(first)]} at {first}")
         if self.least is not None and values.size and values.min() < self.least:
-            raise UnexpectedContent(
-                f"{self.name} is {values.min()}, should be at least {self.least:g}"
-            )
+            raise InvalidFile(f"{self.name} is {values.min()}, should be at least {self.least:g}")
 
 
 @contextmanager
@@ -196,21 +188,21 @@ def member(group: h5py.Group, name: str) -> Any:
     """Return a group or dataset of a group by its path, such as "a/b", without following links.
 
     Raises:
-        UnexpectedContent: the path contains a link, or ends at neither a group nor a dataset.
+        InvalidFile: the path contains a link, or ends at neither a group nor a dataset.
         KeyError: it doesn't exist.
     """
     found = group
     for part in name.split("/"):
         if not isinstance(found, h5py.Group):
-            raise UnexpectedContent(f"{name} should be in a group, but what holds {part} is none")
+            raise InvalidFile(f"{name} should be in a group, but what holds {part} is none")
         encoded = part.encode()
         if not found.id.links.exists(encoded):
             raise KeyError(f"{name} is missing")
         if found.id.links.get_info(encoded).type != h5py.h5l.TYPE_HARD:
-            raise UnexpectedContent(f"{name} is a link, should be stored in the file itself")
+            raise InvalidFile(f"{name} is a link, should be stored in the file itself")
         found = found[part]
     if not isinstance(found, h5py.Group | h5py.Dataset):
-        raise UnexpectedContent(f"{name} should be an array or a group")
+        raise InvalidFile(f"{name} should be an array or a group")
     return found
 
 
@@ -218,7 +210,7 @@ def members(group: h5py.Group, name: str) -> list[str]:
     """Return the names in the group `name` of a group."""
     found = member(group, name)
     if not isinstance(found, h5py.Group):
-        raise UnexpectedContent(f"{name} should be a group")
+        raise InvalidFile(f"{name} should be a group")
     return list(found)
 
 
@@ -234,11 +226,11 @@ def stored_column(
         name: name of the dataset in the group, if different from the column's.
 
     Raises:
-        UnexpectedContent, KeyError: it doesn't match the schema, or doesn't exist.
+        InvalidFile, KeyError: it doesn't match the schema, or doesn't exist.
     """
     data = member(group, name or column.name)
     if not isinstance(data, h5py.Dataset):
-        raise UnexpectedContent(f"{column.name} is a group, should be {column.kind}")
+        raise InvalidFile(f"{column.name} is a group, should be {column.kind}")
     column.require_type(data.id.get_type(), _dtype(data.id, column))
     require_stored_here(data, column.name)
     _require_shape(column, data.shape, sizes)
@@ -280,15 +272,15 @@ def read_attribute(
 
 
 def require_stored_here(data: h5py.Dataset, name: str) -> None:
-    """Raise UnexpectedContent if a dataset is in other files, has a filter other than those of
+    """Raise InvalidFile if a dataset is in other files, has a filter other than those of
     _FILTERS, or is more than MOST_EXPANDED times as large as its stored bytes.
     """
     made = data.id.get_create_plist()
     layout = made.get_layout()
     if layout == h5py.h5d.VIRTUAL or made.get_external_count():
-        raise UnexpectedContent(f"{name} is in other files, should be stored in the file itself")
+        raise InvalidFile(f"{name} is in other files, should be stored in the file itself")
     if any(made.get_filter(k)[0] not in _FILTERS for k in range(made.get_nfilters())):
-        raise UnexpectedContent(f"{name} is compressed, but not with gzip")
+        raise InvalidFile(f"{name} is compressed, but not with gzip")
     each = data.id.get_type().get_size()
     size = each * prod(data.shape or (0,))
     chunk = each * prod(made.get_chunk()) if layout == h5py.h5d.CHUNKED else 0
@@ -296,7 +288,7 @@ def require_stored_here(data: h5py.Dataset, name: str) -> None:
         return
     stored = min(data.id.get_storage_size(), os.path.getsize(data.file.filename))
     if max(size, chunk) > _SMALL + MOST_EXPANDED * stored:
-        raise UnexpectedContent(
+        raise InvalidFile(
             f"{name} declares {data.shape}, {size} bytes, and stores {stored}; at most"
             f" {MOST_EXPANDED} bytes per stored byte are read"
         )
@@ -310,12 +302,12 @@ def _texts(data: h5py.Dataset, name: str) -> NDArray[np.str_]:
     if data.ndim == 0:
         return np.array(data[()].decode(), dtype=np.str_)
     if data.ndim != 1:
-        raise UnexpectedContent(f"{name} is of shape {data.shape}, should be one text per row")
+        raise InvalidFile(f"{name} is of shape {data.shape}, should be one text per row")
     found: list[str] = []
     for start in range(0, len(data), _TEXTS_AT_ONCE):
         texts = [text.decode() for text in data[start : start + _TEXTS_AT_ONCE].tolist()]
         if max(map(len, texts)) * len(data) > MOST_EXPANDED * _LONGEST_TEXT:
-            raise UnexpectedContent(f"{name} holds a text of {max(map(len, texts))} characters")
+            raise InvalidFile(f"{name} holds a text of {max(map(len, texts))} characters")
         found += texts
     return np.array(found, dtype=np.str_)
 
@@ -328,7 +320,7 @@ def _require_shape(
     expected = tuple(sizes.get(n) if isinstance(n, str) else n for n in wanted)
     if shape is None or not _fits(shape, expected):
         should_be = ", ".join("any" if size is None else str(size) for size in expected)
-        raise UnexpectedContent(f"{column.name} is of shape {shape}, should be ({should_be})")
+        raise InvalidFile(f"{column.name} is of shape {shape}, should be ({should_be})")
     for word, size in zip(wanted, shape, strict=True):
         if isinstance(word, str):
             sizes[word] = size
@@ -345,9 +337,7 @@ def _dtype(found: h5py.h5d.DatasetID | h5py.h5a.AttrID, column: Column) -> Any:
         return found.dtype
     except (TypeError, ValueError) as error:  # NumPy has no such type
         found_type = _type_name(found.get_type(), None)
-        raise UnexpectedContent(
-            f"{column.name} is {found_type}, should be {column.kind}"
-        ) from error
+        raise InvalidFile(f"{column.name} is {found_type}, should be {column.kind}") from error
 
 
 def _type_name(found: h5py.h5t.TypeID, dtype: Any) -> str:

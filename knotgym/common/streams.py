@@ -15,14 +15,10 @@ from enum import IntEnum, unique
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 
 COUNTERS = 3  # per key; missing counters are 0
 _WORD, _MOST = 2**32, 2**63 - 1  # _MOST: seeds are stored in int64 columns
-
-
-class InvalidSeed(KnotgymError, ValueError):
-    """A seed or counter is out of range, or there are too many counters."""
 
 
 @unique
@@ -79,10 +75,10 @@ class Stream(IntEnum):
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:
     """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63)."""
     if len(counters) > COUNTERS:
-        raise InvalidSeed(f"a stream has at most {COUNTERS} counters, got {counters}")
+        raise InvalidInput(f"a stream has at most {COUNTERS} counters, got {counters}")
     numbers = (int(seed), *map(int, counters))
     if not all(0 <= number <= _MOST for number in numbers):
-        raise InvalidSeed(f"a seed and its counters must be from 0 to 2**63 - 1, got {numbers}")
+        raise InvalidInput(f"a seed and its counters must be from 0 to 2**63 - 1, got {numbers}")
     return (int(stream), *numbers, *([0] * (COUNTERS - len(counters))))
 
 

@@ -3,9 +3,10 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.errors import InvalidPolicy
 from knotgym.control.demonstrator import Demonstrator, DemonstratorConfig, random_pass
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policy import NO_MACRO, Choice, Effort, InvalidPolicy, Policy, UnplannedPolicy
+from knotgym.control.policy import NO_MACRO, Choice, Effort, Policy, UnplannedPolicy
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import choices, quantized

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import one_line
-from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy, checked
+from knotgym.common.errors import InvalidPolicy, one_line
+from knotgym.control.policy import Choice, UnplannedPolicy, checked
 from knotgym.envs.environment import observation_space
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import LAYOUTS, OBSERVATIONS, TaskConfig

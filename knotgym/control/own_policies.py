@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import one_line
-from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy, checked
+from knotgym.common.errors import InvalidPolicy, one_line
+from knotgym.control.policy import Choice, UnplannedPolicy, checked
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 

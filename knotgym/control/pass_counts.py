@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import Column, opened_hdf5, read_attribute
 from knotgym.control.seen_diagrams import SeenDiagram, canonical_image
 from knotgym.control.transition_counts import ELEMENTS, ArcCoordinates, content_digest, read_columns
@@ -52,10 +52,6 @@ _COLUMNS = (
     Column("after", "int32", ("outcomes",), least=NOWHERE),
     Column("seen", "int32", ("outcomes",), least=1),
 )
-
-
-class InvalidPasses(KnotgymError, ValueError):
-    """The file holds no counts of passes that this version can read."""
 
 
 class PassTemplate(NamedTuple):
@@ -222,18 +218,18 @@ class PassCounts:
 
         Raises:
             MissingFile: the file doesn't exist.
-            InvalidPasses: it is truncated, corrupted or in another format.
+            InvalidFile: it is truncated, corrupted or in another format.
         """
         with opened_hdf5(
             path,
             what="file of passes",
             format=FORMAT,
             versions=(FORMAT_VERSION,),
-            error=InvalidPasses,
+            error=InvalidFile,
         ) as file:
             columns = read_columns(file, _COLUMNS)
             if read_attribute(file, Column(_DIGEST, "text", ())) != content_digest(columns):
-                raise InvalidPasses(
+                raise InvalidFile(
                     f"{path} is corrupted: the SHA-256 of its counts differs from the one stored"
                     " with them"
                 )

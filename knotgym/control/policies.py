@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import one_line
+from knotgym.common.errors import InvalidPolicy, one_line
 from knotgym.control.basic_policies import (
     ConstantPolicy,
     MixedPolicy,
@@ -49,7 +49,7 @@ from knotgym.control.learned_policies import MODEL_FILES, ModelPolicy, load_mode
 from knotgym.control.own_policies import OwnPolicy, load_own, module_files
 from knotgym.control.pass_counts import PASSES
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
+from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.recorded_policy import PREFIX as RECORDED
 from knotgym.control.recorded_policy import load_recording, recording_files
 from knotgym.control.transition_graph import TRANSITIONS

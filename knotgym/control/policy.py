@@ -7,16 +7,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import InvalidInput, InvalidPolicy, one_line
 from knotgym.envs.environment import action_space
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.simulation import InvalidAction
-
-
-class InvalidPolicy(KnotgymError, ValueError):
-    """The policy doesn't exist, can't be made, or returned invalid actions."""
-
 
 NO_MACRO = (0, -1, -1, 0)  # see `Choice.macros`
 
@@ -67,7 +61,7 @@ def checked(
     array = np.stack(rows)
     try:
         episodes.view.check(array, ids)
-    except InvalidAction as error:
+    except InvalidInput as error:
         raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
     if size == 6:
         array = np.clip(array, -1, 1)

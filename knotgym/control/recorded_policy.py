@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy
-from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile, episode_file
+from knotgym.common.errors import InvalidFile, InvalidPolicy
+from knotgym.control.policy import Choice, UnplannedPolicy
+from knotgym.datasets.episode_reader import EpisodeReader, episode_file
 from knotgym.envs.episode_batch import EpisodeBatch
 
 PREFIX = "recorded:"  # of a policy's name; a dataset's id or path follows
@@ -68,7 +69,7 @@ def load_recording(name: str) -> RecordedPolicy:
     """
     try:
         reader = EpisodeReader(name.removeprefix(PREFIX))
-    except InvalidEpisodeFile as error:
+    except InvalidFile as error:
         raise InvalidPolicy(str(error)) from error
     recorded = {}
     for episode in reader:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import Column, opened_hdf5, read_attribute, read_column
 from knotgym.rope.macro_actions import KINDS, MacroAction
 from knotgym.topology.crossings import Crossings
@@ -54,10 +54,6 @@ _BOTH = (False, True)
 # Element k is the one that `symmetry.images` applies for its k-th image. Read as bits of k, the
 # three flags make composition a bitwise xor, which `transition_graph` relies on.
 ELEMENTS: tuple[Element, ...] = tuple(product(_BOTH, _BOTH, _BOTH))
-
-
-class InvalidTransitions(KnotgymError, ValueError):
-    """The file holds no transitions that this version can read."""
 
 
 class MacroTemplate(NamedTuple):
@@ -185,12 +181,12 @@ class TransitionCounts:
         """Read what `write` wrote.
 
         Raises:
-            InvalidTransitions: the group has a digest, and its values don't match it.
+            InvalidFile: the group has a digest, and its values don't match it.
         """
         columns = read_columns(group, _COLUMNS)
         if _DIGEST in group.attrs:
             if read_attribute(group, Column(_DIGEST, "text", ())) != content_digest(columns):
-                raise InvalidTransitions(
+                raise InvalidFile(
                     f"{group.file.filename} is corrupted: the SHA-256 of its counts differs from"
                     " the one stored with them"
                 )
@@ -225,14 +221,14 @@ class TransitionCounts:
 
         Raises:
             MissingFile: the file doesn't exist.
-            InvalidTransitions: the file is truncated, corrupted or in another format.
+            InvalidFile: the file is truncated, corrupted or in another format.
         """
         with opened_hdf5(
             path,
             what="transitions file",
             format=FORMAT,
             versions=(FORMAT_VERSION,),
-            error=InvalidTransitions,
+            error=InvalidFile,
         ) as file:
             return cls.read(file)
 

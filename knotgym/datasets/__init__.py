@@ -14,11 +14,9 @@ if __name__ == "datasets":
 
 if TYPE_CHECKING:
     from knotgym.datasets.episode_reader import EpisodeReader as EpisodeReader
-    from knotgym.datasets.episode_reader import InvalidEpisodeFile as InvalidEpisodeFile
     from knotgym.datasets.episode_verification import show_episodes as show_episodes
     from knotgym.datasets.episode_verification import verify_episodes as verify_episodes
     from knotgym.datasets.episode_writer import EpisodeWriter as EpisodeWriter
-    from knotgym.datasets.image_table import InvalidImages as InvalidImages
     from knotgym.datasets.image_table import read_rows as read_rows
     from knotgym.datasets.image_table import read_table as read_table
     from knotgym.datasets.minari_dataset import MinariMetadata as MinariMetadata
@@ -28,12 +26,10 @@ if TYPE_CHECKING:
     from knotgym.datasets.subsets import select as select
     from knotgym.datasets.subsets import split as split
     from knotgym.datasets.trajectory import Episode as Episode
-    from knotgym.datasets.trajectory import InvalidEpisode as InvalidEpisode
     from knotgym.datasets.trajectory import relabel_all as relabel_all
     from knotgym.datasets.trajectory import relabelled as relabelled
     from knotgym.datasets.verification import faults as faults
     from knotgym.datasets.verification import verify as verify
-    from knotgym.states.state_file import InvalidStates as InvalidStates
     from knotgym.states.state_file import States as States
     from knotgym.states.state_file import merge_states as merge_states
     from knotgym.states.state_file import read_states as read_states

@@ -26,10 +26,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError, MissingFile
+from knotgym.common.errors import InvalidFile, MissingFile
 from knotgym.common.hdf5_files import (
     Column,
-    UnexpectedContent,
     check_format,
     foreign_bytes_as,
     member,
@@ -69,10 +68,6 @@ def uncounted(what: str, done: int, total: int) -> None:
     """Ignore progress."""
 
 
-class InvalidEpisodeFile(KnotgymError, ValueError):
-    """An episode file that this version can't read, or files that can't be combined."""
-
-
 class Chosen(NamedTuple):
     """A subset of a dataset: the k of its groups `episode_{k}`, in order."""
 
@@ -101,16 +96,14 @@ class EpisodeReader:
         A `Chosen` or a `MinariDataset` restricts the reader to its episodes.
 
         Raises:
-            InvalidEpisodeFile: the file is truncated, wasn't written by knotgym, or has an unknown
+            InvalidFile: the file is truncated, wasn't written by knotgym, or has an unknown
                 format version.
             MissingFile: there is no such file.
         """
         self.path = episode_file(source)
         self._opened: tuple[int, h5py.File] | None = None
-        with foreign_bytes_as(InvalidEpisodeFile, f"{self.path} isn't a whole episode file"):
-            check_format(
-                self.file, format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidEpisodeFile
-            )
+        with foreign_bytes_as(InvalidFile, f"{self.path} isn't a whole episode file"):
+            check_format(self.file, format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidFile)
             texts = {
                 name: str(read_attribute(self.file, Column(name, "text", ())))
                 for name in ("task", "stored", "rope", "versions")
@@ -119,7 +112,7 @@ class EpisodeReader:
             self._beads = self.task.rope.beads
             self.stored, self.rope = texts["stored"], texts["rope"]
             if self.stored not in STORED:
-                raise UnexpectedContent(f"stored is {self.stored!r}, not {', '.join(STORED)}")
+                raise InvalidFile(f"stored is {self.stored!r}, not {', '.join(STORED)}")
             self.versions: dict[str, str] = _versions(texts["versions"])
             index = stored_index(self.file)
         chosen = getattr(source, "episode_indices", index)
@@ -176,19 +169,19 @@ class EpisodeReader:
 
     def metadata(self) -> dict[str, Any] | None:
         """Read the metadata of the dataset that the file belongs to or came from, if any."""
-        with foreign_bytes_as(InvalidEpisodeFile, f"{self.path} isn't a whole episode file"):
+        with foreign_bytes_as(InvalidFile, f"{self.path} isn't a whole episode file"):
             if "metadata" not in self.file.attrs:
                 return None
             entries = json.loads(read_attribute(self.file, Column("metadata", "text", ())))
             if not isinstance(entries, dict):
                 found = type(entries).__name__
-                raise UnexpectedContent(f"metadata is {found}, should be an object")
+                raise InvalidFile(f"metadata is {found}, should be an object")
             return entries
 
     def states_path(self) -> Path:
         """Return the path of the state file that the episodes were reset from; it may not exist.
 
-        A dataset that names a path outside it raises InvalidEpisodeFile; a single file may do so.
+        A dataset that names a path outside it raises InvalidFile; a single file may do so.
         """
         beside, named = self.path.with_name("states.h5"), self.task.states
         if ships(named) or named is None:
@@ -196,7 +189,7 @@ class EpisodeReader:
         if beside.is_file():
             return beside
         if self.path.with_name("metadata.json").is_file() and leads_out(named):
-            raise InvalidEpisodeFile(
+            raise InvalidFile(
                 f"{self.path} names states that lie outside the dataset, {named!r}; it should"
                 " include them, as states.h5 beside the episodes"
             )
@@ -212,7 +205,7 @@ class EpisodeReader:
     def episode(self, index: int) -> Episode:
         """Read a whole episode, without its observations.
 
-        What is missing, unreadable or of the wrong shape is named by InvalidEpisodeFile.
+        What is missing, unreadable or of the wrong shape is named by InvalidFile.
         """
         with self._naming(index):
             group = self.group(index)
@@ -264,7 +257,7 @@ class EpisodeReader:
         """
         wanted = observation or self.task.observation
         if wanted not in OBSERVATIONS:
-            raise InvalidEpisodeFile(
+            raise InvalidFile(
                 f"observation must be one of {', '.join(OBSERVATIONS)}, got {wanted!r}"
             )
         if goal_episode is None:
@@ -327,7 +320,7 @@ class EpisodeReader:
 
     def _naming(self, index: int) -> AbstractContextManager[None]:
         """Prefix errors with the path and the episode."""
-        return foreign_bytes_as(InvalidEpisodeFile, f"{self.path}, episode {self.rows[index]}")
+        return foreign_bytes_as(InvalidFile, f"{self.path}, episode {self.rows[index]}")
 
     def _sizes(self, index: int) -> dict[str, int]:
         steps = int(self.lengths[index])
@@ -358,7 +351,7 @@ def episode_file(source: Any) -> Path:
 
     Raises:
         MissingFile: there is no such file.
-        InvalidEpisodeFile: a run has demonstrations of several crossing numbers.
+        InvalidFile: a run has demonstrations of several crossing numbers.
     """
     if isinstance(source, Chosen):
         return episode_file(source.source)
@@ -374,7 +367,7 @@ def episode_file(source: Any) -> Path:
         found = sorted((path / "minari").glob("knotgym/*/demonstrations-v0/data/main_data.hdf5"))
         if len(found) > 1:
             listed = ", ".join(str(one.parents[1]) for one in found)
-            raise InvalidEpisodeFile(f"{path} holds several datasets; choose one of them: {listed}")
+            raise InvalidFile(f"{path} holds several datasets; choose one of them: {listed}")
         if found:
             return found[0]
     raise MissingFile(f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}")
@@ -407,7 +400,7 @@ def dataset_path(name: str) -> str:
 def _group(file: h5py.File, row: int) -> h5py.Group:
     found = member(file, f"episode_{row}")
     if not isinstance(found, h5py.Group):
-        raise UnexpectedContent(f"episode_{row} should be a group")
+        raise InvalidFile(f"episode_{row} should be a group")
     return found
 
 
@@ -426,5 +419,5 @@ def _attribute_kind(name: str) -> str:
 def _versions(text: str) -> dict[str, str]:
     found = json.loads(text)
     if not isinstance(found, dict) or not all(isinstance(name, str) for name in found.values()):
-        raise UnexpectedContent(f"versions is {text[:80]!r}, should be names and versions")
+        raise InvalidFile(f"versions is {text[:80]!r}, should be names and versions")
     return found

@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json, read_json
-from knotgym.common.errors import one_line
+from knotgym.common.errors import InvalidFile, one_line
 from knotgym.common.hdf5_files import foreign_bytes_as
 from knotgym.datasets.episode_reader import (
     ATTRIBUTES_DIGEST,
     GOAL_INFO,
     Count,
     EpisodeReader,
-    InvalidEpisodeFile,
     attributes_digest,
     counted_index,
     stored_index,
@@ -101,9 +100,9 @@ def verify_episodes(
     try:
         reader = EpisodeReader(source)
         rope = Rope(reader.task.rope)
-        with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path} isn't a whole episode file"):
+        with foreign_bytes_as(InvalidFile, f"{reader.path} isn't a whole episode file"):
             faults = [*_file_faults(reader, rope), *split_faults(reader), *duplicate_faults(reader)]
-    except InvalidEpisodeFile as error:
+    except InvalidFile as error:
         return [str(error)]
     faultless: list[int] = []
     for index, row in enumerate(reader.rows):

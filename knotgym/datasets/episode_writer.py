@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, new_hdf5
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import Column, stored_column
 from knotgym.datasets.episode_reader import (
     ATTRIBUTES_DIGEST,
@@ -35,7 +36,6 @@ from knotgym.datasets.episode_reader import (
     STORED,
     Count,
     EpisodeReader,
-    InvalidEpisodeFile,
     attributes_digest,
     dataset_path,
     uncounted,
@@ -147,11 +147,11 @@ def merge_episodes(
         attributes: further attributes of the target file.
 
     Raises:
-        InvalidEpisodeFile: the sources can't be combined, two episodes have the same number, or two
+        InvalidFile: the sources can't be combined, two episodes have the same number, or two
             are equal although `distinct` is set.
     """
     if store is not None and store not in STORED:
-        raise InvalidEpisodeFile(f"store must be one of {', '.join(STORED)}, got {store!r}")
+        raise InvalidFile(f"store must be one of {', '.join(STORED)}, got {store!r}")
     readers = [EpisodeReader(source) for source in sources]
     _require_one_kind(readers, task)
     first = readers[0]
@@ -191,14 +191,14 @@ def _require_one_kind(readers: Sequence[EpisodeReader], task: TaskConfig | None)
     With a `task`, its `split` and `states` replace those of the sources first.
     """
     if not readers:
-        raise InvalidEpisodeFile("nothing to merge: give at least one file")
+        raise InvalidFile("nothing to merge: give at least one file")
     first = readers[0]
     replaced: dict[str, Any] = {}
     if task is not None:
         replaced = {"split": task.split, "states": task.states}
     for other in readers[1:]:
         if other.task.engine != first.task.engine:
-            raise InvalidEpisodeFile(
+            raise InvalidFile(
                 f"files to merge must be of one engine; {first.path} is of {first.task.engine},"
                 f" {other.path} of {other.task.engine}"
             )
@@ -207,7 +207,7 @@ def _require_one_kind(readers: Sequence[EpisodeReader], task: TaskConfig | None)
             if name == "task":
                 one, two = replace(one, **replaced), replace(two, **replaced)
             if one != two:
-                raise InvalidEpisodeFile(
+                raise InvalidFile(
                     f"files to merge must have one {name}; {first.path} has {one}, {other.path}"
                     f" has {two}"
                 )
@@ -220,7 +220,7 @@ def _require_distinct(order: Sequence[tuple[EpisodeReader, int]]) -> None:
         here = f"episode {reader.rows[i]} of {reader.path}"
         earlier = seen.setdefault(str(reader.attributes(i)["digest"]), here)
         if earlier is not here:
-            raise InvalidEpisodeFile(
+            raise InvalidFile(
                 f"{earlier} and {here} are the same; merge datasets that share no episode"
             )
 
@@ -238,7 +238,7 @@ def _in_order(
     numbers = [int(reader.attributes(i)["number"]) for reader, i in episodes]
     if len(set(numbers)) < len(numbers):
         twice = next(number for number in sorted(numbers) if numbers.count(number) > 1)
-        raise InvalidEpisodeFile(
+        raise InvalidFile(
             f"two episodes have number {twice}, which shards of one run never have; merge other"
             " datasets with concatenate"
         )
@@ -331,9 +331,7 @@ def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> No
             data = stored_column(source, Column(name, "any", None), {})
             # rows of variable length are references into the source file's heap
             if data.dtype.kind == "O":
-                raise InvalidEpisodeFile(
-                    f"{source.file.filename}: {name} should be text of fixed length"
-                )
+                raise InvalidFile(f"{source.file.filename}: {name} should be text of fixed length")
             _copy_dataset(data, target, name)
 
 

@@ -11,15 +11,11 @@ from pathlib import Path
 
 import h5py
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import require_stored_here
 
 LIMIT = 60.0  # seconds
 SLOWEST = 5_000_000  # bytes per second; a file adds the time that reading it at this rate takes
-
-
-class HarmfulFile(KnotgymError, OSError):
-    """A file that makes the HDF5 library crash or hang."""
 
 
 def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
@@ -28,7 +24,7 @@ def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
     `limit` is the time limit in seconds, before the allowance for the files' size.
 
     Raises:
-        HarmfulFile: a file makes the library crash or hang.
+        InvalidFile: a file makes the library crash or hang.
     """
     tried = [path for path in paths if path.is_file() and _is_hdf5(path)]
     if not tried:
@@ -41,12 +37,12 @@ def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
             words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=limit, check=False
         )
     except subprocess.TimeoutExpired as late:
-        raise HarmfulFile(
+        raise InvalidFile(
             f"{_at(tried, late.stdout)} makes the HDF5 library hang: not read in {limit:.0f} s;"
             " don't open it"
         ) from None
     if ended.returncode < 0:
-        raise HarmfulFile(
+        raise InvalidFile(
             f"{_at(tried, ended.stdout)} makes the HDF5 library crash (signal"
             f" {-ended.returncode}); don't open it"
         )

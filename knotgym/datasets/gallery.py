@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_table import decode, read_rows
 from knotgym.datasets.page.page_data import dataset_name
 from knotgym.rendering.diagram import draw_diagram
-from knotgym.rendering.picture import PictureError
 from knotgym.rendering.video import OUTCOMES
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import label
@@ -131,7 +131,7 @@ def write_png(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
     """Write an RGB picture, uint8 (height, width, 3), atomically."""
     encoded, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not encoded:
-        raise PictureError(
+        raise InvalidInput(
             f"can't write an array of shape {image.shape} as PNG; it must be (height, width, 3)"
         )
     with atomic_write(path) as temporary:

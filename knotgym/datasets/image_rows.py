@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import atomic_write, sha256
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import Failed
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.image_table import encode, write_rows
 from knotgym.envs.tasks import TaskConfig
@@ -25,10 +25,6 @@ from knotgym.topology.reference_labeller import pyknotid_code
 
 _RGB = ("first", "last", "background")
 NOISE = TaskConfig.reset_noise  # noise level at which `noise_survival` is measured
-
-
-class UntrueLabel(KnotgymError, RuntimeError):
-    """A label doesn't match the coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +65,7 @@ def record(row: Row, config: AppearanceConfig) -> dict[str, Any]:
     """Return all columns of a row by name, `image` as PNG bytes."""
     crossings, second = find_crossings(row.points), pyknotid_code(row.points)
     if not crossings.code == second == row.code:
-        raise UntrueLabel(
+        raise Failed(
             f"row {row.source['row']} should show {row.code.chiral}, but our labeller reads"
             f" {crossings.code.chiral} and pyknotid reads {second.chiral}"
         )

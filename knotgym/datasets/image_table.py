@@ -23,7 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import KnotgymError, MissingExtra, MissingFile, install_command, one_line
+from knotgym.common.errors import (
+    InvalidFile,
+    MissingExtra,
+    MissingFile,
+    install_command,
+    one_line,
+)
 from knotgym.common.hdf5_files import require_regular
 from knotgym.quality.limits import UNITS
 from knotgym.states.splits import IMAGE_SPLITS
@@ -44,10 +50,6 @@ TABLES: dict[str, Any] = tomllib.loads(
 )
 TABLES["pictures"]["quality"]["type"] = dict.fromkeys(UNITS, "float64")
 COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["pictures"].items()}
-
-
-class InvalidImages(KnotgymError, ValueError):
-    """A folder or file is not a perception table that this version can read."""
 
 
 def arrow(module: str = "pyarrow") -> Any:
@@ -126,7 +128,7 @@ def encode(image: NDArray[np.uint8]) -> bytes:
         ".png", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9]
     )
     if not done:
-        raise InvalidImages(
+        raise InvalidFile(
             f"a picture must be uint8 (size, size, 3), got {image.dtype} {image.shape}"
         )
     return bytes(data)
@@ -135,15 +137,15 @@ def encode(image: NDArray[np.uint8]) -> bytes:
 def decode(data: bytes) -> NDArray[np.uint8]:
     """Decode a PNG of at most _LARGEST pixels a side to uint8 (size, size, 3), RGB."""
     if len(data) < 33 or data[:8] != _PNG:
-        raise InvalidImages(f"{len(data)} bytes that aren't a PNG picture")
+        raise InvalidFile(f"{len(data)} bytes that aren't a PNG picture")
     width, height = struct.unpack(">II", data[16:24])
     if not (0 < width <= _LARGEST and 0 < height <= _LARGEST):
-        raise InvalidImages(
+        raise InvalidFile(
             f"a picture may have at most {_LARGEST} pixels a side, got {width} x {height}"
         )
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise InvalidImages(f"{len(data)} bytes that aren't a PNG picture")
+        raise InvalidFile(f"{len(data)} bytes that aren't a PNG picture")
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
@@ -166,20 +168,20 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
 
     Raises:
         MissingFile: nothing exists at path.
-        InvalidImages: there are no shards, or none of this split.
+        InvalidFile: there are no shards, or none of this split.
     """
     given = Path(path)
     if not given.exists():
         raise MissingFile(f"no perception table at {path}")
     if split is not None and split not in IMAGE_SPLITS:
-        raise InvalidImages(f"no split {split!r}; splits are {', '.join(IMAGE_SPLITS)}")
+        raise InvalidFile(f"no split {split!r}; splits are {', '.join(IMAGE_SPLITS)}")
     inside = given / "data" if (given / "data").is_dir() else given
     files = [given] if given.is_file() else sorted(inside.glob("*.parquet"))
     if split is not None and given.is_dir():
         files = [file for file in files if file.name.startswith(f"{file_stem(split)}-")]
     if not files:
         which = f"of split {split} " if split else ""
-        raise InvalidImages(f"no Parquet shard {which}at {path}; knotgym images writes them")
+        raise InvalidFile(f"no Parquet shard {which}at {path}; knotgym images writes them")
     return files
 
 
@@ -201,7 +203,7 @@ def read_table(
         columns: names of columns; None for all.
 
     Raises:
-        InvalidImages: a file is not a shard, truncated, or of an unknown format version.
+        InvalidFile: a file is not a shard, truncated, or of an unknown format version.
     """
     pa = arrow()
     wanted = None if columns is None else [*columns]
@@ -257,13 +259,13 @@ def points_of(table: Any) -> NDArray[np.float64]:
 
 def _read(path: Path, columns: list[str] | None) -> Any:
     pa, parquet = arrow(), arrow("pyarrow.parquet")
-    require_regular(path, "Parquet shard", InvalidImages)
+    require_regular(path, "Parquet shard", InvalidFile)
     try:
         file = parquet.ParquetFile(path)
         named = _named(file)
         name, version = named.get("format", "none"), named.get("format_version", "none")
         if (name, version) != (FORMAT, FORMAT_VERSION):
-            raise InvalidImages(
+            raise InvalidFile(
                 f"{path} has format {name!r} version {version}; this version reads {FORMAT!r}"
                 f" version {FORMAT_VERSION}"
             )
@@ -272,12 +274,12 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         table.validate(full=True)
         for column, values in zip(table.column_names, table.columns, strict=True):
             if column in COLUMNS and any(map(_has_nulls, values.chunks)):
-                raise InvalidImages(f"column {column} has missing values")
+                raise InvalidFile(f"column {column} has missing values")
         return table
     except (OSError, KeyError, ValueError, RecursionError, MemoryError, pa.ArrowException) as error:
         if str(error).startswith(f"{path} has format"):
             raise
-        raise InvalidImages(f"{path} isn't a whole Parquet shard: {one_line(error)}") from error
+        raise InvalidFile(f"{path} isn't a whole Parquet shard: {one_line(error)}") from error
 
 
 def _named(file: Any) -> dict[str, Any]:
@@ -292,19 +294,19 @@ def _require_schema(file: Any, stored: int) -> None:
     for wanted in schema():
         at = found.get_all_field_indices(wanted.name)
         if len(at) != 1:
-            raise InvalidImages(f"column {wanted.name} must exist once, found {len(at)}")
+            raise InvalidFile(f"column {wanted.name} must exist once, found {len(at)}")
         kind = found.field(at[0]).type
         if kind != wanted.type:
-            raise InvalidImages(f"column {wanted.name} is {kind}, should be {wanted.type}")
+            raise InvalidFile(f"column {wanted.name} is {kind}, should be {wanted.type}")
     metadata = file.metadata
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
     # the footer's own figures: nothing is allocated before they are found plausible
     size = sum(group.total_byte_size for group in groups)
     rows = sum(group.num_rows for group in groups)
     if rows != metadata.num_rows or not 0 <= rows * _LEAST_ROW <= stored:
-        raise InvalidImages(f"it declares {metadata.num_rows} rows but stores {stored} bytes")
+        raise InvalidFile(f"it declares {metadata.num_rows} rows but stores {stored} bytes")
     if not 0 <= size <= _MOST_EXPANDED * stored:
-        raise InvalidImages(f"it declares {size} bytes but stores {stored}")
+        raise InvalidFile(f"it declares {size} bytes but stores {stored}")
 
 
 def _has_nulls(values: Any) -> bool:

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import from_json
-from knotgym.common.errors import KnotgymError, MissingFile, one_line
+from knotgym.common.errors import InvalidFile, KnotgymError, MissingFile, one_line
 from knotgym.datasets.episode_reader import Count, uncounted
 from knotgym.datasets.image_rows import appearance_of, labels, measures
 from knotgym.datasets.image_table import (
     GRADES,
-    InvalidImages,
     arrow,
     encode,
     points_of,
@@ -31,7 +30,7 @@ from knotgym.datasets.image_table import (
     stored_digest,
 )
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
-from knotgym.datasets.walks_file import InvalidWalks, read_walks, retrace
+from knotgym.datasets.walks_file import read_walks, retrace
 from knotgym.quality.label_limits import at_base, pressed_together, visits_too_close
 from knotgym.rendering.appearance import SIZES, render
 from knotgym.rope.model import Array, Rope
@@ -121,7 +120,7 @@ def shard_faults(path: Path) -> list[str]:
             faults += [f"{path.name} row {n}: {fault}" for fault in _all_faults(row)]
             now.update(row_line(row))
         digest = stored_digest(path)
-    except (InvalidImages, MissingFile) as error:
+    except (InvalidFile, MissingFile) as error:
         return [str(error)]
     if digest not in ("", now.hexdigest()):
         faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
@@ -227,7 +226,7 @@ def _walk_batches(folder: Path, table: Any) -> tuple[list[_WalkBatch], list[str]
     """Group the walks of a folder and their rows into batches; return them with faults found."""
     try:
         walks = read_walks(folder / "walks.h5")
-    except (InvalidWalks, MissingFile) as error:
+    except (InvalidFile, MissingFile) as error:
         return [], [str(error)]
     index = {number: row for row, number in enumerate(walks.number.tolist())}
     faults: list[str] = []

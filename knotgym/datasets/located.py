@@ -6,15 +6,11 @@ It may name a run's folder, a `minari` folder, a file, a folder of pictures, or 
 from pathlib import Path
 from typing import NamedTuple
 
-from knotgym.common.errors import KnotgymError, MissingFile
+from knotgym.common.errors import InvalidInput, MissingFile
 from knotgym.common.hdf5_files import hdf5_format
 from knotgym.datasets.image_table import is_images
 from knotgym.states.schema import FORMAT as STATES_FORMAT
 from knotgym.states.state_file import SHIPPED, minari_root, shipped
-
-
-class UnknownDataset(KnotgymError, ValueError):
-    """This path or id doesn't name a knotgym dataset that the command can use."""
 
 
 class Dataset(NamedTuple):
@@ -36,7 +32,7 @@ def resolve_datasets(named: str) -> list[Dataset]:
 
     Raises:
         MissingFile: there is no such file, folder or id.
-        UnknownDataset: the folder holds no knotgym dataset.
+        InvalidInput: the folder holds no knotgym dataset.
     """
     given = Path(named)
     if not given.exists() and named in SHIPPED:
@@ -57,7 +53,7 @@ def resolve_datasets(named: str) -> list[Dataset]:
         return [Dataset("states", given)]
     found = _datasets_below(given)
     if not found:
-        raise UnknownDataset(
+        raise InvalidInput(
             f"{named} contains no states.h5, no pictures and no Minari dataset: give the output of"
             " a knotgym command"
         )
@@ -68,7 +64,7 @@ def folder_of(named: str) -> Path:
     """Return the folder that a path or an id names; for a file, its parent.
 
     Raises:
-        MissingFile, UnknownDataset: as in `resolve_datasets`.
+        MissingFile, InvalidInput: as in `resolve_datasets`.
     """
     resolve_datasets(named)
     given = Path(named) if Path(named).exists() else minari_root() / named
@@ -80,14 +76,14 @@ def resolve_dataset(named: str, *kinds: str) -> Dataset:
 
     Raises:
         MissingFile: there is none.
-        UnknownDataset: there are several, or it is of none of these kinds.
+        InvalidInput: there are several, or it is of none of these kinds.
     """
     found = resolve_datasets(named)
     if len(found) > 1:
         listed = ", ".join(str(one.path) for one in found)
-        raise UnknownDataset(f"{named} contains several datasets, give one of them: {listed}")
+        raise InvalidInput(f"{named} contains several datasets, give one of them: {listed}")
     if kinds and found[0].kind not in kinds:
-        raise UnknownDataset(
+        raise InvalidInput(
             f"{named} contains {found[0].kind}, but this command takes {' or '.join(kinds)}"
         )
     return found[0]
@@ -98,14 +94,14 @@ def episodes_at(named: str) -> list[Dataset]:
 
     Raises:
         MissingFile: there is no such file, folder or id.
-        UnknownDataset: it contains no trajectories.
+        InvalidInput: it contains no trajectories.
     """
     out: list[Dataset] = []
     for one in resolve_datasets(named):
         inside = one.path / "minari" if one.kind == "states" else one.path
         out += [one] if one.kind == "episodes" else _datasets_below(inside)
     if not out:
-        raise UnknownDataset(f"{named} contains no trajectories")
+        raise InvalidInput(f"{named} contains no trajectories")
     return out
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import read_json
-from knotgym.common.errors import KnotgymError, one_line, printable
+from knotgym.common.errors import InvalidFile, one_line, printable
 from knotgym.datasets.machine import machine
 from knotgym.states.state_file import leads_out
 
@@ -25,10 +25,6 @@ _REPORT: dict[str, Any] = {
 }
 
 
-class InvalidManifest(KnotgymError, ValueError):
-    """A manifest that no version of knotgym writes."""
-
-
 def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Read a manifest; return it (empty if unreadable) and the fault, if any, in a list."""
     try:
@@ -36,10 +32,10 @@ def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
         checked = {"files": manifest["files"], "config": manifest["config"]}
         for name, value in checked.items():
             if not isinstance(value, dict):
-                raise InvalidManifest(f"{name} should be an object")
+                raise InvalidFile(f"{name} should be an object")
         for name in checked["files"]:
             if not name or leads_out(name) or not name.isprintable():
-                raise InvalidManifest(
+                raise InvalidFile(
                     f"it lists {printable(name)!r}, which is not a file in the folder"
                 )
     except (OSError, ValueError, KeyError, TypeError) as error:

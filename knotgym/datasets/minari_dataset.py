@@ -23,8 +23,9 @@ import gymnasium
 import knotgym
 from knotgym.common.atomic_files import atomic_write, link_or_copy, require_output, sha256
 from knotgym.common.configuration import as_json
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import foreign_bytes_as
-from knotgym.datasets.episode_reader import Count, EpisodeReader, InvalidEpisodeFile, uncounted
+from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.envs.tasks import TaskConfig
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
@@ -51,7 +52,7 @@ class MinariMetadata:
             `episodes.digests`; after a merge, dataset id -> its digests.
 
     Raises:
-        InvalidEpisodeFile: the id is invalid for Minari, or only one of the two scores is given.
+        InvalidFile: the id is invalid for Minari, or only one of the two scores is given.
     """
 
     dataset_id: str
@@ -68,12 +69,12 @@ class MinariMetadata:
 
     def __post_init__(self) -> None:
         if _ID.fullmatch(self.dataset_id) is None:
-            raise InvalidEpisodeFile(
+            raise InvalidFile(
                 "a dataset id has the form namespace/name-v0, of letters, digits, - and _; got"
                 f" {self.dataset_id!r}"
             )
         if (self.ref_min_score is None) != (self.ref_max_score is None):
-            raise InvalidEpisodeFile(
+            raise InvalidFile(
                 "reference scores come in pairs: give both ref_min_score and ref_max_score"
             )
         for name in ("author", "author_email"):
@@ -111,7 +112,7 @@ def publish(
         The dataset's folder.
 
     Raises:
-        InvalidEpisodeFile: as for `merge_episodes`, or `store` is "none".
+        InvalidFile: as for `merge_episodes`, or `store` is "none".
         Occupied: there is a dataset of this id, and `overwrite` is false.
     """
     folder = Path(out or minari_root()) / metadata.dataset_id
@@ -120,7 +121,7 @@ def publish(
     if first is not None and store is None and first.stored == "none":
         store = first.task.observation
     if store == "none":
-        raise InvalidEpisodeFile(
+        raise InvalidFile(
             "a Minari dataset needs observations; for a file without them see `compact`"
         )
     with atomic_write(folder, overwrite=overwrite) as temporary:
@@ -193,14 +194,14 @@ def merge_datasets(
         out, count, overwrite: as for `publish`.
 
     Raises:
-        InvalidEpisodeFile: the sources can't be combined.
+        InvalidFile: the sources can't be combined.
         Occupied: there is a dataset of this id, and `overwrite` is false.
     """
     readers = [EpisodeReader(source) for source in sources]
     for name in ("split", "states"):
         values = {_states_digest(one) if name == "states" else one.task.split for one in readers}
         if len(values) > 1:
-            raise InvalidEpisodeFile(
+            raise InvalidFile(
                 f"datasets to merge must have one split and one state file; these differ in {name}:"
                 f" {', '.join(str(one.path) for one in readers)}"
             )
@@ -237,7 +238,7 @@ def _states_digest(reader: EpisodeReader) -> str:
         return str(reader.task.states or "readable")
     path = reader.states_path()
     if not path.is_file():
-        raise InvalidEpisodeFile(f"{reader.path} was reset from {path}, which doesn't exist")
+        raise InvalidFile(f"{reader.path} was reset from {path}, which doesn't exist")
     return sha256(path)
 
 
@@ -265,7 +266,7 @@ def metadata_of(source: Any) -> MinariMetadata | None:
     reader = EpisodeReader(source)
     entries = reader.metadata()
     reader.close()
-    with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path}, metadata"):
+    with foreign_bytes_as(InvalidFile, f"{reader.path}, metadata"):
         return None if entries is None else MinariMetadata(**entries)
 
 

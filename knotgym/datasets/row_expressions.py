@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 
 _LONGEST = 2000  # characters
 _ARITHMETIC: dict[type, Callable[[Any, Any], Any]] = {
@@ -41,10 +41,6 @@ _ORDER: dict[type, Callable[[Any, Any], Any]] = {
 _KINDS = {"b": "condition", "i": "number", "u": "number", "f": "number", "U": "text"}
 
 
-class InvalidExpression(KnotgymError, ValueError):
-    """An expression that can't be read, or that doesn't fit the columns."""
-
-
 class _Value(NamedTuple):
     """An array of one entry per row, or a scalar, of kind "condition", "number" or "text"."""
 
@@ -61,7 +57,7 @@ def matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.
         columns: name -> one value per row: truth values, numbers or text.
 
     Raises:
-        InvalidExpression: the text is no condition, or names no column; the message is one line.
+        InvalidInput: the text is no condition, or names no column; the message is one line.
 
     >>> matching_rows("nx in (1, 3) and knot != '3_1'",
     ...     {"nx": np.array([1, 2, 3]), "knot": np.array(["0_1", "0_1", "3_1"])}).tolist()
@@ -71,16 +67,16 @@ def matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # of Python's parser about doubtful code
             if len(text) > _LONGEST:
-                raise InvalidExpression(f"it has {len(text)} characters, at most {_LONGEST} may be")
+                raise InvalidInput(f"it has {len(text)} characters, at most {_LONGEST} may be")
             found = _evaluate(ast.parse(text.strip(), mode="eval").body, columns)
-    except InvalidExpression as error:
-        raise InvalidExpression(f"{_shown(text)} can't be used: {error}") from error
+    except InvalidInput as error:
+        raise InvalidInput(f"{_shown(text)} can't be used: {error}") from error
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InvalidExpression(
+        raise InvalidInput(
             f"{_shown(text)} can't be read; expected such as 'nx == 3 and length < 30'"
         ) from error
     if found.kind != "condition":
-        raise InvalidExpression(
+        raise InvalidInput(
             f"{_shown(text)} is a {found.kind}, not a condition; compare it, such as with =="
         )
     rows = len(next(iter(columns.values()))) if columns else 0
@@ -91,7 +87,7 @@ def _evaluate(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> _Value:
     """Evaluate one node of the grammar.
 
     Raises:
-        InvalidExpression: the node isn't part of the grammar, or its operands are of other kinds.
+        InvalidInput: the node isn't part of the grammar, or its operands are of other kinds.
     """
     source = _shown(ast.unparse(node))
     match node:
@@ -120,7 +116,7 @@ def _evaluate(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> _Value:
                 out = out & _compared(left, order, right, columns)
                 left = right
             return _Value("condition", out, source)
-    raise InvalidExpression(f"{source} is not part of the grammar")
+    raise InvalidInput(f"{source} is not part of the grammar")
 
 
 def _compared(
@@ -138,10 +134,10 @@ def _compared(
             found = np.char.find(within, _expect(own, "text")) >= 0
         return found if isinstance(op, ast.In) else ~found
     if type(op) not in _ORDER:
-        raise InvalidExpression(f"{type(op).__name__.lower()!r} is not part of the grammar")
+        raise InvalidInput(f"{type(op).__name__.lower()!r} is not part of the grammar")
     other = _evaluate(right, columns)
     if own.kind != other.kind:
-        raise InvalidExpression(
+        raise InvalidInput(
             f"{own.source} is a {own.kind} and {other.source} is a {other.kind}; both must be of"
             " one kind"
         )
@@ -154,13 +150,13 @@ def _constant(value: bool | int | float | str, source: str) -> _Value:
     if isinstance(value, bool):
         return _Value("condition", np.array(value), source)
     if not abs(value) < 2**63:  # no column holds a larger one
-        raise InvalidExpression(f"{source} is too large")
+        raise InvalidInput(f"{source} is too large")
     return _Value("number", np.array(value), source)
 
 
 def _expect(found: _Value, kind: str) -> NDArray[Any]:
     if found.kind != kind:
-        raise InvalidExpression(f"{found.source} is a {found.kind}, should be a {kind}")
+        raise InvalidInput(f"{found.source} is a {found.kind}, should be a {kind}")
     return found.values
 
 
@@ -170,9 +166,9 @@ def _column_name(name: str, columns: Mapping[str, Any]) -> str:
         return name
     full = [one for one in columns if one.rpartition(".")[2] == name]
     if len(full) > 1:
-        raise InvalidExpression(f"{name} may be {' or '.join(full)}; give one of them")
+        raise InvalidInput(f"{name} may be {' or '.join(full)}; give one of them")
     if not full:
-        raise InvalidExpression(f"no column {_shown(name)}; columns are {', '.join(columns)}")
+        raise InvalidInput(f"no column {_shown(name)}; columns are {', '.join(columns)}")
     return full[0]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import require_output
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import Chosen, EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.finished_folders import finish_images, finish_states, write_used_walks
@@ -29,7 +30,6 @@ from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
 from knotgym.datasets.selectable_rows import (
     Destination,
-    InvalidSelection,
     Rows,
     RowsOfDataset,
     json_list,
@@ -93,7 +93,7 @@ class _States(RowsOfDataset):
             return
         manifest, faults = read_manifest(self.path)
         if faults:
-            raise InvalidSelection(f"{self.source}: {faults[0]}")
+            raise InvalidInput(f"{self.source}: {faults[0]}")
         path.mkdir()
         names = states.source.get("dataset", np.array([]))
         old = states.source.get("trajectory", np.array([]))
@@ -161,7 +161,7 @@ class _Pictures(RowsOfDataset):
             return
         manifest, faults = read_manifest(self.path)
         if faults:
-            raise InvalidSelection(f"{self.source}: {faults[0]}")
+            raise InvalidInput(f"{self.source}: {faults[0]}")
         files = shards(self.path)
         ends = np.cumsum([len(read_table(one, columns=["nx"])) for one in files])[:-1]
         chosen = dict(zip(files, np.split(kept, ends), strict=True))
@@ -214,7 +214,7 @@ class _Episodes(RowsOfDataset):
     def in_split(self, split: str) -> NDArray[np.bool_]:
         own = self.reader.task.split
         if split != own:
-            raise InvalidSelection(f"the episodes of {self.source} are of split {own!r}")
+            raise InvalidInput(f"the episodes of {self.source} are of split {own!r}")
         return np.ones(self.count, dtype=bool)
 
     def keys(self) -> list[list[Hashable]]:
@@ -244,7 +244,7 @@ class _Episodes(RowsOfDataset):
     def require_target(self, target: Destination) -> None:
         if not target.dataset_id:
             if target.out is None:
-                raise InvalidSelection("give an output: --out FILE, or --id for a Minari dataset")
+                raise InvalidInput("give an output: --out FILE, or --id for a Minari dataset")
             require_output(target.out, folder=False, overwrite=target.overwrite)
 
     def _placed(self, rows: Rows, made: list[dict[str, Any]], target: Destination) -> Path:
@@ -268,7 +268,7 @@ def opened(source: str | Path) -> RowsOfDataset:
     """Open a dataset by its path, name or id.
 
     Raises:
-        MissingFile, UnknownDataset: as in `resolve_dataset`.
+        MissingFile, InvalidInput: as in `resolve_dataset`.
     """
     kind, path = resolve_dataset(str(source))
     kinds: dict[str, Callable[[str | Path, Path], RowsOfDataset]]

@@ -11,15 +11,11 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output, sha256
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import InvalidInput, one_line
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.states.schema import STATE_SPLITS
 
 Rows = NDArray[np.int64]
-
-
-class InvalidSelection(KnotgymError, ValueError):
-    """A selection without rows, or a dataset that can't be selected from as asked."""
 
 
 class Destination(NamedTuple):
@@ -69,7 +65,7 @@ class RowsOfDataset(ABC):
 
     def in_split(self, split: str) -> NDArray[np.bool_]:
         if split not in self.splits:
-            raise InvalidSelection(f"no split {split!r}; splits are {', '.join(self.splits)}")
+            raise InvalidInput(f"no split {split!r}; splits are {', '.join(self.splits)}")
         return np.asarray(self.columns["split"] == split)
 
     def earlier(self) -> list[dict[str, Any]]:
@@ -79,15 +75,15 @@ class RowsOfDataset(ABC):
 
     def require_target(self, target: Destination) -> None:
         if target.dataset_id:
-            raise InvalidSelection("an id is for episodes; give --out for states and pictures")
+            raise InvalidInput("an id is for episodes; give --out for states and pictures")
         if target.out is None:
-            raise InvalidSelection("give an output, --out")
+            raise InvalidInput("give an output, --out")
         require_output(target.out, folder=self.path.is_dir(), overwrite=target.overwrite)
 
     def write(self, rows: Rows, how: Mapping[str, Any], target: Destination) -> Path:
         """Write some rows, at least one, as a new dataset; return its path."""
         if not len(rows):
-            raise InvalidSelection(f"none of the {self.count} rows of {self.source} is left")
+            raise InvalidInput(f"none of the {self.count} rows of {self.source} is left")
         self.require_target(target)
         made = {
             "from": self.source,
@@ -105,7 +101,7 @@ class RowsOfDataset(ABC):
             try:
                 self._write(rows, made, path)
             except (LookupError, TypeError, AttributeError) as error:
-                raise InvalidSelection(
+                raise InvalidInput(
                     f"{self.source} has a manifest that knotgym didn't write: {one_line(error)}"
                 ) from error
         return Path(target.out)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import from_json
-from knotgym.common.errors import KnotgymError, MissingFile, one_line
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, one_line
 from knotgym.common.streams import Stream, generator_of
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_verification import verify_episodes
@@ -20,12 +20,12 @@ from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
 from knotgym.rendering.picture import draw, picture_of
 from knotgym.rope.actions import drawn_actions
-from knotgym.rope.engines import MUJOCO, UnknownEngine, require_engine, simulation
+from knotgym.rope.engines import MUJOCO, require_engine, simulation
 from knotgym.rope.model import Array, Rope, rope_of
 from knotgym.states.near_duplicates import pairs_within, repeated
 from knotgym.states.schema import COLUMNS, DRAWING, RANDOM_WALK, REPLAYED, STATE_SPLITS
 from knotgym.states.splits import overlap
-from knotgym.states.state_file import InvalidStates, States, content_digest, read_states
+from knotgym.states.state_file import States, content_digest, read_states
 from knotgym.states.state_measures import (
     quality_faults,
     recomputed_faults,
@@ -59,7 +59,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         return
     try:
         require_engine(states.engine)
-    except UnknownEngine as error:
+    except InvalidInput as error:
         yield f"states.h5: {error}"
         return
     misshapen = list(_misshapen(states, rope))
@@ -92,7 +92,7 @@ def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
     yield from listed_faults(folder, manifest)
     try:
         states = read_states(folder / "states.h5")
-    except (InvalidStates, MissingFile) as error:
+    except (InvalidFile, MissingFile) as error:
         yield str(error)
         return
     yield from state_faults(states, count)
@@ -189,7 +189,7 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     yield from source_faults(states, row)
     try:
         actions_of(states, row)
-    except InvalidSource as error:
+    except InvalidInput as error:
         yield str(error)
     else:
         if end is None or not np.array_equal(end, qpos):
@@ -204,7 +204,7 @@ def _drawing_faults(states: States, row: int, rope: Rope) -> Iterator[str]:
     try:
         config = from_json(DrawingConfig, json.loads(states.source["drawing"][row]))
         if stream_of(states, row) != Stream.DRAWING:
-            raise InvalidSource(f"seed {seed} is not a stream of a drawing")
+            raise InvalidInput(f"seed {seed} is not a stream of a drawing")
         code = GaussCode.parse(states.gauss_code_chiral[row])
         again = drawn_curve(code, generator_of(seed), rope, config)
     except (KnotgymError, ValueError, IndexError, TypeError) as error:
@@ -215,23 +215,19 @@ def _drawing_faults(states: States, row: int, rope: Rope) -> Iterator[str]:
         yield f"its start differs from the drawing of its seed by {1000 * off:.1f} mm"
 
 
-class InvalidSource(KnotgymError, ValueError):
-    """A row whose provenance isn't enough to reproduce it."""
-
-
 def actions_of(states: States, row: int) -> NDArray[np.float32]:
     """Return the actions that lead from a row's start to its state, float32 (steps, 6)."""
     steps = int(states.source["steps"][row])
     if "actions" in states.source:
         actions: NDArray[np.float32] = states.source["actions"][row, :steps]
         if not (np.abs(actions) <= 1).all():
-            raise InvalidSource("an action lies outside [-1, 1]")
+            raise InvalidInput("an action lies outside [-1, 1]")
         return actions
     seed = tuple(states.source["seed"][row].tolist())
     if stream_of(states, row) != Stream.RANDOM_WALK:
-        raise InvalidSource(f"seed {seed} is not a stream of a random walk's actions")
+        raise InvalidInput(f"seed {seed} is not a stream of a random walk's actions")
     if not 0 <= steps <= _LONGEST:
-        raise InvalidSource(f"a random walk takes 0 to {_LONGEST} actions, got {steps}")
+        raise InvalidInput(f"a random walk takes 0 to {_LONGEST} actions, got {steps}")
     return drawn_actions(seed, steps)
 
 
@@ -239,7 +235,7 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
     """Replay rows; return the final qpos (nq,) of each that could be replayed."""
     actions = {}
     for row in rows:
-        with suppress(InvalidSource):  # a fault of the row
+        with suppress(InvalidInput):  # a fault of the row
             actions[row] = actions_of(states, row)
     left = sorted(actions)
     if not left:

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.row_expressions import matching_rows
 from knotgym.datasets.rows_of_datasets import opened
-from knotgym.datasets.selectable_rows import Destination, InvalidSelection, Rows
+from knotgym.datasets.selectable_rows import Destination, Rows
 
 _MOST_ROWS = 10_000_000
 _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
@@ -50,8 +51,8 @@ def select(
         The new file or folder.
 
     Raises:
-        InvalidExpression: `where` isn't a condition on these columns.
-        InvalidSelection: no row is left, fewer than `sample` are, or there is no such split.
+        InvalidInput: `where` isn't a condition on these columns.
+        InvalidInput: no row is left, fewer than `sample` are, or there is no such split.
         Occupied: the output exists.
     """
     given = opened(source)
@@ -61,7 +62,7 @@ def select(
     rows = np.flatnonzero(chosen)
     if sample is not None:
         if not 0 < sample <= len(rows):
-            raise InvalidSelection(f"{len(rows)} rows match, can't sample {sample} of them")
+            raise InvalidInput(f"{len(rows)} rows match, can't sample {sample} of them")
         rows = np.sort(generator(Stream.SELECTION, seed).choice(rows, sample, replace=False))
     how: dict[str, Any] = {"where": where, "split": split, "sample": sample}
     how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
@@ -94,7 +95,7 @@ def split(
         The new files or folders, in the order of the parts.
 
     Raises:
-        InvalidSelection: the parts aren't fractions of 1, or the rows can't be dealt to so many.
+        InvalidInput: the parts aren't fractions of 1, or the rows can't be dealt to so many.
         Occupied: an output exists.
     """
     shares = _shares(parts)
@@ -102,7 +103,7 @@ def split(
     together = _groups(given.keys())
     dealt = _dealt(together, [*shares.values()], generator(Stream.SELECTION, seed, 1))
     if len(set(dealt.tolist())) < len(shares):
-        raise InvalidSelection(
+        raise InvalidInput(
             f"{source} can't be cut into {len(shares)} parts: its {given.count} rows share starts,"
             f" goals, walks or near-duplicates, which leaves {together.max() + 1} separate groups"
         )
@@ -137,13 +138,13 @@ def delete(
         out, dataset_id, overwrite: as for `select`.
 
     Raises:
-        InvalidSelection: there is no row with an id, or none would be left.
+        InvalidInput: there is no row with an id, or none would be left.
         Occupied: the output exists.
     """
     given = opened(source)
     unknown = sorted({*ids} - {*given.ids.tolist()})
     if unknown:
-        raise InvalidSelection(f"{source} has no row {', '.join(map(str, unknown[:8]))}")
+        raise InvalidInput(f"{source} has no row {', '.join(map(str, unknown[:8]))}")
     left = np.flatnonzero(~np.isin(given.ids, [*ids]))
     return given.write(left, {"deleted": sorted({*ids})}, Destination(out, dataset_id, overwrite))
 
@@ -165,7 +166,7 @@ def row_numbers(text: str) -> list[int]:
         found = _RANGE.fullmatch(word.strip())
         first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
         if last < first or last - first > _MOST_ROWS:
-            raise InvalidSelection(f"rows are numbers such as 3,7-9, got {text!r}")
+            raise InvalidInput(f"rows are numbers such as 3,7-9, got {text!r}")
         out += range(first, last + 1)
     return out
 
@@ -178,13 +179,11 @@ def _shares(parts: str | Mapping[str, float]) -> dict[str, float]:
         except ValueError:
             pairs = []
         if len(dict(pairs)) < len(words):
-            raise InvalidSelection(f"parts are such as train=0.8,val=0.2, got {parts!r}")
+            raise InvalidInput(f"parts are such as train=0.8,val=0.2, got {parts!r}")
         parts = dict(pairs)
     shares = {str(name): float(share) for name, share in parts.items()}
     if len(shares) < 2 or min(shares.values()) <= 0 or abs(sum(shares.values()) - 1) > 1e-6:
-        raise InvalidSelection(
-            f"parts are at least 2 fractions above 0 that add up to 1, got {shares}"
-        )
+        raise InvalidInput(f"parts are at least 2 fractions above 0 that add up to 1, got {shares}")
     return shares
 
 

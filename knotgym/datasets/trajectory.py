@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.common.hdf5_files import Column
 from knotgym.envs.reward import SUCCESS_REWARD, success_at_last
 from knotgym.rope.towing import TowBound
@@ -55,10 +55,6 @@ ARRAYS = {column.name: column for column in (*_COLUMNS, *_INFOS)}  # in the orde
 INFOS = tuple(column.name for column in _INFOS)
 MACRO_INFOS = ("macro_start", "macro_bead", "macro_target", "macro_side")
 OPTIONAL = ("move", "expert_action", *MACRO_INFOS)  # infos that an episode may lack
-
-
-class InvalidEpisode(KnotgymError, ValueError):
-    """Arrays that don't form an episode, or a cut that is impossible."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,7 +97,7 @@ class Episode:
             the rope lies open.
 
     Raises:
-        InvalidEpisode: an array has the wrong dtype, shape or length.
+        InvalidInput: an array has the wrong dtype, shape or length.
     """
 
     start_qpos: NDArray[np.float64]
@@ -134,7 +130,7 @@ class Episode:
 
     def __post_init__(self) -> None:
         if not len(self.actions):
-            raise InvalidEpisode("an episode has at least 1 action, got 0")
+            raise InvalidInput("an episode has at least 1 action, got 0")
         beads = np.shape(self.goal_points)[0]
         sizes = {"steps": len(self), "states": len(self) + 1, "beads": beads}
         for name, array in self.arrays().items():
@@ -144,7 +140,7 @@ class Episode:
                 n is None or n == m for n, m in zip(right, array.shape, strict=True)
             )
             if not fits or (array.dtype.kind != "U" if kind == "text" else array.dtype != kind):
-                raise InvalidEpisode(
+                raise InvalidInput(
                     f"{name} must be {kind} of shape {right}, got {array.dtype} of shape"
                     f" {array.shape}"
                 )
@@ -205,7 +201,7 @@ def goals_reached(codes: Sequence[str] | NDArray[np.str_], hold: int = 1) -> lis
 def goal_steps(codes: Sequence[str] | NDArray[np.str_], relabel: str, hold: int = 1) -> list[int]:
     """List the steps to cut an episode at: the "last" of `goals_reached`, or "all" of them."""
     if relabel not in RELABEL:
-        raise InvalidEpisode(f"relabel must be {' or '.join(map(repr, RELABEL))}, got {relabel!r}")
+        raise InvalidInput(f"relabel must be {' or '.join(map(repr, RELABEL))}, got {relabel!r}")
     steps = goals_reached(codes, hold)
     return steps if relabel == "all" else steps[-1:]
 
@@ -241,12 +237,12 @@ def relabelled(
         tow_limit: the task's bound on towing; states that exceed it can't be goals.
 
     Raises:
-        InvalidEpisode: the goal isn't reached at that state, or is reached earlier.
+        InvalidInput: the goal isn't reached at that state, or is reached earlier.
     """
     codes = codes_in_bounds(episode.gauss_code, episode.points, tow_limit)
     possible = goals_reached(codes, hold)
     if goal_step not in possible:
-        raise InvalidEpisode(
+        raise InvalidInput(
             f"goal_step must be a state that reaches another code first, one of {possible}, got"
             f" {goal_step}"
         )

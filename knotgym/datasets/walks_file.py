@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, new_hdf5
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import Column, opened_hdf5, read_attribute, read_column
 from knotgym.rope.engines import ENGINES, MUJOCO, simulation_of
 from knotgym.rope.model import Array, RopeConfig
@@ -36,10 +36,6 @@ _COLUMNS = (
     Column("forces", "float32", ("walks", "steps", 3), finite=True),
 )
 _COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
-
-
-class InvalidWalks(KnotgymError, ValueError):
-    """A file of walks that this version can't read or reproduce."""
 
 
 class MadeWalks(Protocol):
@@ -116,24 +112,24 @@ def write_walks(path: str | os.PathLike[str], walks: Walks) -> None:
 
 
 def read_walks(path: str | os.PathLike[str]) -> Walks:
-    """Read the file; raise InvalidWalks if it is foreign, truncated or of another rope model."""
+    """Read the file; raise InvalidFile if it is foreign, truncated or of another rope model."""
     with opened_hdf5(
-        path, what="file of walks", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidWalks
+        path, what="file of walks", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidFile
     ) as file:
         rope = read_attribute(file, Column("rope", "text", ()))
         if rope != RopeConfig().fingerprint:
-            raise InvalidWalks(
+            raise InvalidFile(
                 f"{path} was generated with rope model {rope}, this version has"
                 f" {RopeConfig().fingerprint}"
             )
         sizes: dict[str, int] = {}
         engine = str(read_attribute(file, Column("engine", "text", ())))
         if engine not in ENGINES:
-            raise InvalidWalks(f"{path}: no engine {engine!r}; there is {', '.join(ENGINES)}")
+            raise InvalidFile(f"{path}: no engine {engine!r}; there is {', '.join(ENGINES)}")
         columns = {column.name: read_column(file, column, sizes) for column in _COLUMNS}
         walks = Walks(**columns, engine=engine)
         if len(walks.start) and walks.start.max() >= len(walks.state):
-            raise InvalidWalks(
+            raise InvalidFile(
                 f"{path}: a walk starts from state {walks.start.max()} of {len(walks.state)}"
             )
         return walks

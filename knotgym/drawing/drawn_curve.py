@@ -11,30 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from knotgym.common.configuration import check_numbers
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import Failed, InvalidInput
 from knotgym.drawing.circle_packing import pack_circles
 from knotgym.drawing.layout_relaxation import Integers, LayoutRelaxationConfig, relax_layout
 from knotgym.drawing.planar_map import planar_map
-from knotgym.rope.model import Array, InvalidCurve, Rope
+from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import faces, with_chirality
 from knotgym.topology.gauss import GaussCode
 
 _LEAST_BEADS = 3  # per edge
-
-
-class UndrawnCode(KnotgymError, RuntimeError):
-    """The rope can't take the shape of this drawing; another drawing of the code may work."""
-
-
-class TooManyCrossings(KnotgymError, ValueError):
-    """The code has more crossings than the rope has room for."""
-
-    def __init__(self, nx: int, beads: int) -> None:
-        super().__init__(
-            f"a rope of {beads} beads is long enough for {beads // (2 * _LEAST_BEADS)} crossings at"
-            f" most, got a code with {nx}"
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,13 +65,17 @@ def drawn_curve(
         float64 (beads, 3), metres, a configuration of the rope that shows the code.
 
     Raises:
-        NotPlanar: no closed curve shows the code.
-        TooManyCrossings: there are fewer than three beads for each edge of the code.
-        UndrawnCode: this drawing is too tight for the rope or shows another code; try again.
+        InvalidInput: no closed curve shows the code.
+        InvalidInput: there are fewer than three beads for each edge of the code.
+        Failed: this drawing is too tight for the rope or shows another code; try again.
     """
     rope, config, code = rope or Rope(), config or DrawingConfig(), with_chirality(code)
     if 2 * code.nx * _LEAST_BEADS > rope.config.beads:
-        raise TooManyCrossings(code.nx, rope.config.beads)
+        raise InvalidInput(
+            f"a rope of {rope.config.beads} beads is long enough for"
+            f" {rope.config.beads // (2 * _LEAST_BEADS)} crossings at most, got a code with"
+            f" {code.nx}"
+        )
     if code.nx:
         flat, visits = _flat(code, rng, config)
         curve = _lifted(flat, visits, code, rng, rope.config.length, config)
@@ -98,10 +88,10 @@ def drawn_curve(
     curve[:, :2] = curve[:, :2] @ turned
     try:
         points = rope.from_curve(curve)
-    except InvalidCurve as error:
-        raise UndrawnCode(f"this drawing of {code.chiral!r} is too tight: {error}") from error
+    except InvalidInput as error:
+        raise Failed(f"this drawing of {code.chiral!r} is too tight: {error}") from error
     if label(points) != code:
-        raise UndrawnCode(f"this drawing of {code.chiral!r} shows {label(points).chiral!r}")
+        raise Failed(f"this drawing of {code.chiral!r} shows {label(points).chiral!r}")
     return points
 
 

@@ -12,13 +12,13 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.marked import size
 from knotgym.envs.observations import SYMBOLS
-from knotgym.envs.tasks import InvalidSetting, TaskConfig, UnknownKeyword
+from knotgym.envs.tasks import TaskConfig, UnknownKeyword
 from knotgym.rope.actions import choices
 from knotgym.rope.engines import warn_of_compilation
-from knotgym.rope.simulation import InvalidAction
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
@@ -86,7 +86,7 @@ class KnotEnv(gym.Env[Any, NDArray[Any]]):
         """Take one action.
 
         Raises:
-            InvalidAction: a number is NaN or out of range; the rope has not moved.
+            InvalidInput: a number is NaN or out of range; the rope has not moved.
             gymnasium.error.ResetNeeded: the environment was never reset.
         """
         _require_reset(self.episodes)
@@ -180,7 +180,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"reset_mask must be {self.num_envs} booleans, got {mask.dtype} of shape"
                 f" {mask.shape}"
             )
@@ -188,7 +188,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
             seed = [int(seed) + i for i in range(self.num_envs)]
         seeds = [None] * self.num_envs if seed is None else list(seed)
         if len(seeds) != self.num_envs:
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"a list of seeds needs one for each of {self.num_envs} ropes, got {len(seeds)}"
             )
         chosen = np.flatnonzero(mask)
@@ -207,11 +207,11 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         done = self._done.copy()
         actions = np.asarray(actions)
         if actions.shape != self.action_space.shape:
-            raise InvalidAction(
+            raise InvalidInput(
                 f"actions must have shape {self.action_space.shape}, got {actions.shape}"
             )
         if done.any() and self._autoreset == _DISABLED:
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"episodes {np.flatnonzero(done).tolist()} have ended: reset them (options"
                 " reset_mask) before the next step"
             )
@@ -270,7 +270,7 @@ def task_config(task: str, settings: dict[str, Any]) -> TaskConfig:
 
     Raises:
         UnknownKeyword: a keyword is unknown.
-        InvalidSetting: a value is invalid.
+        InvalidInput: a value is invalid.
     """
     known = TaskConfig.__dataclass_fields__
     unknown = [name for name in settings if name not in known]
@@ -288,7 +288,7 @@ def _autoreset(mode: str | AutoresetMode) -> tuple[str, str | AutoresetMode]:
     given = str(getattr(mode, "value", mode))
     name = known.get(given, given)
     if name not in known.values():
-        raise InvalidSetting(f"no autoreset_mode {given!r}; there is {', '.join(known)}")
+        raise InvalidInput(f"no autoreset_mode {given!r}; there is {', '.join(known)}")
     return name, _MODE(name)
 
 
@@ -300,5 +300,5 @@ def _require_reset(episodes: EpisodeBatch) -> None:
 def _checked(render_mode: str | None, *known: str) -> str | None:
     if render_mode not in (None, *known):
         modes = ", ".join(f'"{mode}"' for mode in known)
-        raise InvalidSetting(f"no render_mode {render_mode!r}; there is {modes} or None")
+        raise InvalidInput(f"no render_mode {render_mode!r}; there is {modes} or None")
     return render_mode

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.marked import join, mark
 from knotgym.envs.observations import (
     SYMBOLS,
@@ -23,7 +24,7 @@ from knotgym.envs.observations import (
 )
 from knotgym.envs.reward import Outcome
 from knotgym.envs.task_states import SHIPPED, task_sides
-from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import draw
 from knotgym.rope.action_views import ActionView
 from knotgym.rope.engines import simulation
@@ -55,7 +56,7 @@ class EpisodeBatch:
 
     def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
         if count < 1:
-            raise InvalidSetting(f"num_envs must be at least 1, got {count}")
+            raise InvalidInput(f"num_envs must be at least 1, got {count}")
         self.config = config
         self.count = count
         self.simulation = simulation(config.engine, count, Rope(config.rope), threads)
@@ -123,16 +124,14 @@ class EpisodeBatch:
             options: `start` and `goal` choose rows of the respective state files.
 
         Raises:
-            InvalidSetting: an option is unknown, or a row doesn't belong to the task.
+            InvalidInput: an option is unknown, or a row doesn't belong to the task.
         """
         if not len(ids):
             return
         given = dict(options or {})
         own_start, own_goal = given.pop("start", None), given.pop("goal", None)
         if given:
-            raise InvalidSetting(
-                f"no reset option {', '.join(map(repr, given))}; use start or goal"
-            )
+            raise InvalidInput(f"no reset option {', '.join(map(repr, given))}; use start or goal")
         rows = []
         for rng in rngs:
             start = self._choose(own_start, self.rows("start"), "start", rng)
@@ -163,7 +162,7 @@ class EpisodeBatch:
         """Carry out one action of the view `config.action` in each episode of `ids`.
 
         Raises:
-            InvalidAction: an action is invalid; no rope has moved.
+            InvalidInput: an action is invalid; no rope has moved.
         """
         if self.config.action == "pull":
             return self.step(actions, ids)
@@ -338,7 +337,7 @@ class EpisodeBatch:
         if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
             few = self.config.max_goals if name == "goal" else None
             first = "" if few is None else f", of the first {few}"
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"{name} must be a row with nx = {nx} of the {self.config.split} split{first}:"
                 f" {_few(rows)}; got {row!r}"
             )

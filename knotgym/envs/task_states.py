@@ -4,8 +4,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.knot_tasks import fitting_tasks, start_nx
-from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import RopeConfig, rope_of
 from knotgym.states.schema import CODE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped, ships, states_file
@@ -26,7 +27,7 @@ def state_origins(config: TaskConfig) -> dict[str, str]:
     """Return the origin of a task's states, OWN or SHIPPED, for `start` and for `goal`.
 
     Raises:
-        InvalidSetting: there are no such states.
+        InvalidInput: there are no such states.
     """
     starts, goals = task_sides(config)
     return {"start": starts.origin, "goal": goals.origin}
@@ -39,7 +40,7 @@ def task_sides(config: TaskConfig) -> tuple[TaskSide, TaskSide]:
     has none in either split.
 
     Raises:
-        InvalidSetting: there are none, or starts and goals are of different knot types.
+        InvalidInput: there are none, or starts and goals are of different knot types.
     """
     path = states_file(config.states)
     own = _of_our_rope(path, config.beads)
@@ -49,14 +50,14 @@ def task_sides(config: TaskConfig) -> tuple[TaskSide, TaskSide]:
         for side in (starts, goals)
     ]
     if len({*knots[0], *knots[1]}) > 1:
-        raise InvalidSetting(
+        raise InvalidInput(
             f"task {config.task!r} with nx = {config.nx} would start as {', '.join(knots[0])} and"
             f" end as {', '.join(knots[1])}, and no action changes the knot type;"
             f" {_fit(config, own)}"
         )
     codes = goals.states.gauss_code[goals.states.rows(goals.nx, config.split)[: config.max_goals]]
     if starts.nx == goals.nx and len(set(codes.tolist())) < 2:
-        raise InvalidSetting(
+        raise InvalidInput(
             f"a tie to nx = {goals.nx} starts at the simplest diagram of {knots[0][0]} in {path},"
             f" which shows its only goal's code already; {_fit(config, own)}"
         )
@@ -71,7 +72,7 @@ def _side(config: TaskConfig, path: Path, own: States, nx: int) -> TaskSide:
         states = _of_our_rope(path, config.beads)
     if not len(states.rows(nx, config.split)):
         if config.split in CODE_SPLITS and len(states.rows(nx, config.split[:-5])):
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"split {config.split!r} has no state with nx = {nx} in {path}: there are too few"
                 " diagrams to hold one out; use split 'train' or 'test'"
             )
@@ -82,7 +83,7 @@ def _side(config: TaskConfig, path: Path, own: States, nx: int) -> TaskSide:
         else:
             beads = "" if config.beads == RopeConfig().beads else f" --beads {config.beads}"
             advice = f"Generate some: knotgym-generate --nx {nx}{beads}"
-        raise InvalidSetting(
+        raise InvalidInput(
             f"no states with nx = {nx} in split {config.split!r} of {path}, needed by task"
             f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}."
             f" {advice}"
@@ -99,14 +100,14 @@ def _fit(config: TaskConfig, own: States) -> str:
 
 
 def _of_our_rope(path: Path, beads: int) -> States:
-    """Read the states of a file; raise InvalidSetting if they were made for another rope."""
+    """Read the states of a file; raise InvalidInput if they were made for another rope."""
     states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
     # states at rest don't depend on the integrator's step, so the default rope is compared
     if (own := states.points.shape[1]) != beads:
-        raise InvalidSetting(f"{path} has ropes of {own} beads, got beads = {beads}; use {own}")
+        raise InvalidInput(f"{path} has ropes of {own} beads, got beads = {beads}; use {own}")
     made_for, ours = states.attributes.get("rope"), rope_of(beads).fingerprint
     if made_for != ours:
-        raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {ours}")
+        raise InvalidInput(f"{path} was made for rope model {made_for}, this version has {ours}")
     return states
 
 

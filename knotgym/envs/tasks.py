@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
 from knotgym.quality.limits import RESET_NOISE
 from knotgym.rendering.views import check_depth, checked_views
@@ -30,11 +30,7 @@ TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
 }
 
 
-class InvalidSetting(KnotgymError, ValueError):
-    """An invalid setting of an environment."""
-
-
-class UnknownKeyword(InvalidSetting, TypeError):
+class UnknownKeyword(InvalidInput, TypeError):
     """An unknown keyword of an environment.
 
     A TypeError in Python's own words, because TorchRL retries without `frameskip` only on these.
@@ -127,11 +123,11 @@ class TaskConfig:
             "renderer": ("auto", "opencv", "mujoco"),
         }.items():
             if getattr(self, name) not in known:
-                raise InvalidSetting(
+                raise InvalidInput(
                     f"no {name} {getattr(self, name)!r}; there is {', '.join(known)}"
                 )
-        object.__setattr__(self, "views", checked_views(self.views, InvalidSetting))
-        check_depth(self.depth, self.renderer, InvalidSetting)
+        object.__setattr__(self, "views", checked_views(self.views, InvalidInput))
+        check_depth(self.depth, self.renderer, InvalidInput)
         for name, least, most in (
             ("beads", MIN_BEADS, MAX_BEADS),
             ("nx", 1, max_nx(self.beads)),
@@ -145,40 +141,40 @@ class TaskConfig:
             whole = isinstance(value, int) and not isinstance(value, bool)
             if not whole or value < least or (most is not None and value > most):
                 right = f"from {least} to {most}" if most else f"of at least {least}"
-                raise InvalidSetting(f"{name} must be a whole number {right}, got {value!r}")
+                raise InvalidInput(f"{name} must be a whole number {right}, got {value!r}")
         if self.split in CODE_SPLITS and self.nx < 2:
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
                 " only one up to symmetry; use an nx of at least 2, or split 'train' or 'test'"
             )
         if self.engine != MUJOCO and self.integrator_steps != 24:
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"integrator_steps are steps of MuJoCo, and engine {self.engine!r} chooses its own;"
                 f" leave it at 24, got {self.integrator_steps}"
             )
         if self.hold > self.horizon:
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"hold {self.hold} is longer than the horizon of {self.horizon} steps: no episode"
                 f" could succeed; at most {self.horizon}"
             )
         goals = self.max_goals
         if goals is not None and (not isinstance(goals, int) or goals is True or goals < 1):
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"max_goals must be a whole number of at least 1, or None, got {goals!r}"
             )
         for name in ("endless", "numeric_infos"):
             if not isinstance(getattr(self, name), bool):
-                raise InvalidSetting(f"{name} must be True or False, got {getattr(self, name)!r}")
+                raise InvalidInput(f"{name} must be True or False, got {getattr(self, name)!r}")
         if self.states is not None and not isinstance(self.states, str):
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"states must be the path of a state file as a string, got {self.states!r}"
             )
         if self.tow_limit is not None and not self.tow_limit > 0:
-            raise InvalidSetting(
+            raise InvalidInput(
                 f"tow_limit must be a number of metres above 0, or None, got {self.tow_limit!r}"
             )
         if not 0 <= self.reset_noise < 1:
-            raise InvalidSetting(f"reset_noise must be in [0, 1), got {self.reset_noise!r}")
+            raise InvalidInput(f"reset_noise must be in [0, 1), got {self.reset_noise!r}")
 
     @property
     def start_nx(self) -> int:

@@ -12,21 +12,17 @@ if __name__ == "generate":
     )
 
 if TYPE_CHECKING:
-    from knotgym.common.atomic_files import Occupied
-    from knotgym.common.configuration import InvalidConfig
     from knotgym.generate.episodes.collect import CollectConfig, collect
     from knotgym.generate.episodes.evaluate import EvaluateConfig
     from knotgym.generate.episodes.evaluate import run as evaluate
-    from knotgym.generate.episodes.recordings import InvalidRecording
-    from knotgym.generate.episodes.suite import DiffersFromRecording, SuiteConfig, make_suite
-    from knotgym.generate.episodes.suite_scores import InvalidScores
+    from knotgym.generate.episodes.suite import SuiteConfig, make_suite
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.generate.images.images_config import ImagesConfig
     from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig
     from knotgym.generate.states.random_walk_recipe import walk_states
     from knotgym.generate.states.state_recipe import generate as make_states
-    from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
+    from knotgym.runs.run_options import RunOptions
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
@@ -34,16 +30,9 @@ else:
 
 __all__ = [
     "CollectConfig",
-    "DiffersFromRecording",
     "EvaluateConfig",
     "GenerateConfig",
     "ImagesConfig",
-    "InvalidConfig",
-    "InvalidRecording",
-    "InvalidRun",
-    "InvalidScores",
-    "NotEnough",
-    "Occupied",
     "RandomWalkConfig",
     "RunOptions",
     "SuiteConfig",

@@ -8,10 +8,9 @@ import numpy as np
 
 from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.configuration import read_json
-from knotgym.common.errors import one_line
+from knotgym.common.errors import InvalidInput, one_line
 from knotgym.generate.episodes.evaluate import as_text, totals
 from knotgym.generate.episodes.results import Result
-from knotgym.generate.merge_shards import InvalidMerge
 from knotgym.runs.intervals import cluster_interval
 from knotgym.runs.shards import Shard
 
@@ -25,7 +24,7 @@ def merge_evaluations(files: Sequence[Path], out: Path, *, overwrite: bool = Fal
     The file has the same outcomes, rates and intervals as an evaluation without shards.
 
     Raises:
-        InvalidMerge: shards are missing, given twice or of different evaluations, or a file isn't
+        InvalidInput: shards are missing, given twice or of different evaluations, or a file isn't
             a shard of an evaluation.
         Occupied: the output exists.
     """
@@ -37,19 +36,19 @@ def merge_evaluations(files: Sequence[Path], out: Path, *, overwrite: bool = Fal
     ]
     numbers, of = [shard.number for shard, _, _ in parts], parts[0][0].of
     if any(other != first for other in others) or any(shard.of != of for shard, _, _ in parts):
-        raise InvalidMerge("these are not shards of one evaluation: their settings differ")
+        raise InvalidInput("these are not shards of one evaluation: their settings differ")
     if numbers != list(range(1, of + 1)):
-        raise InvalidMerge(
+        raise InvalidInput(
             f"all {of} shards are needed, each once; got {', '.join(map(str, numbers))}"
         )
     try:
         rows = zip(*(results for _, _, results in parts), strict=True)
         results = [_joined(row) for row in rows]
         content = {"version": first.pop("version"), **totals(results), **first}
-    except InvalidMerge:
+    except InvalidInput:
         raise
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        raise InvalidMerge(f"these results can't be merged: {one_line(error)}") from error
+        raise InvalidInput(f"these results can't be merged: {one_line(error)}") from error
     with atomic_write(out, overwrite=overwrite) as temporary:
         text = as_text({**content, "results": [vars(one) for one in results]})
         temporary.write_text(text, encoding="utf-8")
@@ -62,7 +61,7 @@ def _read(file: Path) -> tuple[Shard, dict[str, Any], list[Result]]:
         shard = Shard(**content["shard"])
         return shard, content, [Result(**row) for row in content["results"]]
     except (KeyError, TypeError, ValueError) as error:
-        raise InvalidMerge(f"{file} isn't a shard of `knotgym evaluate --shard`") from error
+        raise InvalidInput(f"{file} isn't a shard of `knotgym evaluate --shard`") from error
 
 
 def _joined(parts: Sequence[Result]) -> Result:
@@ -72,12 +71,12 @@ def _joined(parts: Sequence[Result]) -> Result:
         name: getattr(first, name) for name in ("policy", "task", "nx", "split", "action")
     }
     if any(getattr(part, name) != value for part in parts for name, value in setup.items()):
-        raise InvalidMerge("these are not shards of one evaluation: their rows differ")
+        raise InvalidInput("these are not shards of one evaluation: their rows differ")
     outcomes = {name: sum((part.outcomes[name] for part in parts), []) for name in first.outcomes}
     won = np.array(outcomes["success"], dtype=bool)
     episodes = [part.episodes for part in parts]
     if len(won) != sum(episodes):
-        raise InvalidMerge("a row of a shard has more or fewer outcomes than episodes")
+        raise InvalidInput("a row of a shard has more or fewer outcomes than episodes")
     low, high = cluster_interval(outcomes["success"], outcomes["start"], outcomes["goal"])
     means: dict[str, Any] = {
         name: float(np.average([getattr(part, name) for part in parts], weights=episodes))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, require_no_links, require_output, sha256
 from knotgym.common.configuration import from_json, read_json
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import InvalidInput, one_line
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import Chosen
 from knotgym.datasets.finished_folders import finish_images, finish_states
@@ -55,10 +55,6 @@ _KINDS: dict[str, tuple[str, type[Any]]] = {  # format of a manifest -> kind, co
 _NEAR = "near_duplicates_between_shards"  # in the report of the whole
 
 
-class InvalidMerge(KnotgymError, ValueError):
-    """The shards don't make up one run."""
-
-
 @dataclass(frozen=True)
 class ShardFolder:
     """The output folder of a shard."""
@@ -91,7 +87,7 @@ def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool =
     For episodes `out` is the Minari root, as in `knotgym collect`.
 
     Raises:
-        InvalidMerge: shards are missing, given twice, corrupted, of different runs, or have an
+        InvalidInput: shards are missing, given twice, corrupted, of different runs, or have an
             invalid report.
         Occupied: the output exists.
     """
@@ -102,7 +98,7 @@ def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool =
     if first.kind == "episodes":
         named = str(first.request["config"]["dataset_id"])
         if leads_out(named):
-            raise InvalidMerge(f"{first.folder} says that its id is {named!r}, which leads out")
+            raise InvalidInput(f"{first.folder} says that its id is {named!r}, which leads out")
         folder = out / named
     require_output(folder, folder=True, overwrite=overwrite)
     whole = _Whole(
@@ -135,28 +131,28 @@ def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
     first, *others = ordered
     for other in others:
         if _run(other) != _run(first):
-            raise InvalidMerge(
+            raise InvalidInput(
                 f"{first.folder} and {other.folder} are not shards of one run: they were asked for"
                 " different things"
             )
     numbers = [folder.shard.number for folder in ordered]
     missing = sorted(set(range(1, first.shard.of + 1)) - set(numbers))
     if missing:
-        raise InvalidMerge(
+        raise InvalidInput(
             f"of {first.shard.of} shards {', '.join(map(str, missing))}"
             f" {'is' if len(missing) == 1 else 'are'} missing"
         )
     if len(numbers) > first.shard.of:
-        raise InvalidMerge(f"a shard is named twice: {', '.join(map(str, numbers))}")
+        raise InvalidInput(f"a shard is named twice: {', '.join(map(str, numbers))}")
     for folder in ordered:
         files = folder.manifest.get("files")
         if not isinstance(files, dict):
-            raise InvalidMerge(f"{folder.folder} doesn't say which files it has")
+            raise InvalidInput(f"{folder.folder} doesn't say which files it has")
         require_no_links(folder.folder, [folder.folder / name for name in files])
         for name, digest in files.items():
             path = folder.folder / name
             if not path.is_file() or sha256(path) != digest:
-                raise InvalidMerge(
+                raise InvalidInput(
                     f"{path} is missing or spoilt (SHA-256 differs); make shard {folder.shard}"
                     " again"
                 )
@@ -167,7 +163,7 @@ def _run(shard: ShardFolder) -> tuple[Any, ...]:
 
 
 def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
-    """Return the sum of the shards' reports; raise InvalidMerge if one or the configuration is
+    """Return the sum of the shards' reports; raise InvalidInput if one or the configuration is
     invalid.
     """
     first = ordered[0]
@@ -178,7 +174,7 @@ def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
         reports = [shard.manifest["report"] for shard in ordered]
         return _report_of_states(reports) if first.kind == "states" else _report_of_images(reports)
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InvalidMerge(
+        raise InvalidInput(
             f"{first.folder} and the others say what no shard of ours says: {one_line(error)}"
         ) from error
 

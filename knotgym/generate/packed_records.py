@@ -14,8 +14,7 @@ import numpy as np
 
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import from_json
-from knotgym.common.errors import KnotgymError, one_line
-from knotgym.common.hdf5_files import UnexpectedContent
+from knotgym.common.errors import InvalidFile, one_line
 from knotgym.topology.gauss import GaussCode
 
 Record = TypeVar("Record")
@@ -26,25 +25,21 @@ FOREIGN = (
 )
 
 
-class SpoiltCheckpoint(KnotgymError, ValueError):
-    """The checkpoint of a run is corrupted."""
-
-
 @contextmanager
 def reading_checkpoint(folder: Path) -> Iterator[None]:
-    """Turn what a corrupted checkpoint raises in the block into SpoiltCheckpoint."""
+    """Turn what a corrupted checkpoint raises in the block into InvalidFile."""
     try:
         yield
     except FOREIGN as error:
-        raise SpoiltCheckpoint(
+        raise InvalidFile(
             f"{folder} can't be resumed, it is corrupted ({one_line(error)}); start with --restart"
         ) from error
 
 
 def require_digest(path: Path, digest: str) -> None:
-    """Raise SpoiltCheckpoint if a file doesn't have this SHA-256."""
+    """Raise InvalidFile if a file doesn't have this SHA-256."""
     if sha256(path) != digest:
-        raise SpoiltCheckpoint(f"SHA-256 of {path.name} differs")
+        raise InvalidFile(f"SHA-256 of {path.name} differs")
 
 
 def write_records(path: Path, groups: Mapping[str, Sequence[Any]]) -> str:
@@ -84,9 +79,7 @@ def read_records(path: Path, group: str, kind: type[Record]) -> list[Record]:
                 column = name.removesuffix(".lengths")
                 field = column.removeprefix(f"{group}.")
                 if file[column].dtype != types[field]:
-                    raise UnexpectedContent(
-                        f"{field} is {file[column].dtype}, should be {types[field]}"
-                    )
+                    raise InvalidFile(f"{field} is {file[column].dtype}, should be {types[field]}")
                 for row, own in zip(values, np.split(file[column], ends), strict=True):
                     row[field] = own
     for row in values:

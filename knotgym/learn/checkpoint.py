@@ -19,7 +19,7 @@ from torch import Tensor
 
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import read_json
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import require_regular
 from knotgym.learn.reader import Reader
 
@@ -27,10 +27,6 @@ FORMAT, FORMAT_VERSION = "knotgym-policy", 1
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
 PRETRAINED, PRETRAINED_CLONE = "pretrained", "pretrained-clone"
 SHIPPED = (PRETRAINED, PRETRAINED_CLONE)  # names of the checkpoints that ship with the package
-
-
-class InvalidCheckpoint(KnotgymError, ValueError):
-    """A folder is not a checkpoint that this version can read."""
 
 
 class Learned(NamedTuple):
@@ -81,7 +77,7 @@ def load_policy(name: str) -> Learned:
     """Load a checkpoint: a path, or PRETRAINED for the one that ships.
 
     Raises:
-        InvalidCheckpoint: it is missing, of another version, changed or truncated.
+        InvalidFile: it is missing, of another version, changed or truncated.
     """
     folder = policy_folder(name)
     tensors = read_weights(folder)
@@ -96,39 +92,39 @@ def load_policy(name: str) -> Learned:
         )
         starts = tensors["places"].numpy()
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise InvalidCheckpoint(
+        raise InvalidFile(
             f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
         ) from error
     if starts.ndim != 2 or starts.shape[1:] != (3,) or starts.dtype != np.float32:
-        raise InvalidCheckpoint(
+        raise InvalidFile(
             f"{folder / WEIGHTS}: places is {starts.dtype} {starts.shape}, should be float32 (n, 3)"
         )
     kinds = {own.dtype for key, own in tensors.items() if key.startswith("reader/")}
     if kinds != {torch.float16}:
         found = ", ".join(sorted(map(str, kinds)))
-        raise InvalidCheckpoint(f"{folder / WEIGHTS}: the reader is {found}, should be float16")
+        raise InvalidFile(f"{folder / WEIGHTS}: the reader is {found}, should be float16")
     for name, values in {"places": tensors["places"], **reader.state_dict()}.items():
         if not torch.isfinite(values).all():
-            raise InvalidCheckpoint(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
+            raise InvalidFile(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
     return Learned(reader.eval(), starts)
 
 
 def read_weights(folder: Path) -> dict[str, Tensor]:
-    """Read the weights of a checkpoint folder; raise InvalidCheckpoint as in `load_policy`."""
+    """Read the weights of a checkpoint folder; raise InvalidFile as in `load_policy`."""
     card = read_card(folder)
     try:
-        require_regular(folder / WEIGHTS, "weights", InvalidCheckpoint)
+        require_regular(folder / WEIGHTS, "weights", InvalidFile)
         content = (folder / WEIGHTS).read_bytes()
     except OSError as error:
-        raise InvalidCheckpoint(f"{folder} has no {WEIGHTS} beside its {CARD}") from error
+        raise InvalidFile(f"{folder} has no {WEIGHTS} beside its {CARD}") from error
     if sha256(folder / WEIGHTS) != card.get("weights_sha256"):
-        raise InvalidCheckpoint(
+        raise InvalidFile(
             f"{folder / WEIGHTS} doesn't match the checksum in {CARD}: it was changed or truncated"
         )
     try:
         return load(content)
     except (SafetensorError, ValueError) as error:
-        raise InvalidCheckpoint(
+        raise InvalidFile(
             f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
         ) from error
 
@@ -137,21 +133,19 @@ def read_card(folder: Path) -> dict[str, Any]:
     """Read a checkpoint's card, `policy.json`.
 
     Raises:
-        InvalidCheckpoint: as in `load_policy`.
+        InvalidFile: as in `load_policy`.
     """
     try:
         card = read_json(folder / CARD)
     except (OSError, ValueError) as error:
-        raise InvalidCheckpoint(
+        raise InvalidFile(
             f"no learner at {folder}: it needs a readable {CARD}; knotgym train makes one"
         ) from error
     if not isinstance(card, dict) or card.get("format") != FORMAT:
-        raise InvalidCheckpoint(
-            f"{folder / CARD} isn't of format {FORMAT}; knotgym train makes one"
-        )
+        raise InvalidFile(f"{folder / CARD} isn't of format {FORMAT}; knotgym train makes one")
     version = card.get("format_version")
     if type(version) is not int or version != FORMAT_VERSION:
-        raise InvalidCheckpoint(
+        raise InvalidFile(
             f"{folder / CARD} has format version {version!r}; this version of knotgym reads"
             f" {FORMAT_VERSION}: train again"
         )

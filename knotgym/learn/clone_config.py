@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
-from knotgym.learn.train_config import InvalidTraining
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.engines import MUJOCO, require_engine
 
 HEADS = ("macro", "bead")
@@ -45,10 +45,10 @@ class DemonstrationsConfig:
             self,
             counts=("starts", "budget", "lanes"),
             whole=("episodes", "wander", "led"),
-            error=InvalidTraining,
+            error=InvalidInput,
         )
         if self.split not in ("train", "train-code"):
-            raise InvalidTraining(
+            raise InvalidInput(
                 f"a clone learns from train or train-code, got the split {self.split!r}"
             )
 
@@ -73,7 +73,7 @@ class ImproveConfig:
             counts=("episodes",),
             non_negative=("temperature",),
             shares=("share",),
-            error=InvalidTraining,
+            error=InvalidInput,
         )
 
 
@@ -140,20 +140,20 @@ class CloneConfig:
             positive=("rate",),
             non_negative=("decay", "average", "held_out"),
             shares=("blend",),
-            error=InvalidTraining,
+            error=InvalidInput,
         )
         require_engine(self.engine)
         if self.action not in HEADS:
-            raise InvalidTraining(f"action must be {' or '.join(HEADS)}, got {self.action!r}")
+            raise InvalidInput(f"action must be {' or '.join(HEADS)}, got {self.action!r}")
         for name in ("average", "held_out"):
             if getattr(self, name) >= 1:
-                raise InvalidTraining(f"{name} must be below 1, got {getattr(self, name)}")
+                raise InvalidInput(f"{name} must be below 1, got {getattr(self, name)}")
         if (self.demonstrations.led or self.blend) and not self.start:
-            raise InvalidTraining(
+            raise InvalidInput(
                 "to blend with a clone, or let it lead to demonstrations, set start to its folder"
             )
         if (self.improve or self.demonstrations.episodes) and self.action != "macro":
-            raise InvalidTraining(
+            raise InvalidInput(
                 "play and demonstrations in the chain engine consist of macro-actions: set action"
                 f" = macro, got {self.action!r}"
             )

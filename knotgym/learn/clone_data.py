@@ -13,7 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import one_line
+from knotgym.common.errors import InvalidInput, one_line
 from knotgym.common.hdf5_files import require_regular
 from knotgym.common.streams import Stream, generator
 from knotgym.control.demonstrator import RANDOM
@@ -22,7 +22,6 @@ from knotgym.datasets.trajectory import MACRO_INFOS, Episode
 from knotgym.envs.marked import Marked, mark
 from knotgym.learn.clone_config import CloneConfig
 from knotgym.learn.imagination import BEADS
-from knotgym.learn.train_config import InvalidTraining
 from knotgym.learn.training_data import require_trainable
 from knotgym.rope.actions import force_choices
 from knotgym.rope.model import RopeConfig
@@ -163,9 +162,9 @@ def read_decisions(datasets: Sequence[Any], config: CloneConfig) -> Decisions:
         config: says what is imitated.
 
     Raises:
-        InvalidTraining: a dataset is not of the train split, has no episodes, was made with another
+        InvalidInput: a dataset is not of the train split, has no episodes, was made with another
             rope or engine, or holds no macro-actions.
-        InvalidEpisodeFile, MissingFile: a dataset is missing or not of this version.
+        InvalidFile, MissingFile: a dataset is missing or not of this version.
     """
     parts = list[Decisions]()
     number = 0
@@ -173,7 +172,7 @@ def read_decisions(datasets: Sequence[Any], config: CloneConfig) -> Decisions:
         reader = EpisodeReader(dataset)
         require_trainable(reader, dataset, config.engine)
         if config.action == "macro" and not reader.has("macro_start"):
-            raise InvalidTraining(
+            raise InvalidInput(
                 f"{dataset} doesn't say which macro-actions its policy chose, so the clone can't"
                 " learn them; use a demonstrator's set, or set action = bead to learn pulls"
             )
@@ -186,7 +185,7 @@ def read_decisions(datasets: Sequence[Any], config: CloneConfig) -> Decisions:
             number += 1
         reader.close()
     if datasets and not any(part.intended.any() for part in parts):
-        raise InvalidTraining(
+        raise InvalidInput(
             f"no episode of {', '.join(map(str, datasets))} reached its goal, so there is nothing"
             " to imitate; set failed = true to learn from the others too"
         )
@@ -271,8 +270,8 @@ def save_decisions(path: Path, decisions: Decisions, rates: dict[str, float]) ->
 
 
 def load_decisions(path: Path) -> tuple[Decisions, dict[str, float]]:
-    """Read what `save_decisions` wrote; raise InvalidTraining if it is corrupted."""
-    require_regular(path, "training", InvalidTraining)
+    """Read what `save_decisions` wrote; raise InvalidInput if it is corrupted."""
+    require_regular(path, "training", InvalidInput)
     try:
         with safe_open(path, framework="numpy") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}
@@ -281,9 +280,9 @@ def load_decisions(path: Path) -> tuple[Decisions, dict[str, float]]:
         decisions = Decisions(goals=goals, **arrays)
         lengths = {len(column) for column in decisions}
     except (SafetensorError, TypeError, ValueError) as error:
-        raise InvalidTraining(f"{path} can't be read: {one_line(error)}") from error
+        raise InvalidInput(f"{path} can't be read: {one_line(error)}") from error
     if len(lengths) != 1:
-        raise InvalidTraining(f"{path} is corrupted: its columns have different lengths")
+        raise InvalidInput(f"{path} is corrupted: its columns have different lengths")
     return decisions, rates
 
 

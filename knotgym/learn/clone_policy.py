@@ -19,11 +19,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from knotgym.common.errors import one_line
+from knotgym.common.errors import InvalidFile, InvalidPolicy, one_line
 from knotgym.control.demonstrator import passes_in_order
 from knotgym.control.learned_policies import inference
 from knotgym.control.pass_counts import DiagramValues, shipped_values
-from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy
+from knotgym.control.policy import Choice, UnplannedPolicy
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.marked import Marked, mark
 from knotgym.envs.tasks import TaskConfig
@@ -31,7 +31,6 @@ from knotgym.learn.checkpoint import (
     CARD,
     PRETRAINED,
     WEIGHTS,
-    InvalidCheckpoint,
     load_policy,
     read_card,
     read_weights,
@@ -250,7 +249,7 @@ def load_clone(folder: Path) -> ClonePolicy:
     """Load the policy of a checkpoint folder.
 
     Raises:
-        InvalidCheckpoint: it is missing, of another version, changed or truncated.
+        InvalidFile: it is missing, of another version, changed or truncated.
     """
     config: Any = read_card(folder).get("config")
     tensors = read_weights(folder)
@@ -260,10 +259,10 @@ def load_clone(folder: Path) -> ClonePolicy:
         action, guided = str(config["action"]), bool(config["guided"])
         _VIEWS[action]
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise InvalidCheckpoint(
+        raise InvalidFile(
             f"{folder / WEIGHTS} and {CARD} don't make a clone: {one_line(error)[:200]}"
         ) from error
     for name, values in network.state_dict().items():
         if not torch.isfinite(values).all():
-            raise InvalidCheckpoint(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
+            raise InvalidFile(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
     return ClonePolicy(network.eval(), action, guided)

@@ -20,6 +20,7 @@ from torch import Tensor
 
 import knotgym
 from knotgym.common.atomic_files import remove
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.envs.tasks import TaskConfig
@@ -39,7 +40,6 @@ from knotgym.learn.clone_network import WORKING, CloneNetwork, inputs
 from knotgym.learn.clone_play import play
 from knotgym.learn.clone_policy import ClonePolicy, load_clone, save_clone
 from knotgym.learn.imagination import BEADS
-from knotgym.learn.train_config import InvalidTraining
 from knotgym.learn.training import begin_training, draw_curve, keep_training, run_training
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, pass_straight
 from knotgym.runs.progress import Progress, Status
@@ -67,8 +67,8 @@ class CloneTraining:
         """Begin a training.
 
         Raises:
-            InvalidTraining: the clone to go on from has another network.
-            InvalidCheckpoint: it is missing, changed or truncated.
+            InvalidInput: the clone to go on from has another network.
+            InvalidFile: it is missing, changed or truncated.
         """
         # more threads would sum in another order and round otherwise
         torch.set_num_threads(1)
@@ -79,7 +79,7 @@ class CloneTraining:
             earlier = load_clone(Path(config.start)).network.state_dict()
             own = self.network.state_dict()
             if {k: v.shape for k, v in own.items()} != {k: v.shape for k, v in earlier.items()}:
-                raise InvalidTraining(
+                raise InvalidInput(
                     f"the clone to go on from, {config.start}, has another width or layers than"
                     f" {config.width} and {config.layers}"
                 )
@@ -226,7 +226,7 @@ def train_clone(
 
     def read() -> tuple[Decisions, str]:
         if not datasets and not config.demonstrations.episodes:
-            raise InvalidTraining(
+            raise InvalidInput(
                 "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations"
                 " be made, as in --demonstrations 1000"
             )

@@ -5,7 +5,8 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
+from knotgym.common.errors import InvalidPolicy
+from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraphConfig, shipped_transition_graph
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
@@ -74,7 +75,7 @@ def learned_policy(folder: str, config: AgentConfig | None = None) -> PicturePol
     """Load the policy of a checkpoint folder, or "pretrained", which ships with the package.
 
     Raises:
-        InvalidCheckpoint: there is no checkpoint that this version can read.
+        InvalidFile: there is no checkpoint that this version can read.
     """
     learned = load_policy(folder)
     graph = shipped_transition_graph(TransitionGraphConfig())

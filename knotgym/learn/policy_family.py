@@ -8,10 +8,10 @@ import importlib.util
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.errors import install_command
+from knotgym.common.errors import InvalidPolicy, install_command
 from knotgym.control.pass_counts import EVERY_CODE, PASSES
 from knotgym.control.policies import PolicyConfig, PolicyFamily
-from knotgym.control.policy import InvalidPolicy, Policy
+from knotgym.control.policy import Policy
 from knotgym.control.transition_graph import TRANSITIONS
 
 

@@ -3,12 +3,8 @@
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.engines import MUJOCO, require_engine
-
-
-class InvalidTraining(KnotgymError, ValueError):
-    """A training that can't run: its settings, its datasets or what it resumes are invalid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +32,6 @@ class TrainConfig:
             self,
             counts=("steps", "batch", "places", "save_every"),
             whole=("seed",),
-            error=InvalidTraining,
+            error=InvalidInput,
         )
         require_engine(self.engine)

@@ -20,13 +20,13 @@ from torch import Tensor
 import knotgym
 from knotgym.common.atomic_files import atomic_write, move_into_place, remove, require_output
 from knotgym.common.configuration import as_json, differences, read_json
-from knotgym.common.errors import one_line
+from knotgym.common.errors import InvalidInput, one_line
 from knotgym.common.hdf5_files import require_regular
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.learn.checkpoint import CARD, Learned, load_policy, read_card, save_policy
 from knotgym.learn.reader_training import ReaderTraining
-from knotgym.learn.train_config import InvalidTraining, TrainConfig
+from knotgym.learn.train_config import TrainConfig
 from knotgym.learn.training_data import TrainingData, read_training_data
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import REFUSE_EXISTING, Existing
@@ -61,11 +61,11 @@ def train(
         quiet: show no progress; ignored if `progress` is given.
 
     Raises:
-        InvalidTraining: the datasets are unsuitable, or the training to resume has other settings
+        InvalidInput: the datasets are unsuitable, or the training to resume has other settings
             or is corrupted.
         Occupied: `out` exists, holds an interrupted training, or is used by another process.
-        Unwritable: `out` can't be written.
-        InvalidEpisodeFile, MissingFile: a dataset is missing or invalid.
+        Failed: `out` can't be written.
+        InvalidFile, MissingFile: a dataset is missing or invalid.
     """
     if progress is None:
         with Progress(quiet) as progress:
@@ -121,7 +121,7 @@ def run_training(
             progress.say(f"{out} is finished already")
             return
         if not existing.overwrite:
-            raise InvalidTraining(
+            raise InvalidInput(
                 f"{out} holds a training with other settings: {'; '.join(differing[:3])}; choose"
                 " another --out, or replace it by --overwrite"
             )
@@ -185,7 +185,7 @@ def begin_training(folder: Path, request: dict[str, Any]) -> tuple[dict[str, Ten
         as if it hadn't been interrupted.
 
     Raises:
-        InvalidTraining: that training has other settings or is corrupted.
+        InvalidInput: that training has other settings or is corrupted.
     """
     now = time.perf_counter()
     if not has_work(folder):
@@ -195,30 +195,30 @@ def begin_training(folder: Path, request: dict[str, Any]) -> tuple[dict[str, Ten
     try:
         before = read_json(folder / REQUEST)
     except (OSError, ValueError) as error:
-        raise InvalidTraining(
+        raise InvalidInput(
             f"no training to resume in {folder}, its {REQUEST} is missing or damaged; --restart"
             " starts over"
         ) from error
     if not isinstance(before, dict):
-        raise InvalidTraining(f"{folder / REQUEST} doesn't hold a training's settings")
+        raise InvalidInput(f"{folder / REQUEST} doesn't hold a training's settings")
     found = list(differences(before, request))
     if found:
-        raise InvalidTraining(
+        raise InvalidInput(
             f"the training to resume has other settings: {'; '.join(found)}; give the same ones,"
             " or --restart to discard it"
         )
     if not (folder / UNDER_WAY).exists():
         return {}, now
-    require_regular(folder / UNDER_WAY, "training", InvalidTraining)
+    require_regular(folder / UNDER_WAY, "training", InvalidInput)
     try:
         kept: dict[str, Tensor] = load((folder / UNDER_WAY).read_bytes())
         seal = bytes(kept.pop(_SEAL, torch.zeros(0)).to(torch.uint8).tolist())
         if seal != _digest(kept):
-            raise InvalidTraining(f"{folder / UNDER_WAY} is corrupted: its checksum differs")
+            raise InvalidInput(f"{folder / UNDER_WAY} is corrupted: its checksum differs")
     except (SafetensorError, RuntimeError, TypeError, ValueError) as error:
-        if isinstance(error, InvalidTraining):
+        if isinstance(error, InvalidInput):
             raise
-        raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {one_line(error)}") from error
+        raise InvalidInput(f"{folder / UNDER_WAY} can't be read: {one_line(error)}") from error
     return kept, now - kept.pop(_SECONDS, torch.zeros(1)).item()
 
 
@@ -226,7 +226,7 @@ def _restore(folder: Path, training: ReaderTraining, kept: dict[str, Tensor]) ->
     try:
         training.restore(kept)
     except (KeyError, ValueError, RuntimeError) as error:
-        raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {error}") from error
+        raise InvalidInput(f"{folder / UNDER_WAY} can't be read: {error}") from error
 
 
 def keep_training(folder: Path, kept: dict[str, Tensor], began: float) -> None:

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.learn.imagination import BEADS
-from knotgym.learn.train_config import InvalidTraining
 from knotgym.rope.model import RopeConfig
 
 
@@ -35,12 +35,12 @@ def read_training_data(datasets: Sequence[Any], engine: str) -> TrainingData:
     """Read datasets of one engine, given as ids or folders.
 
     Raises:
-        InvalidTraining: no dataset, or one that is not of the train split, has no episodes or
+        InvalidInput: no dataset, or one that is not of the train split, has no episodes or
             was made with another rope or engine.
-        InvalidEpisodeFile, MissingFile: a dataset is missing or not of this version.
+        InvalidFile, MissingFile: a dataset is missing or not of this version.
     """
     if not datasets:
-        raise InvalidTraining("name at least one dataset to train on, as in --data FOLDER")
+        raise InvalidInput("name at least one dataset to train on, as in --data FOLDER")
     frames: list[NDArray[np.float32]] = []
     beads: list[NDArray[np.int64]] = []
     forces: list[NDArray[np.float64]] = []
@@ -69,25 +69,25 @@ def require_trainable(reader: EpisodeReader, dataset: Any, engine: str) -> None:
     """Require episodes of the train split, of an engine, with the rope that learners know.
 
     Raises:
-        InvalidTraining: they are not.
+        InvalidInput: they are not.
     """
     if not reader.task.split.startswith("train"):
-        raise InvalidTraining(
+        raise InvalidInput(
             f"{dataset} is of the {reader.task.split} split, which is held out for evaluation;"
             " train on datasets of the train split"
         )
     if not len(reader):
-        raise InvalidTraining(f"{dataset} has no episodes; collect some with knotgym collect")
+        raise InvalidInput(f"{dataset} has no episodes; collect some with knotgym collect")
     if reader.task.engine != engine:
-        raise InvalidTraining(
+        raise InvalidInput(
             f"{dataset} was made with engine {reader.task.engine}, and this training is for engine"
             f" {engine}; give --engine {reader.task.engine} to train on it"
         )
     if reader.rope != RopeConfig().fingerprint or reader.task.integrator_steps != 24:
-        raise InvalidTraining(
+        raise InvalidInput(
             f"{dataset} was made with rope {reader.rope} and {reader.task.integrator_steps}"
             f" integrator steps; the learner supports only {RopeConfig().fingerprint} and 24"
         )
     shape = reader.column(0, "points").shape
     if shape[1:] != (BEADS, 3):
-        raise InvalidTraining(f"{dataset} has ropes of {shape[1]} beads; {BEADS} are needed")
+        raise InvalidInput(f"{dataset} has ropes of {shape[1]} beads; {BEADS} are needed")

@@ -33,19 +33,14 @@ if __name__ == "loaders":
     )
 
 if TYPE_CHECKING:
-    from knotgym.common.errors import MissingExtra as MissingExtra
     from knotgym.loaders.converters import to_d3rlpy as to_d3rlpy
     from knotgym.loaders.converters import to_tensordict as to_tensordict
     from knotgym.loaders.converters import torch_dataset as torch_dataset
     from knotgym.loaders.frame_cache import FrameCache as FrameCache
-    from knotgym.loaders.frame_cache import NoCache as NoCache
     from knotgym.loaders.perception import images as images
     from knotgym.loaders.rows import arrays as arrays
-    from knotgym.loaders.segments import NoLabels as NoLabels
-    from knotgym.loaders.segments import NoMacroActions as NoMacroActions
     from knotgym.loaders.transitions import Transitions as Transitions
     from knotgym.loaders.windows import GoalSampling as GoalSampling
-    from knotgym.loaders.windows import InvalidWindow as InvalidWindow
     from knotgym.loaders.windows import Window as Window
 else:
     from knotgym.common.lazy_exports import lazy_exports

@@ -2,19 +2,17 @@
 
 import importlib
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError, MissingExtra, install_command
-from knotgym.envs.tasks import InvalidSetting
+from knotgym.common.errors import InvalidInput, MissingExtra, install_command
 from knotgym.loaders.rows import drawn_goals, rows
 from knotgym.loaders.segments import Opening
 from knotgym.loaders.transitions import Transitions
-from knotgym.loaders.windows import InvalidWindow, Window
+from knotgym.loaders.windows import Window
 
 # d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0 (which knotgym supports), and an extra would pin
 # it for everyone who installs all extras
@@ -24,13 +22,6 @@ _INSTALL = {
     "tensordict": install_command("torchrl"),
     "d3rlpy": "pip install d3rlpy (it pins Gymnasium 1.0.0, which knotgym supports)",
 }
-
-
-class UnknownKind(KnotgymError, ValueError):
-    """The loader has no items of this kind."""
-
-    def __init__(self, kind: str, known: Iterable[str]) -> None:
-        super().__init__(f"kind must be one of {', '.join(known)}, got {kind!r}")
 
 
 def torch_dataset(dataset: Any, kind: str = "transitions", **opening: Unpack[Opening]) -> Any:
@@ -56,16 +47,16 @@ def torch_dataset(dataset: Any, kind: str = "transitions", **opening: Unpack[Ope
 
     Raises:
         MissingExtra: torch isn't installed.
-        UnknownKind: kind is none of these.
-        InvalidWindow: a window with another kind than "transitions".
+        InvalidInput: kind is none of these.
+        InvalidInput: a window with another kind than "transitions".
     """
     import_client("torch")
     from knotgym.loaders.pytorch import KINDS
 
     if kind not in KINDS:
-        raise UnknownKind(kind, KINDS)
+        raise InvalidInput(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     if opening.get("window") is not None and kind != "transitions":
-        raise InvalidWindow(f"a window needs kind 'transitions', got {kind!r}")
+        raise InvalidInput(f"a window needs kind 'transitions', got {kind!r}")
     return KINDS[kind](Transitions(dataset, **opening))
 
 
@@ -89,14 +80,14 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
 
     Raises:
         MissingExtra: d3rlpy isn't installed.
-        InvalidWindow: the window has negatives.
-        InvalidSetting: the action isn't "pull".
+        InvalidInput: the window has negatives.
+        InvalidInput: the action isn't "pull".
     """
     d3rlpy, window = import_client("d3rlpy"), opening.get("window")
     if window is not None and window.goals is not None and window.goals.negatives:
-        raise InvalidWindow("d3rlpy's transitions have no place for negatives: leave them out")
+        raise InvalidInput("d3rlpy's transitions have no place for negatives: leave them out")
     if (action := opening.get("action")) not in (None, "pull"):
-        raise InvalidSetting(
+        raise InvalidInput(
             f"d3rlpy has no actions of several whole numbers: use action 'pull', got {action!r}"
         )
     opening["action"] = "pull"

@@ -25,15 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import Unwritable, atomic_write, require_own, sha256
-from knotgym.common.errors import KnotgymError
+from knotgym.common.atomic_files import atomic_write, require_own, sha256
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import EpisodeReader, goal_axis
 
 _MOST_HELD = 1e9  # bytes of vertices that are held in memory
-
-
-class NoCache(KnotgymError, ValueError):
-    """The cache can't be used: there are no pictures to keep, or no room for them."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +47,9 @@ class FrameCache:
 
     def __post_init__(self) -> None:
         if not self.limit > 0:
-            raise NoCache(f"a cache's limit must be a number of bytes above 0, got {self.limit!r}")
+            raise InvalidInput(
+                f"a cache's limit must be a number of bytes above 0, got {self.limit!r}"
+            )
 
 
 class _Frames:
@@ -108,39 +106,42 @@ class CachedFrames(_Frames):
         """Open the file, or write it first, which takes about a millisecond per picture.
 
         Raises:
-            NoCache: the dataset has no episodes, the pictures exceed the limit, or the folder or
+            InvalidInput: the dataset has no episodes, the pictures exceed the limit, or the folder
+
                 the file is a link or belongs to another user.
-            Unwritable: the folder can't be written.
+            InvalidInput: the folder can't be written.
         """
         if not len(reader):
-            raise NoCache(f"{reader.path} has no episodes, so there are no pictures to keep")
+            raise InvalidInput(f"{reader.path} has no episodes, so there are no pictures to keep")
         folder = Path(cache.folder)
-        require_own(folder, NoCache)
+        require_own(folder, InvalidInput)
         self.path = folder / f"{_key(reader, picture)}.frames"
         self.offsets = np.cumsum([0, *(reader.lengths + 2)])
         self._goal_axis = goal_axis(reader.task.layout)
         first = reader.observations(0, slice(0, 1), observation="pixels", picture=picture)
         frame = np.split(first, 2, axis=self._goal_axis)[0].shape[1:]
         self._shape = (int(self.offsets[-1]), *frame)
-        require_own(self.path, NoCache)
+        require_own(self.path, InvalidInput)
         try:
             if not self.path.is_file() or self.path.stat().st_size != math.prod(self._shape):
                 folder.mkdir(parents=True, exist_ok=True)
                 _make_room(cache, math.prod(self._shape))
                 self._write(reader, picture)
         except OSError as error:
-            raise Unwritable(f"can't write pictures to {self.path}: {error.strerror}") from error
+            raise InvalidInput(f"can't write pictures to {self.path}: {error.strerror}") from error
         if os.access(self.path, os.W_OK):
             os.utime(self.path)  # _make_room deletes the oldest files first
 
     @cached_property
     def frames(self) -> NDArray[np.uint8]:
         """uint8 (frames, views * size, size, 3 or 4), read-only."""
-        require_own(self.path, NoCache)
+        require_own(self.path, InvalidInput)
         try:
             mapped = np.memmap(self.path, np.uint8, "r", shape=self._shape)
         except (OSError, ValueError) as error:
-            raise NoCache(f"{self.path} is missing or truncated: open the dataset again") from error
+            raise InvalidInput(
+                f"{self.path} is missing or truncated: open the dataset again"
+            ) from error
         return mapped.view(np.ndarray)
 
     def joined(self, ropes: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -188,10 +189,10 @@ def _key(reader: EpisodeReader, picture: Any) -> str:
 
 def _make_room(cache: FrameCache, needed: int) -> None:
     """Delete the least recently used files until `needed` bytes fit under the limit, or raise
-    NoCache.
+    InvalidInput.
     """
     if needed > cache.limit:
-        raise NoCache(
+        raise InvalidInput(
             f"these pictures take {needed / 1e9:.1f} GB, more than the cache's limit of"
             f" {cache.limit / 1e9:.1f} GB: raise the limit, or use smaller pictures"
         )

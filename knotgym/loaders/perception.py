@@ -3,7 +3,8 @@
 import os
 from typing import Any
 
-from knotgym.loaders.converters import UnknownKind, import_client
+from knotgym.common.errors import InvalidInput
+from knotgym.loaders.converters import import_client
 
 KINDS = ("torch", "huggingface")
 
@@ -28,12 +29,12 @@ def images(
 
     Raises:
         MissingExtra: torch or Hugging Face's datasets isn't installed.
-        UnknownKind: kind is neither of the two.
-        InvalidImages: the table has no such split, or a row has more than max_nx crossings.
+        InvalidInput: kind is neither of the two.
+        InvalidFile: the table has no such split, or a row has more than max_nx crossings.
         MissingFile: nothing exists at path.
     """
     if kind not in KINDS:
-        raise UnknownKind(kind, KINDS)
+        raise InvalidInput(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     if kind == "torch":
         import_client("torch")
         from knotgym.loaders.picture_dataset import PictureDataset

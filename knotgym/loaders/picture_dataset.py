@@ -9,7 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from knotgym.datasets.image_table import GRADES, InvalidImages, arrow, read_table
+from knotgym.common.errors import InvalidFile
+from knotgym.datasets.image_table import GRADES, arrow, read_table
 from knotgym.topology.gauss import GaussCode
 
 _COLUMNS = ("image", "gauss_code_chiral", "nx", "crossings", "grade", "accepted", "split")
@@ -48,7 +49,7 @@ class PictureDataset(Dataset[dict[str, Any]]):
         nx = np.array(table["nx"].to_pylist(), dtype=np.int64)
         most = int(nx.max(initial=0)) if max_nx is None else max_nx
         if nx.max(initial=0) > most:
-            raise InvalidImages(
+            raise InvalidFile(
                 f"max_nx must be at least {nx.max()}, the crossings of a picture here, got {most}"
             )
         self.max_nx = most

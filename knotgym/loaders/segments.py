@@ -11,24 +11,16 @@ from typing import Any, NamedTuple, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.trajectory import MACRO_INFOS, codes_in_bounds, goal_steps
 from knotgym.envs.reward import success_at_last
-from knotgym.envs.tasks import ACTIONS, InvalidSetting
-from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache
-from knotgym.loaders.windows import InvalidWindow, Window
+from knotgym.envs.tasks import ACTIONS
+from knotgym.loaders.frame_cache import CachedFrames, FrameCache
+from knotgym.loaders.windows import Window
 from knotgym.rope.actions import CHOICES, decode_actions, force_choices
 
 _CACHED_SEGMENTS = 256  # segments whose codes stay in memory
-
-
-class NoLabels(KnotgymError, ValueError):
-    """The dataset has no expert actions, or they can't be used with hindsight."""
-
-
-class NoMacroActions(KnotgymError, ValueError):
-    """The dataset doesn't record macro-actions."""
 
 
 class Columns(NamedTuple):
@@ -105,39 +97,39 @@ class Segments:
                 transitions.
 
         Raises:
-            InvalidWindow: goals are sampled in a dataset with relabel or labels, or chunks are made
+            InvalidInput: goals are sampled in a dataset with relabel or labels, or chunks are made
                 of labels.
-            NoCache: the observations have no pictures, or the cache has no room for them.
-            NoLabels: labels are requested together with relabel or the view "macro", or the
+            InvalidInput: the observations have no pictures, or the cache has no room for them.
+            InvalidInput: labels are requested together with relabel or the view "macro", or the
                 dataset has none.
-            NoMacroActions: the view is "macro", and an episode doesn't record them.
-            InvalidSetting: there is no such view.
+            InvalidInput: the view is "macro", and an episode doesn't record them.
+            InvalidInput: there is no such view.
         """
         self._reader = EpisodeReader(dataset)
         self._labels = labels
         self.action = self._reader.task.action if action is None else action
         if self.action not in ACTIONS:
-            raise InvalidSetting(f"no action {action!r}; there is {', '.join(ACTIONS)}")
+            raise InvalidInput(f"no action {action!r}; there is {', '.join(ACTIONS)}")
         if self.action == "macro" and labels:
-            raise NoLabels("the expert's actions are pulls: use labels without action 'macro'")
+            raise InvalidInput("the expert's actions are pulls: use labels without action 'macro'")
         if self.action == "macro" and not self._reader.has("macro_start"):
-            raise NoMacroActions(
+            raise InvalidInput(
                 f"{self._reader.path} doesn't record macro-actions: use action 'pull' or 'bead', or"
                 " collect it with a policy that acts in macro-actions"
             )
         if labels and relabel is not None:
-            raise NoLabels(
+            raise InvalidInput(
                 "the expert's actions lead to the episode's own goal: use labels without relabel"
             )
         if labels and not self._reader.has("expert_action"):
-            raise NoLabels(
+            raise InvalidInput(
                 f"{self._reader.path} has no expert actions: collect it with --labels expert"
             )
         self.window = window
         if window is not None and window.goals is not None and (labels or relabel is not None):
-            raise InvalidWindow("sampled goals replace the episodes': leave out relabel and labels")
+            raise InvalidInput("sampled goals replace the episodes': leave out relabel and labels")
         if window is not None and window.chunk is not None and labels:
-            raise InvalidWindow("the expert's actions don't follow one another: leave out chunk")
+            raise InvalidInput("the expert's actions don't follow one another: leave out chunk")
         self._seen: dict[str, Any] = {"observation": observation or "", "picture": picture}
         self._relabelled = relabel is not None
         self._frames = None if cache is None else self._cached(cache)
@@ -237,7 +229,7 @@ class Segments:
 
     def _cached(self, cache: Any) -> CachedFrames:
         if self._shown not in ("pixels", "both"):
-            raise NoCache(
+            raise InvalidInput(
                 f"a cache keeps pictures, and observation {self._shown!r} has none:"
                 ' leave out cache, or use observation="pixels"'
             )

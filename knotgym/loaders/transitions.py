@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import goal_axis
-from knotgym.envs.tasks import InvalidSetting
 from knotgym.loaders.frame_cache import CachedFrames, HeldVertices
 from knotgym.loaders.segments import Segments
-from knotgym.loaders.windows import InvalidWindow, Window, other_codes, returns
+from knotgym.loaders.windows import Window, other_codes, returns
 
 
 class Transitions(Segments):
@@ -43,8 +43,8 @@ class Transitions(Segments):
 
         Raises:
             IndexError: rows is empty or not one-dimensional, or an index is out of range.
-            InvalidWindow: goals are sampled, and there is no generator; or no other goal exists.
-            InvalidSetting: halves of marked observations are needed, for `apart` or negatives.
+            InvalidInput: goals are sampled, and there is no generator; or no other goal exists.
+            InvalidInput: halves of marked observations are needed, for `apart` or negatives.
         """
         wanted = np.asarray(rows, dtype=np.int64)
         if wanted.ndim != 1 or not len(wanted):
@@ -62,10 +62,10 @@ class Transitions(Segments):
             int64 (n,), indices of the N + S states of all segments, see `frame_place`.
 
         Raises:
-            InvalidWindow: the window samples no goals.
+            InvalidInput: the window samples no goals.
         """
         if self.window is None or self.window.goals is None:
-            raise InvalidWindow("there are no goals to sample: open with window=Window(goals=...)")
+            raise InvalidInput("there are no goals to sample: open with window=Window(goals=...)")
         wanted = np.asarray(rows, dtype=np.int64)
         segments = self._segments(wanted)
         last = self.starts[segments + 1] + segments
@@ -116,7 +116,7 @@ class Transitions(Segments):
         window = self.window or Window()
         halved = apart or (window.goals is not None and window.goals.negatives)
         if halved and self._shown == "marked":
-            raise InvalidSetting(
+            raise InvalidInput(
                 "a marked observation has no halves: its frame depends on rope and goal; choose"
                 " observation 'pixels', 'state', 'both' or 'symbolic', or leave out apart and"
                 " negatives"
@@ -124,7 +124,7 @@ class Transitions(Segments):
         segments, goals = self._segments(rows), None
         if window.goals is not None:
             if rng is None:
-                raise InvalidWindow("goals are drawn: hand a generator in, batch(rows, rng=...)")
+                raise InvalidInput("goals are drawn: hand a generator in, batch(rows, rng=...)")
             goals = self.sample_goals(rows, rng)
         found = returns(window.discount, *self.outcomes(rows, window.n_step, goals))
         states = rows + segments

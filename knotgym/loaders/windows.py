@@ -18,13 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 
 Integers = NDArray[np.int64]
-
-
-class InvalidWindow(KnotgymError, ValueError):
-    """A setting of a window is out of range, or the dataset or loader can't provide it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,12 +54,12 @@ class GoalSampling:
     def __post_init__(self) -> None:
         chances = self.p_currgoal, self.p_trajgoal, self.p_randomgoal
         if min(chances) < 0 or not np.isclose(sum(chances), 1):
-            raise InvalidWindow(
+            raise InvalidInput(
                 "p_currgoal, p_trajgoal and p_randomgoal must be probabilities that sum to 1, got"
                 f" {chances}"
             )
         if self.negatives < 0:
-            raise InvalidWindow(f"negatives must be at least 0, got {self.negatives}")
+            raise InvalidInput(f"negatives must be at least 0, got {self.negatives}")
 
     def draw(
         self,
@@ -120,11 +116,11 @@ class Window:
         for name in ("n_step", "chunk", "stack", "history"):
             value = getattr(self, name)
             if value is not None and value < 1:
-                raise InvalidWindow(f"{name} must be at least 1, got {value}")
+                raise InvalidInput(f"{name} must be at least 1, got {value}")
         if not 0 < self.discount <= 1:
-            raise InvalidWindow(f"discount must be in (0, 1], got {self.discount}")
+            raise InvalidInput(f"discount must be in (0, 1], got {self.discount}")
         if self.goals is not None and self.goals.geom_sample and self.discount == 1:
-            raise InvalidWindow(
+            raise InvalidInput(
                 "goals can't be drawn geometrically with discount 1: use a smaller discount, or"
                 " geom_sample=False"
             )
@@ -195,13 +191,13 @@ def other_codes(codes: Integers, own: Integers, count: int, rng: np.random.Gener
         (n, count), indices of states.
 
     Raises:
-        InvalidWindow: all states have the same code.
+        InvalidInput: all states have the same code.
     """
     order = np.argsort(codes, kind="stable")
     low, high = (np.searchsorted(codes[order], own, side) for side in ("left", "right"))
     left = len(codes) - (high - low)
     if (left == 0).any():
-        raise InvalidWindow(
+        raise InvalidInput(
             "negatives need a dataset with at least two Gauss codes, and this one has one"
         )
     drawn = rng.integers(left[:, None], size=(len(own), count))

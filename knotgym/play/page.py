@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import Failed, KnotgymError, one_line
 from knotgym.envs.tasks import TASKS, TaskConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.scene import SCALE, RopeScene
@@ -52,10 +52,6 @@ background to turn, scroll to zoom.
 
 `W` `A` `S` `D` and the arrows move the camera.
 """
-
-
-class PlayError(KnotgymError, RuntimeError):
-    """The page can't be served."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,7 +251,7 @@ class Player:
             return
         if self._recorder is not None:
             tasks.value, sizes.value = self.session.task.task, str(self.session.task.nx)
-            raise PlayError("this page records one task: start another knotgym play for another")
+            raise Failed("this page records one task: start another knotgym play for another")
         self.session = Session(task, self._config.seed)
         self._show_start()
 
@@ -331,7 +327,7 @@ class Page:
         """Serve the page.
 
         Raises:
-            PlayError: the port is taken, or viser isn't installed.
+            Failed: the port is taken, or viser isn't installed.
         """
         require_port(config.host, config.port)
         import viser
@@ -421,7 +417,7 @@ def require_port(host: str, port: int) -> None:
     """Require that a port is free.
 
     Raises:
-        PlayError: it isn't, or the host isn't this machine's.
+        Failed: it isn't, or the host isn't this machine's.
     """
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -429,6 +425,6 @@ def require_port(host: str, port: int) -> None:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host, port))
     except OSError as error:
-        raise PlayError(
+        raise Failed(
             f"can't serve on {host} port {port}: {one_line(error)}; choose another with --port"
         ) from error

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json, read_json
-from knotgym.common.errors import KnotgymError, printable
+from knotgym.common.errors import InvalidFile, printable
 from knotgym.control.policy import Choice, UnplannedPolicy
 from knotgym.control.rollouts import EVALUATION, episode_seed, rollout
 from knotgym.datasets.episode_reader import EpisodeReader
@@ -36,10 +36,6 @@ from knotgym.states.state_file import minari_root, ships, states_file
 HUMAN = "human"  # name of the policy, which who played may follow
 _LONGEST_NAME = 80  # characters of a player's name
 _JOURNAL = "journal-{}.jsonl"
-
-
-class InvalidJournal(KnotgymError, ValueError):
-    """The dataset to record into holds something else."""
 
 
 class _Played(UnplannedPolicy):
@@ -82,10 +78,10 @@ class Recorder:
             root: Minari root; None for Minari's own.
 
         Raises:
-            InvalidJournal: the dataset exists and holds other episodes.
+            InvalidFile: the dataset exists and holds other episodes.
         """
         if len(player) > _LONGEST_NAME or not player.isprintable():
-            raise InvalidJournal(
+            raise InvalidFile(
                 f"a player's name is at most {_LONGEST_NAME} printable characters, got"
                 f" {printable(player[:_LONGEST_NAME])!r}"
             )
@@ -192,7 +188,7 @@ class Recorder:
         task, seeds = reader.task, [reader.attributes(i).get("seed") for i in range(len(reader))]
         reader.close()
         if stored is None or stored.algorithm_name != HUMAN or task != self._task:
-            raise InvalidJournal(
+            raise InvalidFile(
                 f"{self.folder} isn't a recording of this task with these settings: give another"
                 f" --id, or the settings {as_json(task)}"
             )
@@ -203,7 +199,7 @@ def _journalled(path: Path) -> tuple[int, list[NDArray[np.float32]]]:
     """Read the number and the pulls of an episode that a killed program was in.
 
     Raises:
-        InvalidJournal: the journal isn't one.
+        InvalidFile: the journal isn't one.
     """
     content: Any = read_json(path)
     try:
@@ -212,5 +208,5 @@ def _journalled(path: Path) -> tuple[int, list[NDArray[np.float32]]]:
         if not np.isfinite(actions).all() or number < 0:
             raise ValueError
     except (TypeError, ValueError, KeyError) as error:
-        raise InvalidJournal(f"{path} isn't a journal of knotgym play; remove it") from error
+        raise InvalidFile(f"{path} isn't a journal of knotgym play; remove it") from error
     return number, list(np.clip(actions, -1, 1))

@@ -96,8 +96,8 @@ class WatchPage(Page):
         """Serve the page.
 
         Raises:
-            MissingFile, InvalidEpisodeFile: there is no such dataset.
-            PlayError: as for `Page`.
+            MissingFile, InvalidFile: there is no such dataset.
+            Failed: as for `Page`.
         """
         EpisodeReader(source).close()
         self._source = source

@@ -8,7 +8,8 @@ import math
 import re
 from typing import NamedTuple
 
-from knotgym.topology.gauss import GaussCode, InvalidGaussCode
+from knotgym.common.errors import InvalidInput
+from knotgym.topology.gauss import GaussCode
 
 FAULTS = (
     "refusal",  # the model refused in every attempt
@@ -80,7 +81,7 @@ def read_code(text: str) -> CodeRead:
         return CodeRead(None, "malformed")
     try:
         return CodeRead(GaussCode.parse(inside))
-    except InvalidGaussCode:
+    except InvalidInput:
         return CodeRead(None, "malformed")
 
 

@@ -26,8 +26,7 @@ from urllib.parse import urlsplit
 
 import knotgym
 from knotgym.common.configuration import check_numbers
-from knotgym.common.errors import KnotgymError, one_line
-from knotgym.runs.run_options import NotEnough
+from knotgym.common.errors import Failed, InvalidInput, one_line
 
 KEY = "OPENAI_API_KEY"
 PUBLIC = "https://api.openai.com/v1"
@@ -37,18 +36,6 @@ _SHOWN = 200  # characters of a server's error message that are shown
 _SECRET = 8  # length from which a key is treated as a secret, characters
 MOST_BYTES = 4_000_000  # size limit of a reply; compressed replies are not requested
 _BLOCK = 65536  # bytes read at a time; the time limit is checked after each block
-
-
-class InvalidPrompting(KnotgymError, ValueError):
-    """Invalid settings, a request that the server rejects, or corrupted replies of a run."""
-
-
-class Unanswered(NotEnough):
-    """No attempt at a request was answered."""
-
-
-class Stopped(KnotgymError, RuntimeError):
-    """The run was stopped while a request was pending."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,10 +65,10 @@ class ChatConfig:
             counts=("attempts",),
             positive=("timeout",),
             non_negative=("backoff", *(["temperature"] if self.temperature is not None else [])),
-            error=InvalidPrompting,
+            error=InvalidInput,
         )
         if not self.model.strip():
-            raise InvalidPrompting("name the model to ask: --model NAME")
+            raise InvalidInput("name the model to ask: --model NAME")
         try:
             parts = urlsplit(self.base_url)
             fits = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
@@ -90,7 +77,7 @@ class ChatConfig:
         except ValueError:
             fits = bare = False
         if not (fits and bare):  # the message doesn't repeat the URL, which may contain a key
-            raise InvalidPrompting(
+            raise InvalidInput(
                 "the base URL must be http://HOST/PATH or https://HOST/PATH, without user, password"
                 f" or query; set the key in the environment, as {KEY}"
             )
@@ -142,26 +129,26 @@ class Chat:
     """A client of one server; several threads may use it at once.
 
     Args:
-        stop: once it is set, requests raise Stopped.
+        stop: once it is set, requests raise Failed.
 
     Raises:
-        InvalidPrompting: the key is missing, invalid, or part of the URL or the model's name.
+        InvalidInput: the key is missing, invalid, or part of the URL or the model's name.
     """
 
     def __init__(self, config: ChatConfig, stop: threading.Event | None = None) -> None:
         self._config, self._stop = config, stop or threading.Event()
         key = os.environ.get(KEY, "").strip()
         if not key and config.base_url == PUBLIC:
-            raise InvalidPrompting(
+            raise InvalidInput(
                 f"{PUBLIC} requires a key: set {KEY} in the environment, or give the --base-url of"
                 " a server that needs none"
             )
         if not (key.isascii() and key.isprintable()):
-            raise InvalidPrompting(f"{KEY} must be printable ASCII")
+            raise InvalidInput(f"{KEY} must be printable ASCII")
         # a short placeholder such as "EMPTY", for servers without keys, isn't censored
         self._secret = _spellings(key) if len(key) >= _SECRET else None
         if self._secret and any(map(self._secret.search, (config.base_url, config.model))):
-            raise InvalidPrompting(f"set the key only in {KEY}, not in --base-url or --model")
+            raise InvalidInput(f"set the key only in {KEY}, not in --base-url or --model")
         self._headers = {
             "Content-Type": "application/json",
             "User-Agent": f"knotgym/{knotgym.__version__}",
@@ -176,22 +163,22 @@ class Chat:
             messages: messages of the chat-completions protocol.
 
         Raises:
-            InvalidPrompting: the server rejects the request, the model or the key.
-            Unanswered: no attempt was answered.
-            Stopped: the run was stopped.
+            InvalidInput: the server rejects the request, the model or the key.
+            Failed: no attempt was answered.
+            Failed: the run was stopped.
         """
         retries: Counter[str] = Counter()
         tokens = [0, 0]
         for attempt in range(1, self._config.attempts + 1):
             if self._stop.is_set():
-                raise Stopped("stopped")
+                raise Failed("stopped")
             tried = self._try(messages)
             tokens = [sum(pair) for pair in zip(tokens, tried.tokens, strict=True)]
             last = attempt == self._config.attempts
             if not tried.reason or (last and tried.reason == "refusal"):
                 return Reply(tried.text, bool(tried.reason), tokens[0], tokens[1], dict(retries))
             if last:
-                raise Unanswered(
+                raise Failed(
                     f"{self._config.base_url} didn't answer in {attempt} attempts; the last one"
                     f" failed with: {tried.reason}{tried.detail and ': '}{tried.detail};"
                     " --resume continues the run"
@@ -225,7 +212,7 @@ class Chat:
         """Send the request and read the reply.
 
         Raises:
-            InvalidPrompting: the server rejects the request.
+            InvalidInput: the server rejects the request.
         """
         config = self._config
         content: dict[str, Any] = {"model": config.model, "messages": messages}
@@ -260,7 +247,7 @@ class Chat:
         if status in _RETRIED or status >= 500:
             wait = retry_after(headers.get("retry-after"))
             return _Attempt(reason=str(status), wait=wait, detail=detail)
-        raise InvalidPrompting(
+        raise InvalidInput(
             f"{self._config.base_url} rejects the request to model {self._config.model!r}:"
             f" {status} {detail}"
         )

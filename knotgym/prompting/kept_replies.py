@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import InvalidInput
 from knotgym.common.hdf5_files import require_regular
-from knotgym.prompting.chat import Chat, InvalidPrompting, Reply
+from knotgym.prompting.chat import Chat, Reply
 
 Asking = Callable[[list[dict[str, Any]]], Reply]
 
@@ -28,13 +29,13 @@ class KeptReplies:
         """Load the file if it exists, without a last line that was cut off, and open it to append.
 
         Raises:
-            InvalidPrompting: the file is corrupted or not a regular file.
+            InvalidInput: the file is corrupted or not a regular file.
         """
         self._lock, self._kept = threading.Lock(), {}
         if path.is_symlink():
-            raise InvalidPrompting(f"{path} is a symbolic link; it must be a regular file")
+            raise InvalidInput(f"{path} is a symbolic link; it must be a regular file")
         if path.exists():
-            require_regular(path, "file of replies", InvalidPrompting)
+            require_regular(path, "file of replies", InvalidInput)
         try:
             text = path.read_text(encoding="utf-8") if path.exists() else ""
             whole = text[: text.rfind("\n") + 1]
@@ -42,12 +43,12 @@ class KeptReplies:
                 *entry, seal = json.loads(line)
                 number, turn, digest, reply = entry
                 if seal != _digest(entry):
-                    raise InvalidPrompting(f"{path} has a line that is corrupted")
+                    raise InvalidInput(f"{path} has a line that is corrupted")
                 self._kept[number, turn] = (digest, Reply(*reply))
-        except InvalidPrompting:
+        except InvalidInput:
             raise
         except (ValueError, TypeError, RecursionError) as error:
-            raise InvalidPrompting(f"{path} has a line that isn't a reply") from error
+            raise InvalidInput(f"{path} has a line that isn't a reply") from error
         if whole != text:
             with atomic_write(path) as temporary:
                 temporary.write_text(whole, encoding="utf-8")

@@ -14,7 +14,8 @@ from typing import Any
 
 import knotgym
 from knotgym.common.configuration import read_json
-from knotgym.prompting.chat import Chat, Stopped
+from knotgym.common.errors import Failed, InvalidInput
+from knotgym.prompting.chat import Chat
 from knotgym.prompting.kept_replies import Asking, KeptReplies
 from knotgym.prompting.prompted_episodes import PromptConfig, flat
 from knotgym.prompting.reading_scores import ReadingScores
@@ -24,7 +25,7 @@ from knotgym.runs.engine import LISTED, Batch, Recipe
 from knotgym.runs.engine import run as run_recipe
 from knotgym.runs.pools import AHEAD, Pool, ordered
 from knotgym.runs.progress import Progress, Status
-from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import read_states, ships, states_file
 
 _REPLIES, _RESULT = "replies.jsonl", "result.json"
@@ -51,8 +52,8 @@ def run(
         side_by_side: transcripts made at a time, at least 1.
 
     Raises:
-        Occupied, InvalidRun: as in `runs.engine.run`; or `side_by_side` is less than 1.
-        InvalidPrompting, Unanswered: as raised by `Chat`; replies are kept for `--resume`.
+        Occupied, InvalidInput: as in `runs.engine.run`; or `side_by_side` is less than 1.
+        InvalidInput, Failed: as raised by `Chat`; replies are kept for `--resume`.
     """
     recipe = PromptRecipe(config, ask, count, side_by_side)
     return run_recipe(recipe, out, options, progress, made_by=_request_in)
@@ -65,7 +66,7 @@ class PromptRecipe(Recipe):
 
     def __init__(self, config: PromptConfig, ask: Ask, count: int, side_by_side: int) -> None:
         if side_by_side < 1:
-            raise InvalidRun(f"side_by_side must be at least 1, got {side_by_side}")
+            raise InvalidInput(f"side_by_side must be at least 1, got {side_by_side}")
         if not ships(config.task.states):
             read_states(states_file(config.task.states), images=False)
         self.config, self.engine = config, config.task.engine
@@ -151,7 +152,7 @@ class _Threads:
 
         try:
             yield from ordered(submit, work, AHEAD * self._count)
-        except Stopped as error:
+        except Failed as error:
             raise self._failure or error from None
 
     def _work(self, function: Callable[[Any], Any], piece: Any, promise: Future[Any]) -> None:
@@ -159,7 +160,7 @@ class _Threads:
             try:
                 promise.set_result(function(piece))
             except Exception as error:
-                if not isinstance(error, Stopped):
+                if not isinstance(error, Failed):
                     self._failure = self._failure or error
                 self._stop.set()
                 promise.set_exception(error)

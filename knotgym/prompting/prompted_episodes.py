@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from knotgym.common.configuration import as_json, check_numbers
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, derived_seed
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.answers import read_actions, read_code
-from knotgym.prompting.chat import ChatConfig, InvalidPrompting, Reply
+from knotgym.prompting.chat import ChatConfig, Reply
 from knotgym.prompting.kept_replies import Asking
 from knotgym.prompting.prompts import (
     MODES,
@@ -72,21 +73,19 @@ class PromptConfig:
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
-            raise InvalidPrompting(f"no mode {self.mode!r}; there is {', '.join(MODES)}")
+            raise InvalidInput(f"no mode {self.mode!r}; there is {', '.join(MODES)}")
         prices = [name for name in PRICES if getattr(self, name) is not None]
         check_numbers(
             self,
             counts=("episodes", "window"),
             whole=("seed",),
             non_negative=prices,
-            error=InvalidPrompting,
+            error=InvalidInput,
         )
         if len(prices) == 1:
-            raise InvalidPrompting(
-                "give the prices of both prompt and completion tokens, or neither"
-            )
+            raise InvalidInput("give the prices of both prompt and completion tokens, or neither")
         if self.task.views != ("top",) or self.task.depth:
-            raise InvalidPrompting("prompts support only the view from the top, without depth")
+            raise InvalidInput("prompts support only the view from the top, without depth")
 
 
 def _totals(replies: Sequence[Reply]) -> dict[str, Any]:

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json, differences
+from knotgym.common.errors import InvalidFile, InvalidPolicy
 from knotgym.common.streams import Stream, generator
 from knotgym.control.policies import PolicyConfig, PolicyFamily
-from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy
+from knotgym.control.policy import Choice, Policy, UnplannedPolicy
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts, transcripts_at
+from knotgym.prompting.transcripts import read_transcripts, transcripts_at
 
 PREFIX = "prompt:"  # of a policy's name; the path of transcripts follows
 
@@ -93,7 +94,7 @@ def load_transcripts(named: Path) -> list[dict[str, Any]]:
         raise InvalidPolicy(f"no transcripts at {named}: give a .jsonl that knotgym prompt wrote")
     try:
         found = read_transcripts(path)
-    except InvalidTranscript as error:
+    except InvalidFile as error:
         raise InvalidPolicy(str(error)) from error
     if not found or not all("actions" in one for one in found):
         raise InvalidPolicy(f"{path} holds no episodes")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.configuration import MOST_JSON
-from knotgym.common.errors import KnotgymError, MissingFile, one_line
+from knotgym.common.errors import InvalidFile, MissingFile, one_line
 
 FORMAT = "knotgym-transcript"
 FORMAT_VERSION = 1
@@ -44,10 +44,6 @@ _READ: dict[str, type] = {
 }
 
 
-class InvalidTranscript(KnotgymError, ValueError):
-    """A file has lines that are not transcripts of this version."""
-
-
 def line(transcript: Mapping[str, Any]) -> str:
     """Serialize a transcript as a line, with its format and a line break."""
     whole = {"format": FORMAT, "format_version": FORMAT_VERSION, **transcript}
@@ -66,16 +62,16 @@ def read_transcripts(path: Path) -> list[dict[str, Any]]:
 
     Raises:
         MissingFile: there is no such file.
-        InvalidTranscript: a line is not a valid transcript.
+        InvalidFile: a line is not a valid transcript.
     """
     if not path.is_file():
         raise MissingFile(f"no transcripts at {path}")
     if path.stat().st_size > MOST_JSON:
-        raise InvalidTranscript(f"{path} is larger than {MOST_JSON} bytes; split it")
+        raise InvalidFile(f"{path} is larger than {MOST_JSON} bytes; split it")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise InvalidTranscript(f"{path} isn't UTF-8 text: {one_line(error)}") from error
+        raise InvalidFile(f"{path} isn't UTF-8 text: {one_line(error)}") from error
     lines = text.removesuffix("\n").split("\n")
     return [_checked(one, f"{path}, line {number}") for number, one in enumerate(lines, 1)]
 
@@ -85,18 +81,18 @@ def _checked(text: str, where: str) -> dict[str, Any]:
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InvalidTranscript(f"{where} isn't JSON: {one_line(error)}") from error
+        raise InvalidFile(f"{where} isn't JSON: {one_line(error)}") from error
     if not isinstance(found, dict):
-        raise InvalidTranscript(f"{where} isn't a transcript but {str(found)[:40]}")
+        raise InvalidFile(f"{where} isn't a transcript but {str(found)[:40]}")
     name, version = found.get("format"), found.get("format_version")
     if (name, version) != (FORMAT, FORMAT_VERSION):
-        raise InvalidTranscript(
+        raise InvalidFile(
             f"{where} has format {name!r} version {version!r}; this version reads {FORMAT!r}"
             f" version {FORMAT_VERSION}"
         )
     for field, kind in (_PLAYED if "actions" in found else _READ).items():
         if type(found.get(field)) is not kind:
-            raise InvalidTranscript(f"{where}: {field} must be {kind.__name__}")
+            raise InvalidFile(f"{where}: {field} must be {kind.__name__}")
     turns = found.get("turns", [])
     valid = (
         all(isinstance(one, dict) and isinstance(one.get("fault"), str) for one in turns)
@@ -107,7 +103,7 @@ def _checked(text: str, where: str) -> dict[str, Any]:
         and _is_config(found["config"])
     )
     if not valid:
-        raise InvalidTranscript(
+        raise InvalidFile(
             f"{where}: config, turns, actions (six numbers in [-1, 1]), codes or counts are invalid"
         )
     return found

@@ -17,9 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.rendering.diagram import draw_lines
-from knotgym.rendering.picture import RGB, PictureConfig, PictureError, draw, project, rope_colours
+from knotgym.rendering.picture import RGB, PictureConfig, draw, project, rope_colours
 
 Array = NDArray[np.float64]
 
@@ -111,10 +112,10 @@ class AppearanceConfig:
 
     def __post_init__(self) -> None:
         if self.style not in STYLES:
-            raise PictureError(f"no style {self.style!r}; there is {', '.join(STYLES)}")
+            raise InvalidInput(f"no style {self.style!r}; there is {', '.join(STYLES)}")
         if self.style == "knotbench":
             if fixed := {"colours", "background", "zoom"} & set(self.vary):
-                raise PictureError(
+                raise InvalidInput(
                     f"style knotbench is black on white and fills the picture, so it can't vary"
                     f" {', '.join(sorted(fixed))}; leave it out"
                 )
@@ -122,24 +123,24 @@ class AppearanceConfig:
                 object.__setattr__(self, "sizes", (LINE_SIZE,))
         for name in self.vary:
             if name not in VARIED:
-                raise PictureError(
+                raise InvalidInput(
                     f"{name!r} can't be varied; choose from {', '.join(VARIED)}, or all, or none"
                 )
         object.__setattr__(self, "vary", tuple(name for name in VARIED if name in self.vary))
         if not self.sizes or any(
             type(size) is not int or not SIZES[0] <= size <= SIZES[1] for size in self.sizes
         ):
-            raise PictureError(
+            raise InvalidInput(
                 f"sizes must be whole pixels from {SIZES[0]} to {SIZES[1]}, got"
                 f" {', '.join(map(str, self.sizes)) or 'none'}"
             )
         for name in ("width", "zoom"):
             low, high = getattr(self, name)
             if not 0 < low <= high < math.inf:
-                raise PictureError(f"{name} must be a range (low, high) above 0, got {(low, high)}")
+                raise InvalidInput(f"{name} must be a range (low, high) above 0, got {(low, high)}")
         for name in ("noise", "blur"):
             if not 0 <= getattr(self, name) < math.inf:
-                raise PictureError(
+                raise InvalidInput(
                     f"{name} must be at least 0 and finite, got {getattr(self, name)}"
                 )
 

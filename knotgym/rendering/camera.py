@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.rendering.views import check_depth, checked_views
 
 RGB = tuple[int, int, int]
@@ -35,14 +35,10 @@ _NEAR = 0.01  # near plane of the perspective camera, metres
 USUAL_BEADS = 100  # of the rope that `PictureConfig.view` shows whole
 
 
-class PictureError(KnotgymError, ValueError):
-    """Invalid settings or points of a picture or video."""
-
-
 def require(met: bool, rule: str, given: object) -> None:
-    """Raise PictureError, with the rule and the given value, unless the rule is met."""
+    """Raise InvalidInput, with the rule and the given value, unless the rule is met."""
     if not met:
-        raise PictureError(f"{rule}, got {given!r}")
+        raise InvalidInput(f"{rule}, got {given!r}")
 
 
 def _is_int(value: object) -> bool:
@@ -87,7 +83,7 @@ class PictureConfig:
         supersampling: samples along each side of a pixel, averaged; 1 to 8.
 
     Raises:
-        PictureError: a value is out of range.
+        InvalidInput: a value is out of range.
     """
 
     size: int = 128
@@ -135,8 +131,8 @@ class PictureConfig:
             "renderer must be 'auto', 'opencv' or 'mujoco'",
             self.renderer,
         )
-        object.__setattr__(self, "views", checked_views(self.views, PictureError))
-        check_depth(self.depth, self.renderer, PictureError)
+        object.__setattr__(self, "views", checked_views(self.views, InvalidInput))
+        check_depth(self.depth, self.renderer, InvalidInput)
         object.__setattr__(self, "background", _rgb("background", self.background))
         if self.colours != "published":
             object.__setattr__(self, "colours", _rgb("colours", self.colours))
@@ -245,13 +241,13 @@ def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> N
 
 
 def checked_points(points: ArrayLike, axes: int) -> NDArray[np.float64]:
-    """Return one rope (axes 2) or many (axes 3) as float64, or raise PictureError."""
+    """Return one rope (axes 2) or many (axes 3) as float64, or raise InvalidInput."""
     points = np.asarray(points, dtype=np.float64)
     form = "(beads, 3)" if axes == 2 else "(m, beads, 3)"
     fits = points.ndim == axes and points.shape[-1] == 3 and points.shape[-2] >= 3
     require(fits, f"points must have shape {form}, at least 3 beads", points.shape)
     if not np.isfinite(points).all():
-        raise PictureError(
+        raise InvalidInput(
             f"points must be finite, got {int((~np.isfinite(points)).sum())} coordinates that"
             " are not"
         )

@@ -61,7 +61,7 @@ def draw_diagram(
         uint8 (size, size, 3), RGB.
 
     Raises:
-        PictureError: points have the wrong shape or are not finite, or the size is out of range.
+        InvalidInput: points have the wrong shape or are not finite, or the size is out of range.
     """
     rope = seen_from(view, checked_points(points, 2))
     curve, crossings = _smooth(rope)

@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import Failed
 from knotgym.rendering.camera import PictureConfig
 from knotgym.rendering.rasterizer import average
 
@@ -47,10 +47,6 @@ _REMEDY = (
 )
 
 
-class GraphicsUnavailable(KnotgymError):
-    """No OpenGL context can be created for MuJoCo's renderer."""
-
-
 class Painter:
     """An OpenGL canvas and its scene, usable only in the thread that created it.
 
@@ -58,7 +54,7 @@ class Painter:
         side: side of the canvas, pixels.
 
     Raises:
-        GraphicsUnavailable: no OpenGL context can be created.
+        Failed: no OpenGL context can be created.
     """
 
     def __init__(self, side: int) -> None:
@@ -164,7 +160,7 @@ def draw(
     """Draw one rope; `knotgym.rendering.picture.draw` documents and checks the arguments.
 
     Raises:
-        GraphicsUnavailable: no OpenGL context can be created.
+        Failed: no OpenGL context can be created.
     """
     side = config.size * config.supersampling
     process = os.getpid()
@@ -201,8 +197,8 @@ def _stage(model: mujoco.MjModel, geoms: int) -> mujoco.MjvScene:
     return scene
 
 
-def _unavailable(reason: str, remedy: str = _REMEDY) -> GraphicsUnavailable:
-    return GraphicsUnavailable(f"no OpenGL for renderer='mujoco' ({reason}); {remedy}")
+def _unavailable(reason: str, remedy: str = _REMEDY) -> Failed:
+    return Failed(f"no OpenGL for renderer='mujoco' ({reason}); {remedy}")
 
 
 def _backend() -> str:

@@ -12,11 +12,11 @@ sight.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.rendering.camera import (
     DEFAULT,
     RGB,
     PictureConfig,
-    PictureError,
     bead_colours,
     checked_points,
     picture_of,
@@ -33,7 +33,7 @@ __all__ = [
     "DEFAULT",
     "RGB",
     "PictureConfig",
-    "PictureError",
+    "InvalidInput",
     "bead_colours",
     "crossing_pixels",
     "draw",
@@ -59,8 +59,8 @@ def draw(
         top; 4 channels with depth. Parts of the rope outside a view are cut off.
 
     Raises:
-        PictureError: points or colours have the wrong shape, or points are not finite.
-        GraphicsUnavailable: config.renderer is "mujoco" and OpenGL is not available.
+        InvalidInput: points or colours have the wrong shape, or points are not finite.
+        Failed: config.renderer is "mujoco" and OpenGL is not available.
     """
     points = checked_points(points, 2)
     images = _draw_all(points[None], config, colours)
@@ -87,7 +87,7 @@ def draw_many(
         uint8, shape (m, views * size, size, 3 or 4).
 
     Raises:
-        PictureError, GraphicsUnavailable: as in `draw`.
+        InvalidInput, Failed: as in `draw`.
     """
     return _draw_all(checked_points(points, 3), config, colours, out)
 

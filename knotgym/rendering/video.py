@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import install_command
-from knotgym.rendering.camera import PictureError, seen_from
+from knotgym.common.errors import InvalidInput, install_command
+from knotgym.rendering.camera import seen_from
 from knotgym.rendering.diagram import draw_diagram, side_of
 from knotgym.topology.crossings import label
 
@@ -153,11 +153,11 @@ def require_film(path: str | os.PathLike[str]) -> None:
     """Check that a video of this name can be written.
 
     Raises:
-        PictureError: the suffix is unknown, or needs PyAV, which isn't installed.
+        InvalidInput: the suffix is unknown, or needs PyAV, which isn't installed.
     """
     kind = Path(path).suffix.lower()
     if kind not in (".gif", *_CODECS):
-        raise PictureError(f"a video must end in .gif, .mp4 or .webm, got {os.fspath(path)!r}")
+        raise InvalidInput(f"a video must end in .gif, .mp4 or .webm, got {os.fspath(path)!r}")
     if kind in _CODECS:
         pyav("write a .gif")
 
@@ -166,7 +166,7 @@ def write_film(path: str | os.PathLike[str], frames: Sequence[NDArray[np.uint8]]
     """Write frames, RGB and of equal size, as .gif, .mp4 or .webm; the write is atomic.
 
     Raises:
-        PictureError: as in `require_film`.
+        InvalidInput: as in `require_film`.
     """
     require_film(path)
     kind = Path(path).suffix.lower()
@@ -203,7 +203,7 @@ class Encoder:
         """Open the file for frames of this shape, (height, width, 3).
 
         Raises:
-            PictureError: PyAV isn't installed.
+            InvalidInput: PyAV isn't installed.
         """
         av = pyav()
         # SVT-AV1 reports its settings on standard error for every file; 1 keeps errors only
@@ -236,12 +236,12 @@ def pyav(instead: str = "") -> Any:
     """Import PyAV.
 
     Raises:
-        PictureError: it isn't installed; the message offers what to do `instead`.
+        InvalidInput: it isn't installed; the message offers what to do `instead`.
     """
     try:
         import av
     except ModuleNotFoundError as error:
-        raise PictureError(
+        raise InvalidInput(
             f"a video needs PyAV, which isn't installed; install it: {install_command('video')}"
             + (f", or {instead}" if instead else "")
         ) from error

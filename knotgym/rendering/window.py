@@ -6,28 +6,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import Failed
 from knotgym.rendering.video import film_frame, film_side
 
 Array = NDArray[np.float64]
-
-
-class NoWindow(KnotgymError, RuntimeError):
-    """No window can be opened, for lack of pygame or of a display."""
 
 
 class PictureWindow:
     """A window that opens with the first frame and doesn't zoom in during an episode.
 
     Raises:
-        NoWindow: pygame isn't installed; from `show`, there is no display.
+        Failed: pygame isn't installed; from `show`, there is no display.
     """
 
     def __init__(self, frames_per_second: int) -> None:
         try:
             import pygame
         except ModuleNotFoundError as error:
-            raise NoWindow(
+            raise Failed(
                 "render_mode 'human' needs pygame, which isn't installed: pip install pygame"
             ) from error
         self._pygame: Any = pygame
@@ -75,7 +71,7 @@ class PictureWindow:
             self._pygame.display.init()
             self._screen = self._pygame.display.set_mode(size)
         except self._pygame.error as error:
-            raise NoWindow(
+            raise Failed(
                 f"render_mode 'human' needs a display ({error}); use 'rgb_array' without one"
             ) from error
         self._pygame.display.set_caption("knotgym")

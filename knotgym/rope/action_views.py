@@ -13,9 +13,10 @@ code doesn't end it: a crossing that has only just been made comes undone in the
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.actions import CHOICES, choices, chosen_forces
 from knotgym.rope.macro_actions import LONGEST, MacroActionConfig, WaypointController, pass_straight
-from knotgym.rope.simulation import InvalidAction, Simulation
+from knotgym.rope.simulation import Simulation
 
 
 class ActionView:
@@ -43,20 +44,20 @@ class ActionView:
         """Return the actions of the ropes `ids` as float64 (n, 6), (n, 4) or (n, 3).
 
         Raises:
-            InvalidAction: they have another shape, or a number is out of range.
+            InvalidInput: they have another shape, or a number is out of range.
         """
         a = np.asarray(actions, dtype=np.float64)
         if self._counts is None:
             self._simulation.read_actions(a, ids)
             return a
         if a.shape != (len(ids), len(self._counts)):
-            raise InvalidAction(
+            raise InvalidInput(
                 f"an action of the view {self._view!r} is {len(self._counts)} whole numbers; got"
                 f" shape {a.shape} for {len(ids)} ropes"
             )
         bad = ~((a == np.rint(a)) & (a >= 0) & (a < self._counts)).all(axis=1)
         if bad.any():
-            raise InvalidAction(
+            raise InvalidInput(
                 f"an action of the view {self._view!r} is whole numbers below"
                 f" {self._counts.tolist()}, got {a[bad][0].tolist()}"
             )
@@ -70,7 +71,7 @@ class ActionView:
         """Start actions on the ropes `ids`.
 
         Raises:
-            InvalidAction: as in `check`; no rope's action has changed.
+            InvalidInput: as in `check`; no rope's action has changed.
         """
         chosen = self.check(actions, ids)
         self.busy[ids], self.pulls[ids] = True, 0

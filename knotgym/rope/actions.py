@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import generator_of
 
 if TYPE_CHECKING:
@@ -35,10 +35,6 @@ FORCE_BINS = 127  # a quantized force component is a whole multiple of 1 / 127 o
 FORCE_CHOICES = 11
 # Values of each whole number of an action, by view; 0 stands for the number of beads.
 CHOICES = {"bead": (0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES), "macro": (0, 0, 2)}
-
-
-class InvalidPulls(KnotgymError, ValueError):
-    """Actions that four bytes can't hold."""
 
 
 def decode_actions(
@@ -98,10 +94,10 @@ def encode_pulls(actions: ArrayLike, points: Array, rope: RopeConfig) -> NDArray
         int8 (n, 4): the bead, as an unsigned byte, and three multiples of 1 / FORCE_BINS.
 
     Raises:
-        InvalidPulls: an action isn't what `decode_pulls` gives, or the rope has too many beads.
+        InvalidInput: an action isn't what `decode_pulls` gives, or the rope has too many beads.
     """
     if points.shape[1] > 256:
-        raise InvalidPulls(f"a pull's bead is one byte, got a rope of {points.shape[1]} beads")
+        raise InvalidInput(f"a pull's bead is one byte, got a rope of {points.shape[1]} beads")
     beads, _ = decode_actions(actions, points, rope)
     given = np.ascontiguousarray(actions, dtype=np.float32)
     bins = np.rint(given[:, 3:] * FORCE_BINS)
@@ -111,7 +107,7 @@ def encode_pulls(actions: ArrayLike, points: Array, rope: RopeConfig) -> NDArray
     decoded = decode_pulls(pulls, points, rope).view(np.uint32)
     off = np.flatnonzero((decoded != given.view(np.uint32)).any(axis=1))
     if len(off):
-        raise InvalidPulls(
+        raise InvalidInput(
             f"an action must pull a bead at its vertex with multiples of 1/{FORCE_BINS} of the"
             f" largest force, got {given[off[0]].tolist()}"
         )

@@ -6,7 +6,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 
 if TYPE_CHECKING:
     from knotgym.rope.model import Rope, RopeConfig
@@ -20,14 +20,10 @@ _warned: set[str] = set()  # engines
 _shared: dict[tuple[str, int, RopeConfig], Simulation] = {}
 
 
-class UnknownEngine(KnotgymError, ValueError):
-    """No engine has this name."""
-
-
 def require_engine(engine: object) -> None:
-    """Raise UnknownEngine unless `engine` is the name of an engine."""
+    """Raise InvalidInput unless `engine` is the name of an engine."""
     if engine not in ENGINES:
-        raise UnknownEngine(f"no engine {engine!r}; there is {', '.join(ENGINES)}")
+        raise InvalidInput(f"no engine {engine!r}; there is {', '.join(ENGINES)}")
 
 
 def simulation_class(engine: str) -> type[Simulation]:

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import InvalidConfig, check_numbers
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.actions import quantized
 from knotgym.rope.model import Array
 
@@ -82,7 +83,7 @@ class MacroActionConfig:
             ranges=("distance", "beyond", "curl_apart"),
         )
         if len(self.shares) != len(KINDS) or min(self.shares) < 0 or not sum(self.shares) > 0:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"shares must be {len(KINDS)} numbers of at least 0, not all 0, for"
                 f" {', '.join(KINDS)}; got {self.shares}"
             )

@@ -18,21 +18,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.closed_curves import clearance, equal_chords
 from knotgym.rope.kinematics import backward, forward
 
 Array = NDArray[np.float64]
 
 ROPE_FORMAT = 1  # increase whenever the same configuration would move differently
-
-
-class InvalidRope(KnotgymError, ValueError):
-    """Invalid settings of a rope or of a simulation."""
-
-
-class InvalidCurve(KnotgymError, ValueError):
-    """A curve whose shape the rope cannot take."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,32 +69,32 @@ class RopeConfig:
     def __post_init__(self) -> None:
         for name in ("beads", "sub_chains", "frame_skip"):
             if type(getattr(self, name)) is not int:
-                raise InvalidRope(f"{name} must be a whole number, got {getattr(self, name)!r}")
+                raise InvalidInput(f"{name} must be a whole number, got {getattr(self, name)!r}")
         positive = ("length", "radius", "density", "medium_density", "timestep")
         for name in (*positive, "max_force", "reach"):
             if not 0 < getattr(self, name) < np.inf:
-                raise InvalidRope(f"{name} must be above 0 and finite, got {getattr(self, name)}")
+                raise InvalidInput(f"{name} must be above 0 and finite, got {getattr(self, name)}")
         for name, size in (("closure_solref", 2), ("closure_solimp", 5)):
             values = tuple(getattr(self, name))  # JSON has lists
             if len(values) != size or not np.isfinite(values).all():
-                raise InvalidRope(f"{name} must be {size} finite numbers, got {values}")
+                raise InvalidInput(f"{name} must be {size} finite numbers, got {values}")
             object.__setattr__(self, name, values)
         if self.sub_chains < 2 or self.beads < 3 * self.sub_chains:
-            raise InvalidRope(
+            raise InvalidInput(
                 f"a rope needs 2 sub-chains of 3 beads each at least, got {self.beads} beads in"
                 f" {self.sub_chains} sub-chains"
             )
         if 2 * self.radius >= self.bead_length:
-            raise InvalidRope(
+            raise InvalidInput(
                 f"a bead must be longer than wide, got length {self.bead_length:.3g} and radius"
                 f" {self.radius:.3g}"
             )
         if self.frame_skip < 1:
-            raise InvalidRope(f"frame_skip must be at least 1 step, got {self.frame_skip}")
+            raise InvalidInput(f"frame_skip must be at least 1 step, got {self.frame_skip}")
         if self.rooted not in ("middle", "start"):
-            raise InvalidRope(f'rooted must be "middle" or "start", got {self.rooted!r}')
+            raise InvalidInput(f'rooted must be "middle" or "start", got {self.rooted!r}')
         if not 0 <= self.joint_damping < np.inf:
-            raise InvalidRope(
+            raise InvalidInput(
                 f"joint_damping must be at least 0 and finite, got {self.joint_damping}"
             )
 
@@ -241,38 +233,38 @@ class Rope:
             float64 (beads, 3), metres.
 
         Raises:
-            InvalidCurve: the points are not finite, the curve is not closed or turns too sharply,
+            InvalidInput: the points are not finite, the curve is not closed or turns too sharply,
                 or beads would overlap.
         """
         p = np.array(curve, dtype=np.float64)
         if p.ndim != 2 or p.shape[1] != 3:
-            raise InvalidCurve(f"a curve is an (n, 3) array of points, got shape {p.shape}")
+            raise InvalidInput(f"a curve is an (n, 3) array of points, got shape {p.shape}")
         if not np.isfinite(p).all():
-            raise InvalidCurve("a curve needs finite coordinates, got NaN or infinity")
+            raise InvalidInput("a curve needs finite coordinates, got NaN or infinity")
         if len(p) > 1 and np.array_equal(p[0], p[-1]):
             p = p[:-1]
         different = len(np.unique(p, axis=0))
         if different < 4:
-            raise InvalidCurve(f"a closed rope needs at least 4 different points, got {different}")
+            raise InvalidInput(f"a closed rope needs at least 4 different points, got {different}")
         if not self._is_configuration(p):
             # a closing chord of more than three times any other is taken for an open curve
             chords = np.linalg.norm(np.roll(p, -1, axis=0) - p, axis=1)
             repeated = len(p) < len(np.asarray(curve))
             if not repeated and chords[-1] > 3 * chords[:-1].max():
-                raise InvalidCurve(
+                raise InvalidInput(
                     f"the curve isn't closed: its ends are {chords[-1]:.3g} apart, neighbouring"
                     f" points at most {chords[:-1].max():.3g}; repeat the first point at the end to"
                     " close it with a straight line"
                 )
             p = self.config.bead_length * equal_chords(p, self.config.beads)
             if not self._is_configuration(p):
-                raise InvalidCurve(
+                raise InvalidInput(
                     f"the curve turns too sharply for a rope of {self.config.beads} beads"
                 )
         depth = 2 * self.config.radius - clearance(p)
         if depth > max_overlap:
             most = f"{1000 * max_overlap:.1f} mm"
-            raise InvalidCurve(
+            raise InvalidInput(
                 f"beads would overlap by {1000 * depth:.1f} mm, at most {most} is allowed: the"
                 " curve passes too close to itself"
             )

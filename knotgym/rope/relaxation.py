@@ -16,8 +16,9 @@ from dataclasses import astuple, dataclass
 import numba
 import numpy as np
 
-from knotgym.common.configuration import InvalidConfig, check_numbers
-from knotgym.rope.model import Array, InvalidCurve, Rope
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import InvalidInput
+from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
 
 
@@ -76,10 +77,10 @@ def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) ->
         the first round changes the code or the result is no valid configuration.
 
     Raises:
-        InvalidConfig: fewer than 1 round.
+        InvalidInput: fewer than 1 round.
     """
     if rounds < 1:
-        raise InvalidConfig(f"rounds must be at least 1, got {rounds}")
+        raise InvalidInput(f"rounds must be at least 1, got {rounds}")
     code = label(points)
     moving, last = np.array(points, dtype=np.float64), None
     for _ in range(rounds):
@@ -91,7 +92,7 @@ def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) ->
         return None
     try:
         laid = rope.from_curve(last)
-    except InvalidCurve:  # strands overlap too deeply
+    except InvalidInput:  # strands overlap too deeply
         return None
     return laid if label(laid) == code else None
 

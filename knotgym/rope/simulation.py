@@ -12,17 +12,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.actions import decode_actions, encode_actions
-from knotgym.rope.model import Array, InvalidRope, Rope
+from knotgym.rope.model import Array, Rope
 
 ROUNDING = 1e-6  # tolerance for float32 rounding of actions beyond 1; they are clipped to 1
 
 Ids = Sequence[int] | NDArray[np.int64] | None
-
-
-class InvalidAction(KnotgymError, ValueError):
-    """An action outside [-1, 1]^6, or not finite."""
 
 
 class Simulation(ABC):
@@ -49,7 +45,7 @@ class Simulation(ABC):
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         """Start with `count` plain loops; `threads` 0 uses every core."""
         if count < 1:
-            raise InvalidRope(f"a simulation needs at least 1 rope, got {count}")
+            raise InvalidInput(f"a simulation needs at least 1 rope, got {count}")
         self.rope = rope or Rope()
         self.count = count
         self.applied_shares: Array = np.ones(count)
@@ -112,7 +108,7 @@ class Simulation(ABC):
             As `step`.
 
         Raises:
-            InvalidAction: a number is NaN or outside [-1, 1] by more than ROUNDING; no rope has
+            InvalidInput: a number is NaN or outside [-1, 1] by more than ROUNDING; no rope has
                 moved.
         """
         beads, forces = self.read_actions(actions, ids)
@@ -127,13 +123,13 @@ class Simulation(ABC):
         where = self._all(ids)
         a = np.asarray(actions, dtype=np.float64)
         if a.shape != (len(where), 6):
-            raise InvalidAction(
+            raise InvalidInput(
                 f"an action is 6 numbers (x, y, z, fx, fy, fz); got shape {a.shape} for"
                 f" {len(where)} ropes"
             )
         bad = ~(np.abs(a) <= 1.0 + ROUNDING).all(axis=1)
         if bad.any():
-            raise InvalidAction(f"an action's numbers must be in [-1, 1], got {a[bad][0].tolist()}")
+            raise InvalidInput(f"an action's numbers must be in [-1, 1], got {a[bad][0].tolist()}")
         return decode_actions(np.clip(a, -1.0, 1.0), self.points[where], self.rope.config)
 
     def actions(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.float32]:

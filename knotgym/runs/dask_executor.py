@@ -19,9 +19,8 @@ from typing import Any, NamedTuple
 import mujoco
 
 import knotgym
-from knotgym.common.errors import install_command
-from knotgym.runs.pools import AHEAD, LostWorkers, Promise, ordered
-from knotgym.runs.run_options import InvalidRun
+from knotgym.common.errors import Failed, InvalidInput, install_command
+from knotgym.runs.pools import AHEAD, Promise, ordered
 
 CONNECT = 10.0  # seconds to wait for the scheduler
 WAIT = 60.0  # seconds to wait for a first worker, and for a new one when all are gone
@@ -33,7 +32,7 @@ _one_at_a_time = threading.Lock()
 
 
 class _Awaited(NamedTuple):
-    """A future that raises LostWorkers when the cluster is gone."""
+    """A future that raises Failed when the cluster is gone."""
 
     client: Any
     future: Any
@@ -48,7 +47,7 @@ class _Awaited(NamedTuple):
             try:
                 return self.future.result(timeout=None if done else 2.0)
             except KilledWorker as error:
-                raise LostWorkers(
+                raise Failed(
                     "several workers of the cluster died on the same piece of work; --resume"
                     " continues from there"
                 ) from error
@@ -56,12 +55,12 @@ class _Awaited(NamedTuple):
                 if done:  # the work itself raised it
                     raise
             except (CommClosedError, CancelledError) as error:
-                raise LostWorkers(_GONE) from error
+                raise Failed(_GONE) from error
             with _answering():
                 alone = not self.client.nthreads()
             alone_since = (alone_since or time.monotonic()) if alone else None
             if alone_since is not None and time.monotonic() - alone_since > WAIT:
-                raise LostWorkers(
+                raise Failed(
                     f"the cluster has had no worker for {WAIT:.0f} s; --resume continues from there"
                 )
 
@@ -95,13 +94,13 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
     try:
         from distributed import Client
     except ModuleNotFoundError as error:
-        raise InvalidRun(
+        raise InvalidInput(
             "--executor dask needs Dask distributed, which isn't installed; install it with:"
             f" {install_command('dask')}"
         ) from error
     except AttributeError as error:
         # distributed takes any module `snappy` for the compressor of that name
-        raise InvalidRun(
+        raise InvalidInput(
             "Dask distributed can't be imported where SnapPy is installed, which has a module of"
             " the same name as a compressor that Dask looks for: use an environment without SnapPy"
         ) from error
@@ -111,7 +110,7 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise InvalidRun(
+        raise InvalidInput(
             f"no Dask scheduler answers at {scheduler}: start one with `dask scheduler`, or check"
             " the address"
         ) from error
@@ -119,13 +118,13 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError as error:
-            raise InvalidRun(
+            raise InvalidInput(
                 f"the cluster at {scheduler} has no worker: start some with `dask worker"
                 f" {scheduler} --nthreads 1`"
             ) from error
         threads = client.nthreads()
         if max(threads.values()) > 1:
-            raise InvalidRun(
+            raise InvalidInput(
                 f"a worker at {scheduler} has {max(threads.values())} threads, but must have one:"
                 f" start workers with `dask worker {scheduler} --nthreads 1 --nworkers CORES`"
             )
@@ -136,11 +135,11 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
 
 @contextmanager
 def _answering() -> Iterator[None]:
-    """Turn a failed call of the scheduler into LostWorkers."""
+    """Turn a failed call of the scheduler into Failed."""
     try:
         yield
     except (OSError, TypeError, CancelledError) as error:  # TypeError: the client has given up
-        raise LostWorkers(_GONE) from error
+        raise Failed(_GONE) from error
 
 
 def _call(function: Callable[[Any], Any], piece: Any, folder: str, about: tuple[str, str]) -> Any:
@@ -149,7 +148,7 @@ def _call(function: Callable[[Any], Any], piece: Any, folder: str, about: tuple[
 
     here = knotgym.__version__, mujoco.__version__
     if here != about:
-        raise InvalidRun(
+        raise InvalidInput(
             f"a worker has knotgym {here[0]} and MuJoCo {here[1]}, but the run has {about[0]} and"
             f" {about[1]}: results could differ"
         )

@@ -23,20 +23,15 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.common.atomic_files import (
-    Occupied,
-    atomic_write,
-    move_into_place,
-    remove,
-    require_output,
-)
+from knotgym.common.atomic_files import atomic_write, move_into_place, remove, require_output
 from knotgym.common.configuration import differences, read_json
+from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, Status
-from knotgym.runs.run_options import Existing, InvalidRun, RunOptions
+from knotgym.runs.run_options import Existing, RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.runs.staging import (
     discard,
@@ -138,8 +133,8 @@ def run(
 
     Raises:
         Occupied: the output exists, another run holds its staging folder, or that was removed.
-        Unwritable: the output can't be written.
-        InvalidRun: the run to resume had another request.
+        Failed: the output can't be written.
+        InvalidInput: the run to resume had another request.
         KnotgymError: the recipe can't be executed, or its budget is used up.
     """
     if progress is None:
@@ -205,7 +200,7 @@ def is_finished(
     """Whether `out` is already the finished output of the run to resume.
 
     Raises:
-        InvalidRun: it is the output of another request, and `existing` doesn't overwrite it.
+        InvalidInput: it is the output of another request, and `existing` doesn't overwrite it.
     """
     there = (made_by or request_of)(out) if may_be_finished(out, existing) else None
     if there is None:
@@ -226,7 +221,7 @@ def require_startable(
     """Require that a run can start, or that the run to resume had the same request.
 
     Raises:
-        InvalidRun: the run to resume had another request.
+        InvalidInput: the run to resume had another request.
         Occupied: another run holds the staging folder, or an interrupted one left work.
     """
     require_no_interrupted_run(out, existing)
@@ -290,13 +285,13 @@ def request_of(folder: Path) -> dict[str, Any] | None:
 def require_resumable(
     folder: Path, left: dict[str, Any] | None, requested: dict[str, Any], flexible: tuple[str, ...]
 ) -> None:
-    """Require that a staging folder with work belongs to this request; raise InvalidRun
+    """Require that a staging folder with work belongs to this request; raise InvalidInput
     otherwise.
     """
     if left is not None:
         require_same(left, requested, flexible, folder)
     elif has_work(folder):
-        raise InvalidRun(
+        raise InvalidInput(
             f"{folder} can't be resumed, its {REQUEST} is missing or corrupted; --restart deletes"
             " it and starts again"
         )
@@ -307,7 +302,7 @@ def require_same(
 ) -> None:
     """Require that two requests agree, apart from the `flexible` fields of the configuration."""
     if found := differing(there, requested, flexible):
-        raise InvalidRun(
+        raise InvalidInput(
             f"{folder} belongs to a different run: {'; '.join(found[:3])}; give the same options"
             " again, or --restart to delete an interrupted run, --overwrite to replace a finished"
             " one"

@@ -58,8 +58,8 @@ def executor(workers: int, scheduler: str = "") -> Iterator[Pool]:
     without waiting for their work.
 
     Raises:
-        InvalidRun: the cluster can't be used.
-        LostWorkers: the cluster or its workers are gone.
+        InvalidInput: the cluster can't be used.
+        Failed: the cluster or its workers are gone.
     """
     if scheduler:
         from knotgym.runs.dask_executor import cluster

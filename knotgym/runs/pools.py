@@ -5,13 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from typing import Any, Protocol
 
-from knotgym.common.errors import KnotgymError
-
 AHEAD = 8  # pieces in progress per worker, so that one slow piece doesn't leave others idle
-
-
-class LostWorkers(KnotgymError, RuntimeError):
-    """Work stopped because no worker is left."""
 
 
 class Pool(Protocol):

@@ -5,18 +5,10 @@ This module has no slow imports, because the command line reads options first.
 
 from dataclasses import dataclass
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.runs.shards import Shard
 
 EXECUTORS = ("local", "dask")
-
-
-class InvalidRun(KnotgymError, ValueError):
-    """A run can't be started or resumed as requested, or its executor can't be used."""
-
-
-class NotEnough(KnotgymError, RuntimeError):
-    """The budget was used up before everything requested was made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +27,7 @@ class Existing:
 
     def __post_init__(self) -> None:
         if self.resume and self.restart:
-            raise InvalidRun(
+            raise InvalidInput(
                 "--resume continues an interrupted run and --restart deletes its work: give only"
                 " one of them"
             )
@@ -67,18 +59,18 @@ class RunOptions(Existing):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.workers < 0:
-            raise InvalidRun(f"workers must be at least 0, got {self.workers}")
+            raise InvalidInput(f"workers must be at least 0, got {self.workers}")
         if self.executor not in EXECUTORS:
-            raise InvalidRun(f"--executor takes {' or '.join(EXECUTORS)}, got {self.executor!r}")
+            raise InvalidInput(f"--executor takes {' or '.join(EXECUTORS)}, got {self.executor!r}")
         if self.executor == "local" and self.scheduler:
-            raise InvalidRun(f"--scheduler {self.scheduler} is for --executor dask")
+            raise InvalidInput(f"--scheduler {self.scheduler} is for --executor dask")
         if self.executor == "dask" and not self.scheduler:
-            raise InvalidRun(
+            raise InvalidInput(
                 "--executor dask needs the address of a scheduler, such as --scheduler"
                 " tcp://127.0.0.1:8786"
             )
         if self.executor == "dask" and self.workers:
-            raise InvalidRun(
+            raise InvalidInput(
                 f"--workers {self.workers} is for --executor local; a Dask cluster uses all of its"
                 " workers"
             )

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.common.configuration import UnreadableJson, read_json
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import InvalidFile
 
 _SEAL = "seal"
 
@@ -25,11 +26,11 @@ def read_sealed(path: Path) -> dict[str, Any]:
     """Read a file of `write_sealed` and return its content without the checksum.
 
     Raises:
-        UnreadableJson: it was changed since it was written.
+        InvalidFile: it was changed since it was written.
     """
     content = read_json(path)
     if not isinstance(content, dict) or content.pop(_SEAL, None) != _digest(content):
-        raise UnreadableJson(f"{path.name} isn't what was written: its checksum differs")
+        raise InvalidFile(f"{path.name} isn't what was written: its checksum differs")
     return content
 
 

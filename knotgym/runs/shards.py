@@ -12,13 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 
 _STRIDE = 10**9  # larger than any counter within a shard
-
-
-class InvalidShard(KnotgymError, ValueError):
-    """There is no such shard of a run."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +26,7 @@ class Shard:
 
     def __post_init__(self) -> None:
         if not 1 <= self.number <= self.of:
-            raise InvalidShard(f"a shard is i/n with i from 1 to n, such as 2/8; got {self}")
+            raise InvalidInput(f"a shard is i/n with i from 1 to n, such as 2/8; got {self}")
 
     def __str__(self) -> str:
         return f"{self.number}/{self.of}"
@@ -42,7 +38,7 @@ class Shard:
         if not text:
             return cls()
         if len(words) != 2 or not all(word.isdecimal() and len(word) < 7 for word in words):
-            raise InvalidShard(f"a shard is i/n with i from 1 to n, such as 2/8; got {text!r}")
+            raise InvalidInput(f"a shard is i/n with i from 1 to n, such as 2/8; got {text!r}")
         return cls(*map(int, words))
 
     @property

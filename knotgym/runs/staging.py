@@ -13,7 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from knotgym.common.atomic_files import Occupied, remove, require_own, require_own_tree
+from knotgym.common.atomic_files import remove, require_own, require_own_tree
+from knotgym.common.errors import Occupied
 from knotgym.runs.run_options import Existing
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, new_hdf5
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import (
     Column,
     members,
@@ -40,10 +40,6 @@ from knotgym.topology.symmetry import diagram_form
 _COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 _GROUPS = ("quality", "source")
 _DERIVED: Any = None  # a column that follows from the others
-
-
-class InvalidStates(KnotgymError, ValueError):
-    """A state file that this version can't read, or arrays that don't form one."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +86,7 @@ class States:
                 object.__setattr__(self, name, np.array(texts, dtype=np.str_)[rows])
         for name, values in self.columns().items():
             if len(values) != len(self.qpos):
-                raise InvalidStates(
+                raise InvalidFile(
                     f"column {name} has {len(values)} rows, qpos has {len(self.qpos)}"
                 )
             values.setflags(write=False)
@@ -167,10 +163,10 @@ def shipped(name: str = "readable") -> Path:
             those with 10 and 11 have neither kinks nor bigons.
 
     Raises:
-        InvalidStates: there is no set of that name.
+        InvalidFile: there is no set of that name.
     """
     if name not in SHIPPED:
-        raise InvalidStates(f"no shipped set of states {name!r}; there are {', '.join(SHIPPED)}")
+        raise InvalidFile(f"no shipped set of states {name!r}; there are {', '.join(SHIPPED)}")
     return Path(str(files("knotgym.states") / "curated" / SHIPPED[name]))
 
 
@@ -228,7 +224,7 @@ def demonstrations_id(nx: int, split: str = "train", knot: str = "0_1") -> str:
 def write_states(path: str | os.PathLike[str], states: States) -> None:
     """Write a state file atomically."""
     if states.image is None:
-        raise InvalidStates("a state file needs images, but these states were read without")
+        raise InvalidFile("a state file needs images, but these states were read without")
     with atomic_write(path) as temporary, new_hdf5(temporary) as file:
         file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
         for name, value in states.attributes.items():
@@ -252,10 +248,10 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
 
     Raises:
         MissingFile: there is no such file.
-        InvalidStates: the file is foreign, truncated or of an unknown format version.
+        InvalidFile: the file is foreign, truncated or of an unknown format version.
     """
     with opened_hdf5(
-        path, what="state file", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidStates
+        path, what="state file", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidFile
     ) as file:
         names = [column.name for column in ROOT if images or column.name != "image"]
         names += [f"{group}/{name}" for group in _GROUPS for name in members(file, group)]
@@ -315,24 +311,24 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
         distinct: refuse states that are equal bit for bit.
 
     Raises:
-        InvalidStates: the parts can't be combined, or states are equal although `distinct` is set.
+        InvalidFile: the parts can't be combined, or states are equal although `distinct` is set.
     """
     if not parts:
-        raise InvalidStates("nothing to merge: give at least one state file")
+        raise InvalidFile("nothing to merge: give at least one state file")
     parts = [_with_drawings(part, parts) for part in parts]
     first = parts[0]
     for other in parts[1:]:
         if other.attributes.get("rope") != first.attributes.get("rope"):
-            raise InvalidStates(
+            raise InvalidFile(
                 f"states to merge must have one rope model, got {first.attributes.get('rope')} and"
                 f" {other.attributes.get('rope')}"
             )
         if other.engine != first.engine:
-            raise InvalidStates(
+            raise InvalidFile(
                 f"states to merge must be of one engine, got {first.engine} and {other.engine}"
             )
         if set(other.quality) != set(first.quality) or set(other.source) != set(first.source):
-            raise InvalidStates("the files have different quality or source columns")
+            raise InvalidFile("the files have different quality or source columns")
     order = merged_order(parts)
     columns = [_with_actions_padded(part, parts).columns() for part in parts]
     shared = [name for name in columns[0] if all(name in other for other in columns)]
@@ -343,7 +339,7 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     config = json.dumps(configs if len(configs) > 1 else configs[0])
     twice = repeated(merged.points) if distinct else []
     if twice:
-        raise InvalidStates(
+        raise InvalidFile(
             f"{len(twice)} states occur twice, first in rows {twice[0][0]} and {twice[0][1]} of the"
             " merged file; merge sets that share no state"
         )

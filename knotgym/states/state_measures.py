@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.streams import InvalidSeed, Stream, generator, key
+from knotgym.common.errors import InvalidInput
+from knotgym.common.streams import Stream, generator, key
 from knotgym.quality.limits import RESET_NOISE
 from knotgym.quality.measures import NOISE_DRAWS, measure, noise_survival
 from knotgym.rope.model import Array, Rope
@@ -77,7 +78,7 @@ def quality_faults(states: States, row: int, crossings: Crossings | None = None)
         step = int(states.source["steps"][row])
         try:
             rng = generator(Stream.RANDOM_WALK_NOISE, seed, rope, step)
-        except InvalidSeed:
+        except InvalidInput:
             return  # `source_faults` reports the seed
         again = noise_survival(states.points[row], RESET_NOISE, rng)
         yield from measure_faults({"noise_survival": survival}, {"noise_survival": again})
@@ -89,7 +90,7 @@ def stream_of(states: States, row: int) -> Stream | None:
     try:
         stream = Stream(seed[0])
         return stream if seed == key(stream, *seed[1:]) else None
-    except (InvalidSeed, ValueError, IndexError, TypeError):
+    except (InvalidInput, ValueError, IndexError, TypeError):
         return None
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.topology.crossing_kernel import (
     OVER_PLACE,
     OVER_Z,
@@ -33,13 +33,6 @@ from knotgym.topology.crossing_kernel import (
     scan_many,
 )
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
-
-
-class InvalidPoints(KnotgymError, ValueError):
-    """The points don't describe a closed rope."""
-
-    def __init__(self, problem: str, expected: str) -> None:
-        super().__init__(f"no closed rope: {problem}; {expected}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +69,7 @@ def find_crossings(points: ArrayLike) -> Crossings:
         points: (beads, 3), at least 3 beads, metres.
 
     Raises:
-        InvalidPoints: the shape is wrong, or a coordinate is not finite.
+        InvalidInput: the shape is wrong, or a coordinate is not finite.
     """
     visits, table = _scan(points)
     position, sign = table[:, [X, Y]], table[:, SIGN].astype(np.int8)
@@ -104,7 +97,7 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
         points: (ropes, beads, 3), at least 3 beads, metres.
 
     Raises:
-        InvalidPoints: the shape is wrong, or a coordinate is not finite.
+        InvalidInput: the shape is wrong, or a coordinate is not finite.
     """
     *read, counts = scan_many(_checked(points, 3))
     visits, signs = (array.astype(np.int32).tobytes() for array in read)
@@ -112,7 +105,9 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
     start = 0
     for row, nx in enumerate(counts.tolist()):
         if nx < 0:
-            raise InvalidPoints(f"a coordinate of rope {row} is not finite", _FINITE)
+            raise InvalidInput(
+                f"no closed rope: a coordinate of rope {row} is not finite; {_FINITE}"
+            )
         end = start + 4 * nx  # bytes: four a sign, and eight for the two visits of a crossing
         codes.append(_shared_code(visits[2 * start : 2 * end], signs[start:end]))
         start = end
@@ -148,8 +143,9 @@ def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
         rope = rope.copy()
     if rope.ndim != ndim or rope.shape[-1] != 3 or rope.shape[-2] < 3:
         expected = "(beads, 3)" if ndim == 2 else "(ropes, beads, 3)"
-        raise InvalidPoints(
-            f"the array has shape {rope.shape}", f"expected {expected} with at least 3 beads"
+        raise InvalidInput(
+            f"no closed rope: the array has shape {rope.shape}; expected {expected} with at least 3"
+            " beads"
         )
     return rope
 
@@ -157,7 +153,7 @@ def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
 def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     finite, visits, table = scan(_checked(points, 2))
     if not finite:
-        raise InvalidPoints("a coordinate is not finite", _FINITE)
+        raise InvalidInput(f"no closed rope: a coordinate is not finite; {_FINITE}")
     return visits, table
 
 

@@ -19,18 +19,8 @@ is edge k walked backwards.
 from collections.abc import Iterator
 from itertools import product
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
-
-
-class NotPlanar(KnotgymError, ValueError):
-    """The code is not that of any closed curve in the plane."""
-
-    def __init__(self, code: GaussCode) -> None:
-        text = str(code) if code.chirality is None else code.chiral
-        super().__init__(
-            f"no closed curve shows the code {text!r}; expected one that is_planar() accepts"
-        )
 
 
 def is_planar(code: GaussCode) -> bool:
@@ -48,7 +38,7 @@ def with_chirality(code: GaussCode) -> GaussCode:
     """Return the code with a planar chirality: its own, or the alphabetically first one.
 
     Raises:
-        NotPlanar: the code has no planar chirality, or its own is not planar.
+        InvalidInput: the code has no planar chirality, or its own is not planar.
     """
     if code.chirality is not None:
         if _is_sphere(face_permutation(code)):
@@ -60,7 +50,7 @@ def with_chirality(code: GaussCode) -> GaussCode:
         return GaussCode(
             code.visits, _letters([sign * flips[part[k]] for k, sign in enumerate(signs)])
         )
-    raise NotPlanar(code)
+    raise not_planar(code)
 
 
 def chiralities(code: GaussCode) -> tuple[str, ...]:
@@ -128,7 +118,7 @@ def face_permutation(code: GaussCode) -> list[int]:
     """Return, for each dart, the next dart with the same face on its left.
 
     Raises:
-        InvalidGaussCode: the code has no chirality.
+        InvalidInput: the code has no chirality.
     """
     return _face_permutation(code.visits, _signs(code.visits, code.signs))
 
@@ -139,7 +129,7 @@ def faces(code: GaussCode) -> list[list[int]]:
     The plain loop has no darts, so its list is empty.
 
     Raises:
-        InvalidGaussCode: the code has no chirality.
+        InvalidInput: the code has no chirality.
     """
     onwards = face_permutation(code)
     seen = [False] * len(onwards)
@@ -304,3 +294,11 @@ def _some_turns(code: GaussCode) -> list[int] | None:
                         turns[other] = turns[known] if alike else -turns[known]
                         todo.append(other)
     return turns if _is_sphere(_face_permutation(code.visits, turns)) else None
+
+
+def not_planar(code: GaussCode) -> InvalidInput:
+    """Make the error for a code that no closed curve in the plane has."""
+    text = str(code) if code.chirality is None else code.chiral
+    return InvalidInput(
+        f"no closed curve shows the code {text!r}; expected one that is_planar() accepts"
+    )

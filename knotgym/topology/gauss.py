@@ -15,20 +15,13 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 
 POSITIVE = "c"
 NEGATIVE = "a"
 
 _SWITCHED = {ord(NEGATIVE): POSITIVE, ord(POSITIVE): NEGATIVE}
 _VISIT = re.compile(r"\s*([1-9][0-9]*)\s*([+-])\s*([ac]?)\s*")
-
-
-class InvalidGaussCode(KnotgymError, ValueError):
-    """Not a Gauss (or PD or DT) code, or the code lacks the chirality that is needed."""
-
-    def __init__(self, problem: str, given: object, expected: str, kind: str = "Gauss") -> None:
-        super().__init__(f"invalid {kind} code, {problem}: got {given!r}; {expected}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +34,7 @@ class GaussCode:
             code.
 
     Raises:
-        InvalidGaussCode: a label is not visited once over and once under, labels are not in order
+        InvalidInput: a label is not visited once over and once under, labels are not in order
             of first visit, or the chirality doesn't have one letter per crossing.
 
     >>> GaussCode((1, -1), "c").chiral
@@ -59,7 +52,7 @@ class GaussCode:
         _check_visits(self.visits)
         letters = self.chirality
         if letters is not None and (len(letters) != self.nx or letters.strip(POSITIVE + NEGATIVE)):
-            raise InvalidGaussCode(
+            raise invalid_code(
                 "wrong chirality", letters, f"expected {self.nx} letters, each 'a' or 'c'"
             )
 
@@ -68,7 +61,7 @@ class GaussCode:
         """Parse "1+,1-" or "1+a,1-a"; spaces are allowed.
 
         Raises:
-            InvalidGaussCode: the text is malformed, only some visits have a letter, or the two
+            InvalidInput: the text is malformed, only some visits have a letter, or the two
                 visits of a crossing have different letters.
 
         >>> GaussCode.parse("1+a, 2-c, 2+c, 1-a").chirality
@@ -81,7 +74,7 @@ class GaussCode:
         for word in text.split(","):
             visit = _VISIT.fullmatch(word)
             if visit is None:
-                raise InvalidGaussCode(
+                raise invalid_code(
                     f"cannot read the visit {word.strip()!r}",
                     text,
                     "a visit is a number, + or -, and optionally a or c",
@@ -89,7 +82,7 @@ class GaussCode:
             label = int(visit[1])
             visits.append(label if visit[2] == "+" else -label)
             if letters.setdefault(label, visit[3]) != visit[3]:
-                raise InvalidGaussCode(
+                raise invalid_code(
                     f"crossing {label} has two different letters",
                     text,
                     "both of its visits must have the same letter, or none",
@@ -97,7 +90,7 @@ class GaussCode:
         _check_visits(visits, text)
         chirality = "".join(letters[label] for label in range(1, len(letters) + 1))
         if chirality and len(chirality) != len(letters):
-            raise InvalidGaussCode(
+            raise invalid_code(
                 "only some crossings have a letter",
                 text,
                 "either all visits must have a letter or none",
@@ -130,7 +123,7 @@ class GaussCode:
         """The code as text with chirality letters.
 
         Raises:
-            InvalidGaussCode: the chirality is unknown.
+            InvalidInput: the chirality is unknown.
         """
         letters = self._letters()
         return ",".join(
@@ -154,7 +147,7 @@ class GaussCode:
         """Crossing signs in order of labels: +1 for "c" and -1 for "a".
 
         Raises:
-            InvalidGaussCode: the chirality is unknown.
+            InvalidInput: the chirality is unknown.
         """
         return tuple([1 if letter == POSITIVE else -1 for letter in self._letters()])
 
@@ -171,7 +164,7 @@ class GaussCode:
         """Return whether both codes have the same visits and, if `chirality`, the same letters.
 
         Raises:
-            InvalidGaussCode: `chirality` is true and one of the codes has none.
+            InvalidInput: `chirality` is true and one of the codes has none.
         """
         if chirality:
             return self._letters() == other._letters() and self.visits == other.visits
@@ -210,7 +203,7 @@ class GaussCode:
 
     def _letters(self) -> str:
         if self.chirality is None:
-            raise InvalidGaussCode(
+            raise invalid_code(
                 "its chirality is unknown", str(self), "give one letter per crossing, as '1+a,1-a'"
             )
         return self.chirality
@@ -261,7 +254,7 @@ def _check_visits(visits: Iterable[int], given: object = None) -> None:
         given: what the error quotes; the visits if None.
 
     Raises:
-        InvalidGaussCode: they are not a Gauss code.
+        InvalidInput: they are not a Gauss code.
     """
     given = visits if given is None else given
     awaited: list[int] = []  # per label the visit still to come, 0 once it has come
@@ -270,13 +263,13 @@ def _check_visits(visits: Iterable[int], given: object = None) -> None:
         if label == len(awaited) + 1:
             awaited.append(-visit)
         elif not 0 < label <= len(awaited):
-            raise InvalidGaussCode(
+            raise invalid_code(
                 f"label {label} comes too early",
                 given,
                 f"labels are in order of first visit, so the next one is {len(awaited) + 1}",
             )
         elif awaited[label - 1] != visit:
-            raise InvalidGaussCode(
+            raise invalid_code(
                 f"crossing {label} is visited twice on one strand, or too often",
                 given,
                 "expected once over (+) and once under (-)",
@@ -285,8 +278,13 @@ def _check_visits(visits: Iterable[int], given: object = None) -> None:
             awaited[label - 1] = 0
     if any(awaited):
         label = next(index for index, visit in enumerate(awaited, 1) if visit)
-        raise InvalidGaussCode(
+        raise invalid_code(
             f"crossing {label} is visited only once",
             given,
             "expected once over (+) and once under (-)",
         )
+
+
+def invalid_code(problem: str, given: object, expected: str, kind: str = "Gauss") -> InvalidInput:
+    """Make the error for text or visits that aren't a code of some kind."""
+    return InvalidInput(f"invalid {kind} code, {problem}: got {given!r}; {expected}")

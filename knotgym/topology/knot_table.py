@@ -17,7 +17,7 @@ from functools import lru_cache
 from importlib.resources import files
 from itertools import combinations_with_replacement, product
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.polynomials import (
     JonesPolynomial,
@@ -35,16 +35,6 @@ Polynomials = tuple[tuple[int, ...], JonesPolynomial]
 _SUMMAND = re.compile(r"(m?)([0-9]+_[0-9]+)")
 
 
-class UnknownKnot(KnotgymError, ValueError):
-    """The table has no knot with this name."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(
-            f"no knot {name!r}; there are 0_1, the prime knots of up to {TABLED} crossings from 3_1"
-            " to 10_165, mirror images (m3_1), and sums (3_1#4_1)"
-        )
-
-
 @lru_cache(maxsize=1)
 def prime_diagrams() -> dict[str, GaussCode]:
     """Return a minimal diagram with chirality of each of the 249 prime knots, by type."""
@@ -57,7 +47,7 @@ def diagram_of(knot: str) -> GaussCode:
     """Return a minimal diagram of a knot, with chirality; the name fixes the handedness.
 
     Raises:
-        UnknownKnot: the table has no such knot.
+        InvalidInput: the table has no such knot.
 
     >>> diagram_of("m3_1").chiral
     '1+a,2-a,3+a,1-a,2+a,3-a'
@@ -74,7 +64,7 @@ def type_of(knot: str) -> str:
     """Return the type of a named knot: without handedness, summands in order of the table.
 
     Raises:
-        UnknownKnot: the table has no such knot.
+        InvalidInput: the table has no such knot.
 
     >>> type_of("m4_1#3_1")
     '3_1#4_1'
@@ -187,7 +177,10 @@ def _summands(knot: str) -> list[tuple[bool, str]]:
     for word in knot.split("#"):
         match = _SUMMAND.fullmatch(word)
         if match is None or (match[2] != UNKNOT and match[2] not in prime_diagrams()):
-            raise UnknownKnot(knot)
+            raise InvalidInput(
+                f"no knot {knot!r}; there are 0_1, the prime knots of up to {TABLED} crossings from"
+                " 3_1 to 10_165, mirror images (m3_1), and sums (3_1#4_1)"
+            )
         found.append((bool(match[1]), match[2]))
     return found
 

@@ -15,7 +15,7 @@ identified by its polynomials, or because it is in the table.
 
 from functools import lru_cache
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import Failed
 from knotgym.topology.diagrams import planar_codes, summands, with_chirality
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import (
@@ -58,17 +58,6 @@ _TYPES: dict[tuple[int, ...], str] = {
 _TABLED = 7
 
 
-class UndecidedKnot(KnotgymError):
-    """The diagram has trivial polynomials but is too large for that to prove it the unknot."""
-
-    def __init__(self, code: GaussCode) -> None:
-        super().__init__(
-            f"can't decide whether a diagram of {code.nx} crossings is the unknot: its Alexander"
-            f" and Jones polynomials are 1, which is a proof up to {JONES_DECIDES} crossings only:"
-            f" {code.chiral}"
-        )
-
-
 @lru_cache(maxsize=65536)
 def is_unknot(code: GaussCode) -> bool:
     """Return whether the rope can be opened to a plain loop.
@@ -78,8 +67,8 @@ def is_unknot(code: GaussCode) -> bool:
             because they differ only by mirrored summands.
 
     Raises:
-        NotPlanar: no closed curve shows the code.
-        UndecidedKnot: the polynomials are trivial, and more than 24 crossings are left.
+        InvalidInput: no closed curve shows the code.
+        Failed: the polynomials are trivial, and more than 24 crossings are left.
     """
     return all(_is_trivial(summand) for summand in summands(without_bigons(with_chirality(code))))
 
@@ -92,7 +81,7 @@ def knot_type(code: GaussCode) -> str:
         code: a planar code; chirality is optional as for `is_unknot`.
 
     Raises:
-        NotPlanar: no closed curve shows the code.
+        InvalidInput: no closed curve shows the code.
 
     >>> knot_type(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"))
     '3_1'
@@ -122,8 +111,8 @@ def shows(code: GaussCode, knot: str) -> bool:
         knot: a name as for `knot_table.diagram_of`.
 
     Raises:
-        NotPlanar: no closed curve shows the code.
-        UnknownKnot: the table has no such knot.
+        InvalidInput: no closed curve shows the code.
+        InvalidInput: the table has no such knot.
 
     >>> shows(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"), "m3_1")
     False
@@ -156,7 +145,11 @@ def _is_trivial(summand: GaussCode) -> bool:
         return is_unknot(smaller)
     if jones_polynomial(smaller) != ((0, 1),):
         return False
-    raise UndecidedKnot(smaller)
+    raise Failed(
+        f"can't decide whether a diagram of {smaller.nx} crossings is the unknot: its Alexander and"
+        f" Jones polynomials are 1, which is a proof up to {JONES_DECIDES} crossings only:"
+        f" {smaller.chiral}"
+    )
 
 
 def _name(summand: GaussCode) -> str:
@@ -164,5 +157,5 @@ def _name(summand: GaussCode) -> str:
         return _TYPES[alexander_polynomial(summand)]
     try:
         return UNKNOT if _is_trivial(summand) else type_from_polynomials(summand) or UNKNOWN
-    except UndecidedKnot:
+    except Failed:
         return UNKNOWN

@@ -29,8 +29,9 @@ import json
 import re
 from collections.abc import Sequence
 
+from knotgym.common.errors import InvalidInput
 from knotgym.topology.diagrams import is_planar
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, InvalidGaussCode
+from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, invalid_code
 
 MOST_CROSSINGS = 1000  # of a code that is read
 _MOST_CHARACTERS = 30 * MOST_CROSSINGS
@@ -45,7 +46,7 @@ def pd_code(code: GaussCode) -> list[list[int]]:
     """Return [a, b, c, d] for each crossing, in order of labels; see the module for the convention.
 
     Raises:
-        InvalidGaussCode: the code has no chirality.
+        InvalidInput: the code has no chirality.
 
     >>> pd_code(GaussCode.parse("1-c,2+c,3-c,1+c,2-c,3+c"))
     [[1, 5, 2, 4], [5, 3, 6, 2], [3, 1, 4, 6]]
@@ -107,7 +108,7 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
             from 0; the base point lies on the one with the lowest.
 
     Raises:
-        InvalidGaussCode: it isn't the PD code of a planar diagram of one oriented knot.
+        InvalidInput: it isn't the PD code of a planar diagram of one oriented knot.
 
     >>> from_pd([[1, 1, 2, 2]]).chiral
     '1-c,1+c'
@@ -155,7 +156,7 @@ def from_dt(partners: Sequence[int]) -> GaussCode:
     """Return the Gauss code of a DT code; its chirality is unknown, because DT doesn't have it.
 
     Raises:
-        InvalidGaussCode: it isn't the DT code of a planar diagram of one knot.
+        InvalidInput: it isn't the DT code of a planar diagram of one knot.
 
     >>> str(from_dt([4, 6, 2]))
     '1+,2-,3+,1-,2+,3-'
@@ -189,7 +190,7 @@ def parse_code(text: str) -> GaussCode:
     (DT:[(4,6,2)]), or with letters (DT[cacbca]).
 
     Raises:
-        InvalidGaussCode: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
+        InvalidInput: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
 
     >>> {str(parse_code(text)) for text in ("1+,1-", "1 -1", "[2]", "PD[X[2,2,1,1]]")}
     {'1+,1-'}
@@ -254,7 +255,7 @@ def _require_size(crossings: int) -> None:
         raise _invalid("it is too large", f"{crossings} crossings", "Gauss, PD or DT", _SIZE)
 
 
-def _invalid(problem: str, given: object, kind: str, expected: str) -> InvalidGaussCode:
+def _invalid(problem: str, given: object, kind: str, expected: str) -> InvalidInput:
     shown = str(given)
     shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
-    return InvalidGaussCode(problem, shown, expected, kind)
+    return invalid_code(problem, shown, expected, kind)

@@ -26,7 +26,7 @@ def alexander_polynomial(code: GaussCode) -> tuple[int, ...]:
         code: a planar code; without chirality it gets one from `diagrams.with_chirality`.
 
     Raises:
-        NotPlanar: no closed curve shows the code.
+        InvalidInput: no closed curve shows the code.
 
     >>> alexander_polynomial(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"))  # trefoil
     (1, -1, 1)
@@ -59,7 +59,7 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
             polynomial is known up to mirrored summands.
 
     Raises:
-        NotPlanar: no closed curve shows the code.
+        InvalidInput: no closed curve shows the code.
 
     >>> jones_polynomial(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"))  # right-handed trefoil
     ((1, 1), (3, 1), (4, -1))

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.topology.crossings import InvalidPoints
+from knotgym.common.errors import InvalidInput
 from knotgym.topology.gauss import GaussCode
 
 _ALIASES: dict[str, type] = {"float": float, "int": int, "complex": complex}
@@ -31,14 +31,14 @@ def pyknotid_code(points: ArrayLike) -> GaussCode:
         points: (beads, 3), metres; the last bead is joined to the first.
 
     Raises:
-        InvalidPoints: the shape is wrong, a number isn't finite, or all beads coincide.
+        InvalidInput: the shape is wrong, a number isn't finite, or all beads coincide.
     """
     rope = np.asarray(points, dtype=np.float64)
     if rope.ndim != 2 or rope.shape[1] != 3 or len(rope) < 3:
-        raise InvalidPoints(f"the array has shape {rope.shape}", _EXPECTED)
+        raise InvalidInput(f"no closed rope: the array has shape {rope.shape}; {_EXPECTED}")
     bead = float(np.linalg.norm(np.roll(rope, -1, axis=0) - rope, axis=1).mean())
     if not np.isfinite(bead) or bead == 0.0:
-        raise InvalidPoints(f"the mean distance of beads is {bead}", _EXPECTED)
+        raise InvalidInput(f"no closed rope: the mean distance of beads is {bead}; {_EXPECTED}")
     scaled = (rope - rope.mean(axis=0)) * (_BEAD / bead)
     with _lent_aliases(), contextlib.redirect_stdout(io.StringIO()):
         from pyknotid.spacecurves import SpaceCurve

@@ -33,7 +33,7 @@ def simplify(code: GaussCode, effort: int = 64) -> GaussCode:
             fewer crossings.
 
     Raises:
-        NotPlanar: no closed curve shows the code.
+        InvalidInput: no closed curve shows the code.
 
     >>> simplify(GaussCode.parse("1+,2+,3-,1-,2-,3+")).nx
     0

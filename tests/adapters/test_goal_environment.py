@@ -10,8 +10,8 @@ import pytest
 
 from knotgym.adapters import GoalEnv, OGBenchEnv, goal_env
 from knotgym.adapters.goal_environment import halves
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv
-from knotgym.envs.tasks import InvalidSetting
 
 STATE: dict[str, Any] = {"nx": 1, "observation": "state"}
 
@@ -80,7 +80,7 @@ def test_the_rope_is_seen_alone(states_path: str, observation: str) -> None:
 def test_settings_that_a_changed_goal_gives_no_meaning_are_refused(
     states_path: str, settings: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(InvalidSetting, match=message):
+    with pytest.raises(InvalidInput, match=message):
         goal_env("tie", states=states_path, **settings)
 
 
@@ -109,5 +109,5 @@ def test_ogbench_is_told_of_success_in_numbers(states_path: str) -> None:
         assert bool(info["success"]) is terminated
         assert not any(isinstance(value, str) for value in info.values())
     assert env.render().shape == (128, 128, 3)
-    with pytest.raises(InvalidSetting, match="task_id must be a number from 1 to 5, got 6"):
+    with pytest.raises(InvalidInput, match="task_id must be a number from 1 to 5, got 6"):
         env.reset(options={"task_id": 6})

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from knotgym.adapters import goal_env, sb3_vec_env
-from knotgym.common.errors import MissingExtra
+from knotgym.common.errors import InvalidInput, MissingExtra
 from knotgym.envs.environment import KnotEnv
-from knotgym.envs.tasks import InvalidSetting
 
 SMALL: dict[str, Any] = {"nx": 1, "horizon": 4, "image_size": 36}
 
@@ -117,10 +116,10 @@ def test_its_algorithms_train(
 @pytest.mark.clients
 def test_what_cannot_be_had_is_refused(states_path: str) -> None:
     pytest.importorskip("stable_baselines3")
-    with pytest.raises(InvalidSetting, match="num_envs must be at least 1, got 0"):
+    with pytest.raises(InvalidInput, match="num_envs must be at least 1, got 0"):
         sb3_vec_env("tie", 0)
     envs = sb3_vec_env("tie", 2, states=states_path, nx=1, observation="state")
-    with pytest.raises(InvalidSetting, match="with goals=True"):
+    with pytest.raises(InvalidInput, match="with goals=True"):
         envs.env_method("compute_reward", 0, 0, {})
-    with pytest.raises(InvalidSetting, match="the same for all ropes"):
+    with pytest.raises(InvalidInput, match="the same for all ropes"):
         envs.set_attr("tag", 1, indices=[0])

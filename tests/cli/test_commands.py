@@ -31,7 +31,7 @@ from knotgym import __version__
 from knotgym.cli import main as cli
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
-from knotgym.common.atomic_files import Occupied
+from knotgym.common.errors import Occupied
 from knotgym.control.policies import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, distinct_id

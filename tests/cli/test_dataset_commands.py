@@ -18,13 +18,13 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.fact_tables import growth
 from knotgym.datasets.cards.state_card import summary
 from knotgym.datasets.episode_reader import Chosen, EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.gallery import Tile, contact_sheet
 from knotgym.datasets.state_verification import state_faults
-from knotgym.rendering.picture import PictureError
 from knotgym.rendering.video import (
     FRAMES_PER_SECOND,
     OUTCOMES,
@@ -99,7 +99,7 @@ def test_a_film_that_needs_pyav_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(PictureError, match=r"pip install '\.\[video\]'"):
+    with pytest.raises(InvalidInput, match=r"pip install '\.\[video\]'"):
         write_film(tmp_path / "a.mp4", FRAMES)
     write_film(tmp_path / "a.gif", FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
@@ -145,7 +145,7 @@ def test_a_film_keeps_its_scale_while_the_rope_shrinks() -> None:
 
 @pytest.mark.parametrize("name", ["a.avi", "a", "a.gif.txt"])
 def test_another_kind_of_film_is_refused_and_not_written(tmp_path: Path, name: str) -> None:
-    with pytest.raises(PictureError, match="a video must end in .gif, .mp4 or .webm"):
+    with pytest.raises(InvalidInput, match="a video must end in .gif, .mp4 or .webm"):
         write_film(tmp_path / name, FRAMES)
     assert list(tmp_path.iterdir()) == []
 

@@ -28,7 +28,7 @@ import pytest
 import knotgym as package
 from knotgym.cli import main as cli
 from knotgym.common.atomic_files import sha256
-from knotgym.datasets.episode_reader import InvalidEpisodeFile
+from knotgym.common.errors import InvalidFile
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.search import new_archive
@@ -305,7 +305,7 @@ def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
     shutil.copytree(curated / name, tmp_path / name)
     found = arrays(tmp_path, observation="state")
     assert np.array_equal(found["actions"], arrays(curated / name)["actions"])
-    with pytest.raises(InvalidEpisodeFile, match="holds several datasets; choose one of them"):
+    with pytest.raises(InvalidFile, match="holds several datasets; choose one of them"):
         arrays(curated)
 
 

@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 import pytest
 
-from knotgym.common.atomic_files import LinkedFile, Occupied, atomic_write
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
 from knotgym.datasets.exports.minari_export import to_minari
-from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache
+from knotgym.loaders.frame_cache import CachedFrames, FrameCache
 from knotgym.runs.staging import staging_folder
 
 from ..small_job import knotgym
@@ -257,7 +258,7 @@ def test_an_export_copies_a_datasets_own_files_and_no_links(
     }
     (data / "main_data.hdf5").rename(tmp_path / "elsewhere.hdf5")
     (data / "main_data.hdf5").symlink_to(tmp_path / "elsewhere.hdf5")
-    with pytest.raises(LinkedFile):
+    with pytest.raises(InvalidFile):
         to_minari([tmp_path / "copy"], tmp_path / "b")
     for form in ("compact", "minari", "lerobot", "ogbench", "huggingface"):
         assert knotgym("dataset", "export", data.parent, "--to", form, "--out", tmp_path / "b") == 2
@@ -271,6 +272,6 @@ def test_a_cache_of_frames_follows_no_link(episodes: Path, tmp_path: Path) -> No
 
     (tmp_path / "mine").mkdir()
     (tmp_path / "cache").symlink_to(tmp_path / "mine")
-    with pytest.raises(NoCache, match="is a link"):
+    with pytest.raises(InvalidInput, match="is a link"):
         CachedFrames(EpisodeReader(episodes), None, FrameCache(tmp_path / "cache"))
     assert not any((tmp_path / "mine").iterdir())

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.configuration import InvalidConfig, check_numbers, from_json
-from knotgym.common.errors import KnotgymError
+from knotgym.common.configuration import check_numbers, from_json
+from knotgym.common.errors import InvalidInput, KnotgymError
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
@@ -59,12 +59,12 @@ def test_every_number_of_every_configuration_refuses_nonsense(
     [{"relaxations": ((0, 3),)}, {"relaxations": ((5, 3),)}, {"gentle": 1.5}],
 )
 def test_walks_that_make_no_sense_are_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(InvalidConfig):
+    with pytest.raises(InvalidInput):
         WalkConfig(**settings)
 
 
 def test_a_search_must_have_room_to_set_out() -> None:
-    with pytest.raises(InvalidConfig, match="longest must be at least room"):
+    with pytest.raises(InvalidInput, match="longest must be at least room"):
         SearchSettings(longest=3)
 
 
@@ -96,7 +96,7 @@ def test_a_configuration_comes_back_from_json(config: Any) -> None:
 
 
 def test_a_value_without_a_field_is_refused() -> None:
-    with pytest.raises(InvalidConfig, match="ArchiveConfig: no field 'mood'; there is kept, fair"):
+    with pytest.raises(InvalidInput, match="ArchiveConfig: no field 'mood'; there is kept, fair"):
         from_json(ArchiveConfig, {"kept": 2, "mood": 1})
 
 

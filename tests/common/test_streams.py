@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.common.streams import InvalidSeed, Stream, derived_seed, generator, key, words
+from knotgym.common.errors import InvalidInput
+from knotgym.common.streams import Stream, derived_seed, generator, key, words
 
 from ..small_job import knotgym
 
@@ -40,7 +41,7 @@ def test_counters_that_are_not_named_do_not_make_another_purpose_draw_the_same()
 
 @pytest.mark.parametrize("wrong", [(-1,), (2**63,), (0, -1), (0, 1, 2, 3, 4)])
 def test_a_seed_out_of_range_is_refused_in_one_line(wrong: tuple[int, ...]) -> None:
-    with pytest.raises(InvalidSeed) as caught:
+    with pytest.raises(InvalidInput) as caught:
         key(Stream.SPLIT, *wrong)
     assert len(str(caught.value).splitlines()) == 1
 

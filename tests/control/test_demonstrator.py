@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from knotgym.common.errors import InvalidFile, InvalidPolicy
 from knotgym.control.demonstrator import Demonstrator
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
 from knotgym.control.pass_counts import (
     EVERY_CODE,
     PASSES,
     DiagramValues,
-    InvalidPasses,
     PassChoice,
     PassCounts,
     shipped_values,
@@ -21,7 +21,7 @@ from knotgym.control.pass_counts import (
     templates,
 )
 from knotgym.control.pass_play import goals_not_held_out
-from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
+from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram
 from knotgym.control.transition_counts import ELEMENTS, ArcCoordinates
@@ -141,7 +141,7 @@ def test_counts_survive_a_file_and_a_changed_one_is_refused(tmp_path: Path) -> N
     assert PassCounts.load(path).seen == made.seen
     with h5py.File(path, "r+") as file:
         file["seen"][0] = 77
-    with pytest.raises(InvalidPasses, match="SHA-256"):
+    with pytest.raises(InvalidFile, match="SHA-256"):
         PassCounts.load(path)
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.common.configuration import InvalidConfig
+from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.control import planner
 from knotgym.control.action_sequence import step_ropes
 from knotgym.control.checked_plan import Stand, plan_checked
@@ -18,7 +18,6 @@ from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_counts import (
     ELEMENTS,
     ArcCoordinates,
-    InvalidTransitions,
     MacroTemplate,
     TransitionCounts,
     transformed,
@@ -162,7 +161,7 @@ def test_transitions_come_back_from_their_file(tmp_path: Path) -> None:
 
 def test_a_foreign_file_holds_no_transitions(tmp_path: Path) -> None:
     (tmp_path / "t.h5").write_text("no")
-    with pytest.raises(InvalidTransitions):
+    with pytest.raises(InvalidFile):
         TransitionCounts.load(tmp_path / "t.h5")
     with pytest.raises(FileNotFoundError):
         TransitionCounts.load(tmp_path / "absent.h5")
@@ -419,7 +418,7 @@ def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_pa
     ],
 )
 def test_settings_no_planner_can_have_are_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(InvalidConfig):
+    with pytest.raises(InvalidInput):
         PlannerConfig(**settings)
 
 
@@ -427,5 +426,5 @@ def test_changed_counts_are_refused(tmp_path: Path) -> None:
     kinks().save(tmp_path / "transitions.h5")
     with h5py.File(tmp_path / "transitions.h5", "a") as file:
         file["seen"][0] = 7
-    with pytest.raises(InvalidTransitions, match="is corrupted"):
+    with pytest.raises(InvalidFile, match="is corrupted"):
         TransitionCounts.load(tmp_path / "transitions.h5")

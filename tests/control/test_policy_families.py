@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from knotgym.common.errors import InvalidPolicy
 from knotgym.control import policies
 from knotgym.control.basic_policies import ConstantPolicy
 from knotgym.control.policies import (
-    InvalidPolicy,
     PolicyConfig,
     PolicyFamily,
     make_policy,

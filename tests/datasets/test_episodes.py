@@ -24,9 +24,9 @@ import pytest
 from typer.testing import CliRunner
 
 import knotgym
-from knotgym.common.atomic_files import Occupied
+from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
 from knotgym.datasets import episode_verification
-from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
+from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay, show_episodes, verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.minari_dataset import MinariMetadata, compact, metadata_of, publish
@@ -34,7 +34,6 @@ from knotgym.datasets.trajectory import (
     INFOS,
     OPTIONAL,
     Episode,
-    InvalidEpisode,
     goals_reached,
     relabel_all,
     relabelled,
@@ -182,7 +181,7 @@ def test_the_recorded_episodes_are_of_unequal_lengths_and_of_both_ends(
 def test_an_episode_refuses_arrays_that_do_not_fit(
     episodes: list[Episode], name: str, wrong: Any
 ) -> None:
-    with pytest.raises(InvalidEpisode, match=name):
+    with pytest.raises(InvalidInput, match=name):
         replace(episodes[0], **{name: wrong})
 
 
@@ -235,7 +234,7 @@ def test_hindsight_refuses_a_goal_that_was_reached_before() -> None:
 
 
 def test_hindsight_refuses_a_step_that_reaches_nothing_new(episodes: list[Episode]) -> None:
-    with pytest.raises(InvalidEpisode, match="reaches another code first"):
+    with pytest.raises(InvalidInput, match="reaches another code first"):
         relabelled(episodes[0], 0)
 
 
@@ -358,7 +357,7 @@ def test_merging_refuses_two_episodes_of_one_number(
     tmp_path: Path, task: TaskConfig, episodes: list[Episode]
 ) -> None:
     paths = [write(tmp_path / f"{k}.h5", task, {4: episodes[k]}) for k in range(2)]
-    with pytest.raises(InvalidEpisodeFile, match="number 4"):
+    with pytest.raises(InvalidFile, match="number 4"):
         merge_episodes(paths, tmp_path / "c.h5")
     merge_episodes(paths[::-1], tmp_path / "c.h5", concatenate=True)
     assert [one.digest() for one in EpisodeReader(tmp_path / "c.h5")] == [
@@ -371,7 +370,7 @@ def test_merging_refuses_files_of_different_tasks(
     tmp_path: Path, task: TaskConfig, episodes: list[Episode]
 ) -> None:
     paths = [write(tmp_path / f"{nx}.h5", replace(task, nx=nx), {nx: episodes[0]}) for nx in (2, 3)]
-    with pytest.raises(InvalidEpisodeFile, match="one task"):
+    with pytest.raises(InvalidFile, match="one task"):
         merge_episodes(paths, tmp_path / "c.h5")
 
 
@@ -432,7 +431,7 @@ def test_a_dataset_is_replaced_only_when_asked(root: Path, tmp_path: Path) -> No
 @pytest.mark.parametrize("content", [b"", b"not HDF5"])
 def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.h5").write_bytes(content)
-    with pytest.raises(InvalidEpisodeFile, match="isn't a whole episode file") as caught:
+    with pytest.raises(InvalidFile, match="isn't a whole episode file") as caught:
         EpisodeReader(tmp_path / "a.h5")
     assert "\n" not in str(caught.value)
 
@@ -440,13 +439,13 @@ def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path, content: bytes) -
 def test_a_truncated_file_is_refused(tmp_path: Path, root: Path) -> None:
     content = (root / ID / "data" / "main_data.hdf5").read_bytes()
     (tmp_path / "a.h5").write_bytes(content[: len(content) // 2])
-    with pytest.raises(InvalidEpisodeFile):
+    with pytest.raises(InvalidFile):
         EpisodeReader(tmp_path / "a.h5")
 
 
 def test_another_format_is_refused(tmp_path: Path) -> None:
     h5py.File(tmp_path / "a.h5", "w").close()
-    with pytest.raises(InvalidEpisodeFile, match="format 'none'"):
+    with pytest.raises(InvalidFile, match="format 'none'"):
         EpisodeReader(tmp_path / "a.h5")
 
 

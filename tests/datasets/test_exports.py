@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from knotgym.common.atomic_files import Occupied
+from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.exports import lerobot_export
-from knotgym.datasets.exports.forms import ExportError, export
+from knotgym.datasets.exports.forms import export
 from knotgym.datasets.exports.lerobot_export import LEAST_PSNR, task_text
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
@@ -209,15 +209,15 @@ def test_what_can_t_be_video_is_refused(
     dataset: Path, task: TaskConfig, episodes: list[Episode], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    with pytest.raises(ExportError, match="no video 'vp9'; there is h264, av1"):
+    with pytest.raises(InvalidInput, match="no video 'vp9'; there is h264, av1"):
         export(dataset, out, "lerobot", video="vp9")
-    with pytest.raises(ExportError, match="AV1 needs an even number of at least 64 pixels"):
+    with pytest.raises(InvalidInput, match="AV1 needs an even number of at least 64 pixels"):
         export(dataset, out, "lerobot", video="av1")
-    with pytest.raises(ExportError, match="format ogbench has no video, got 'h264'"):
+    with pytest.raises(InvalidInput, match="format ogbench has no video, got 'h264'"):
         export(dataset, out, "ogbench", video="h264")
     with EpisodeWriter(tmp_path / "a.h5", replace(task, observation="state")) as writer:
         writer.add(episodes[0])
-    with pytest.raises(ExportError, match="has no pictures to write as video"):
+    with pytest.raises(InvalidInput, match="has no pictures to write as video"):
         export(tmp_path / "a.h5", out, "lerobot", video="h264")
     given = ("dataset", "export", dataset, "--to", "minari", "--video", "h264", "--out", out)
     assert knotgym(*given) == 2 and not out.exists()
@@ -228,9 +228,9 @@ def test_what_has_no_place_in_a_form_is_refused(
 ) -> None:
     with EpisodeWriter(tmp_path / "a.h5", replace(task, observation="symbolic")) as writer:
         writer.add(episodes[0])
-    with pytest.raises(ExportError, match="at least 2 episodes .* has 1 of symbolic"):
+    with pytest.raises(InvalidInput, match="at least 2 episodes .* has 1 of symbolic"):
         export(tmp_path / "a.h5", tmp_path / "out", "ogbench")
-    with pytest.raises(ExportError, match="has 1 episodes of symbolic in layout beside"):
+    with pytest.raises(InvalidInput, match="has 1 episodes of symbolic in layout beside"):
         export(tmp_path / "a.h5", tmp_path / "out", "lerobot")
     with pytest.raises(match="no format 'hdf5'; formats are compact, lerobot, ogbench"):
         export(tmp_path / "a.h5", tmp_path / "out", "hdf5")
@@ -358,6 +358,6 @@ def test_an_id_that_leads_out_is_refused(dataset: Path, tmp_path: Path) -> None:
     for name, said in (("knotgym/../../x-v0", "leads out"), (None, "not a Minari dataset")):
         changed = {**told, "dataset_id": name} if name else {"dataset_id": "knotgym/x-v0"}
         (copy / "data" / "metadata.json").write_text(json.dumps(changed))
-        with pytest.raises(ExportError, match=said):
+        with pytest.raises(InvalidInput, match=said):
             to_minari([copy], tmp_path / "out" / "root")
     assert not (tmp_path / "out").exists()

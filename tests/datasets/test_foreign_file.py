@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from knotgym.datasets.foreign_file import HarmfulFile, try_files
+from knotgym.common.errors import InvalidFile
+from knotgym.datasets.foreign_file import try_files
 
 
 def test_a_sound_file_and_one_that_is_no_hdf5_pass(states_path: str, tmp_path: Path) -> None:
@@ -28,6 +29,6 @@ def test_a_crash_and_a_hang_are_one_line(
 
     monkeypatch.setattr(subprocess, "run", run)
     with pytest.raises(
-        HarmfulFile, match=rf"{Path(states_path).name} makes the HDF5 library {said}"
+        InvalidFile, match=rf"{Path(states_path).name} makes the HDF5 library {said}"
     ):
         try_files([Path(states_path)])

@@ -6,8 +6,8 @@ import gymnasium
 import pytest
 
 import knotgym
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv
-from knotgym.envs.tasks import InvalidSetting
 from knotgym.states.state_file import States, read_states, shipped
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import is_unknot
@@ -59,5 +59,5 @@ def test_the_unknot_task_begins_with_one(nx: int) -> None:
 
 
 def test_their_missing_train_split_is_refused_with_the_one_there_is() -> None:
-    with pytest.raises(InvalidSetting, match="Use split 'test'$"):
+    with pytest.raises(InvalidInput, match="Use split 'test'$"):
         KnotEnv("unknot", nx=7, states="hard-unknots")

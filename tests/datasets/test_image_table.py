@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from knotgym.common.errors import InvalidFile
 from knotgym.datasets.image_rows import Row, record
-from knotgym.datasets.image_table import InvalidImages, decode, encode, read_table, write_rows
+from knotgym.datasets.image_table import decode, encode, read_table, write_rows
 from knotgym.datasets.image_verification import shard_faults
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.states.state_file import read_states, shipped
@@ -94,7 +95,7 @@ def test_columns_of_another_type_missing_or_twice_are_refused(shard: Path, tmp_p
         (lambda t: t.append_column(t.field(5), t.column(5)), "column nx must exist once, found 2"),
         (lambda t: t.replace_schema_metadata({"knotgym": "[]"}), "has format 'none'"),
     ):
-        with pytest.raises(InvalidImages, match=told):
+        with pytest.raises(InvalidFile, match=told):
             read_table(changed(shard, tmp_path, change))
 
 
@@ -103,7 +104,7 @@ def test_a_picture_that_would_fill_the_memory_is_refused() -> None:
     assert decode(sound).shape == (8, 8, 3)
     bomb = sound[:16] + struct.pack(">II", 60_000, 60_000) + sound[24:]
     for data in (bomb, b"", b"GIF89a" + sound):
-        with pytest.raises(InvalidImages):
+        with pytest.raises(InvalidFile):
             decode(data)
 
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.configuration import UnreadableJson, read_json
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import InvalidFile
 from knotgym.datasets.manifest_check import (
     listed_faults,
     read_manifest,
@@ -70,7 +71,7 @@ def test_what_no_run_reports_is_a_fault_and_is_not_shown(
 def test_what_is_no_json_is_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "manifest.json"
     path.write_bytes(content)
-    with pytest.raises(UnreadableJson, match=r"isn't valid JSON") as raised:
+    with pytest.raises(InvalidFile, match=r"isn't valid JSON") as raised:
         read_json(path)
     assert str(raised.value).isprintable()
     assert len(read_manifest(tmp_path)[1]) == 1
@@ -81,9 +82,9 @@ def test_a_pipe_and_what_is_too_large_are_not_read(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to("/dev/zero")
     (tmp_path / "large").write_bytes(b" " * 101)
     for name, told in (("pipe", "a regular file"), ("link", "a regular file")):
-        with pytest.raises(UnreadableJson, match=told):
+        with pytest.raises(InvalidFile, match=told):
             read_json(tmp_path / name)
-    with pytest.raises(UnreadableJson, match="more than 100 bytes"):
+    with pytest.raises(InvalidFile, match="more than 100 bytes"):
         read_json(tmp_path / "large", most=100)
 
 

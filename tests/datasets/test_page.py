@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.page import page_data as data_module
-from knotgym.datasets.page.page_data import UnshownDataset, page_data
+from knotgym.datasets.page.page_data import page_data
 from knotgym.datasets.page.page_writer import page_html
 from knotgym.states.state_file import States, write_states
 
@@ -129,7 +130,7 @@ def test_a_large_set_is_sampled_and_says_so(curated: Path, monkeypatch: pytest.M
 
 def test_a_file_without_rows_has_no_page(states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", states.taken(np.arange(0)))
-    with pytest.raises(UnshownDataset, match="nothing to show"):
+    with pytest.raises(InvalidInput, match="nothing to show"):
         page_data("empty", states=tmp_path / "s.h5")
 
 

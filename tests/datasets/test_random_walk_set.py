@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import knotgym
-from knotgym.states.state_file import InvalidStates, States, read_states, shipped
+from knotgym.common.errors import InvalidFile
+from knotgym.states.state_file import States, read_states, shipped
 
 
 @pytest.fixture(scope="module")
@@ -48,5 +49,5 @@ def test_an_environment_resets_from_them_by_name() -> None:
 
 def test_another_name_of_a_set_is_refused() -> None:
     assert shipped("readable") == shipped()
-    with pytest.raises(InvalidStates, match="there are readable, random-walk, hard-unknots"):
+    with pytest.raises(InvalidFile, match="there are readable, random-walk, hard-unknots"):
         shipped("published")

@@ -8,18 +8,12 @@ import h5py
 import numpy as np
 import pytest
 
+from knotgym.common.errors import InvalidFile
 from knotgym.datasets.state_verification import state_faults
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
 from knotgym.states.schema import ROOT
-from knotgym.states.state_file import (
-    SHIPPED,
-    InvalidStates,
-    States,
-    read_states,
-    shipped,
-    write_states,
-)
+from knotgym.states.state_file import SHIPPED, States, read_states, shipped, write_states
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import diagram_form
@@ -111,12 +105,12 @@ def test_configurations_in_the_attributes_become_json(states: States, tmp_path: 
 
 
 def test_columns_of_different_lengths_are_refused(states: States) -> None:
-    with pytest.raises(InvalidStates, match="column nx has 29 rows, qpos has 30"):
+    with pytest.raises(InvalidFile, match="column nx has 29 rows, qpos has 30"):
         replace(states, nx=states.nx[1:])
 
 
 def test_states_without_images_are_not_written(states: States, tmp_path: Path) -> None:
-    with pytest.raises(InvalidStates, match="read without"):
+    with pytest.raises(InvalidFile, match="read without"):
         write_states(tmp_path / "a.h5", replace(states, image=None))
     assert list(tmp_path.iterdir()) == []
 
@@ -130,14 +124,14 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_a_truncated_file_is_refused_in_one_line(copy: Path, kept: float) -> None:
     raw = copy.read_bytes()
     copy.write_bytes(raw[: int(kept if kept >= 1 else kept * len(raw))])
-    with pytest.raises(InvalidStates, match="isn't a whole state file") as caught:
+    with pytest.raises(InvalidFile, match="isn't a whole state file") as caught:
         read_states(copy)
     assert "\n" not in str(caught.value) and str(copy) in str(caught.value)
 
 
 def test_a_file_that_is_no_hdf5_is_refused_in_one_line(copy: Path) -> None:
     copy.write_text("qpos,points\n1,2\n")
-    with pytest.raises(InvalidStates, match="isn't a whole state file") as caught:
+    with pytest.raises(InvalidFile, match="isn't a whole state file") as caught:
         read_states(copy)
     assert "\n" not in str(caught.value)
 
@@ -146,7 +140,7 @@ def test_a_foreign_hdf5_is_refused(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "foreign.h5", "w") as file:
         file["qpos"] = np.zeros(3)
     with pytest.raises(
-        InvalidStates,
+        InvalidFile,
         match="format 'none' version none; this version reads 'knotgym-states' version 1",
     ):
         read_states(tmp_path / "foreign.h5")
@@ -156,7 +150,7 @@ def test_another_format_version_is_refused(copy: Path) -> None:
     with h5py.File(copy, "a") as file:
         file.attrs["format_version"] = 2
     with pytest.raises(
-        InvalidStates,
+        InvalidFile,
         match="format 'knotgym-states' version 2; this version reads .* version 1",
     ):
         read_states(copy)
@@ -166,7 +160,7 @@ def test_another_format_version_is_refused(copy: Path) -> None:
 def test_a_missing_column_is_refused(copy: Path, name: str) -> None:
     with h5py.File(copy, "a") as file:
         del file[name]
-    with pytest.raises(InvalidStates, match=name):
+    with pytest.raises(InvalidFile, match=name):
         read_states(copy)
 
 
@@ -175,7 +169,7 @@ def test_a_column_of_another_kind_is_refused(copy: Path, name: str) -> None:
     with h5py.File(copy, "a") as file:
         del file[name]
         file[name] = 3.0
-    with pytest.raises(InvalidStates):
+    with pytest.raises(InvalidFile):
         read_states(copy)
 
 
@@ -189,7 +183,7 @@ def test_flipped_bytes_are_read_as_written_or_refused(copy: Path, states: States
         copy.write_bytes(harmed)
         try:
             assert len(read_states(copy)) == len(states)
-        except InvalidStates:
+        except InvalidFile:
             refused += 1
     assert refused > 50
 
@@ -247,7 +241,7 @@ def test_a_column_that_misses_the_schema_is_named(
     with h5py.File(copy, "a") as file:
         del file[name]
         file[name] = values
-    with pytest.raises(InvalidStates, match=said):
+    with pytest.raises(InvalidFile, match=said):
         read_states(copy)
 
 

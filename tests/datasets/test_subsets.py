@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets import delete, read_rows, select, split, verify
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import write_rows
-from knotgym.datasets.row_expressions import InvalidExpression, matching_rows
-from knotgym.datasets.selectable_rows import InvalidSelection
+from knotgym.datasets.row_expressions import matching_rows
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.states.near_duplicates import families
 from knotgym.states.state_file import read_states, shipped
@@ -66,7 +66,7 @@ def test_a_condition_means_what_python_would_make_of_it_row_by_row(text: str) ->
 def test_any_other_text_is_refused_in_one_line(text: str) -> None:
     try:
         matching_rows(text, COLUMNS)
-    except InvalidExpression as error:
+    except InvalidInput as error:
         assert "\n" not in str(error)
 
 
@@ -95,7 +95,7 @@ def test_any_other_text_is_refused_in_one_line(text: str) -> None:
 def test_a_bad_expression_is_refused_in_one_line_and_nothing_is_written(
     tmp_path: Path, text: str, problem: str
 ) -> None:
-    with pytest.raises(InvalidExpression, match=problem) as caught:
+    with pytest.raises(InvalidInput, match=problem) as caught:
         matching_rows(text, COLUMNS)
     assert "\n" not in str(caught.value)
     assert (
@@ -198,7 +198,7 @@ def test_pictures_of_one_file_are_selected(shard: Path, tmp_path: Path) -> None:
     where = f"nx == {row['nx']} and grade == '{row['grade']}' and 'x' not in knot"
     made = select(shard, where=where, out=tmp_path / "a.parquet")
     assert list(read_rows(made)) == [row]
-    with pytest.raises(InvalidSelection, match="none of the 1 rows"):
+    with pytest.raises(InvalidInput, match="none of the 1 rows"):
         delete(shard, [row["source"]["row"]], out=tmp_path / "b.parquet")
 
 
@@ -219,7 +219,7 @@ def test_selected_and_split_pictures_verify(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("parts", ["a=1", "a=0.5,b=0.4", "a=0.5,a=0.5", "x", "a=2,b=-1", "a=0.5;b"])
 def test_parts_that_are_no_fractions_are_refused(tmp_path: Path, parts: str) -> None:
-    with pytest.raises(InvalidSelection, match="parts are"):
+    with pytest.raises(InvalidInput, match="parts are"):
         split("readable", parts, out=tmp_path / "a.h5")
 
 

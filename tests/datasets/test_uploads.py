@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import citation_file
-from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.generate.episodes.suite_scores import CELL, LINE, score_tables
 from knotgym.states.state_file import read_states
@@ -113,7 +113,7 @@ def test_cards_show_a_hostile_name_as_text(curated: Path, tmp_path: Path) -> Non
 @needs_arrow
 def test_a_shard_s_name_writes_no_yaml(tmp_path: Path) -> None:
     (tmp_path / "train\n  path: x-0.parquet").write_bytes(b"")
-    with pytest.raises(ExportError, match="must begin with a split"):
+    with pytest.raises(InvalidInput, match="must begin with a split"):
         to_huggingface(ToUpload("pictures", pictures=tmp_path), tmp_path / "hub")
 
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.errors import MissingFile
+from knotgym.common.errors import InvalidFile, MissingFile
 from knotgym.datasets.walks_file import (
-    InvalidWalks,
     Walks,
     joined_walks,
     read_walks,
@@ -106,5 +105,5 @@ def test_walks_of_another_format_or_rope_are_refused(
     write_walks(tmp_path / "walks.h5", walks)
     with h5py.File(tmp_path / "walks.h5", "a") as file:
         file.attrs[name] = value
-    with pytest.raises(InvalidWalks, match=str(value)):
+    with pytest.raises(InvalidFile, match=str(value)):
         read_walks(tmp_path / "walks.h5")

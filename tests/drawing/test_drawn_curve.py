@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from knotgym.common.errors import Failed, InvalidInput
 from knotgym.drawing.circle_packing import pack_circles
-from knotgym.drawing.drawn_curve import TooManyCrossings, UndrawnCode, drawn_curve
+from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.drawing.planar_map import planar_map
 from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import NotPlanar, faces, with_chirality
+from knotgym.topology.diagrams import faces, with_chirality
 from knotgym.topology.gauss import GaussCode
 
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
@@ -20,7 +21,7 @@ def first_drawn(code: GaussCode, seed: int) -> np.ndarray:
     for _ in range(20):
         try:
             return drawn_curve(code, rng)
-        except UndrawnCode:
+        except Failed:
             continue
     raise AssertionError(f"20 drawings of {code.chiral} are too tight")
 
@@ -41,13 +42,13 @@ def test_the_same_generator_draws_the_same_rope_and_another_does_not() -> None:
 
 
 def test_a_code_that_is_not_planar_is_refused() -> None:
-    with pytest.raises(NotPlanar):
+    with pytest.raises(InvalidInput):
         drawn_curve(GaussCode.parse("1+,2-,1-,2+"), np.random.default_rng(0))
 
 
 def test_more_crossings_than_a_rope_has_room_for_are_refused() -> None:
     kinks = GaussCode(tuple(sign * k for k in range(1, 18) for sign in (1, -1)))
-    with pytest.raises(TooManyCrossings, match="16 crossings at most, got a code with 17"):
+    with pytest.raises(InvalidInput, match="16 crossings at most, got a code with 17"):
         drawn_curve(kinks, np.random.default_rng(0))
 
 

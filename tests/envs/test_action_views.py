@@ -8,17 +8,16 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from knotgym.common.errors import InvalidInput, InvalidPolicy
 from knotgym.control.policies import PolicyConfig, make_policy
-from knotgym.control.policy import InvalidPolicy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import InvalidSetting, TaskConfig
-from knotgym.loaders import NoLabels, NoMacroActions, Transitions, arrays
+from knotgym.envs.tasks import TaskConfig
+from knotgym.loaders import Transitions, arrays
 from knotgym.rope.actions import FORCE_CHOICES, chosen_forces, force_choices, quantized
 from knotgym.rope.macro_actions import LONGEST
-from knotgym.rope.simulation import InvalidAction
 
 VIEWS = ("bead", "macro")
 
@@ -61,7 +60,7 @@ def test_a_view_has_its_space_and_survives_in_a_spec(
 
 
 def test_an_unknown_view_is_refused() -> None:
-    with pytest.raises(InvalidSetting, match="no action 'force'; there is pull, bead, macro"):
+    with pytest.raises(InvalidInput, match="no action 'force'; there is pull, bead, macro"):
         TaskConfig(task="tie", action="force")
 
 
@@ -150,7 +149,7 @@ def test_an_invalid_action_leaves_the_rope_alone(
 ) -> None:
     env = KnotEnv("tie", **settings(task, action=view))
     before, _ = env.reset(seed=0)
-    with pytest.raises(InvalidAction, match=told):
+    with pytest.raises(InvalidInput, match=told):
         env.step(np.array(action))
     assert np.array_equal(env.episodes.state(0), before) and env.episodes.steps[0] == 0
 
@@ -231,11 +230,11 @@ def test_a_dataset_without_macro_actions_is_refused(
     pulls = replace(task, action="pull", horizon=2)
     with EpisodeWriter(tmp_path / "pulls.h5", pulls) as writer:
         writer.add(rollout(pulls, make_policy(PolicyConfig()), [0], 0)[0].episode)
-    with pytest.raises(NoMacroActions, match="doesn't record macro-actions: use action 'pull'"):
+    with pytest.raises(InvalidInput, match="doesn't record macro-actions: use action 'pull'"):
         arrays(tmp_path / "pulls.h5", action="macro")
-    with pytest.raises(NoLabels, match="the expert's actions are pulls"):
+    with pytest.raises(InvalidInput, match="the expert's actions are pulls"):
         arrays(played, labels=True)
-    with pytest.raises(InvalidSetting, match="no action 'force'"):
+    with pytest.raises(InvalidInput, match="no action 'force'"):
         arrays(played, action="force")
 
 

@@ -17,15 +17,14 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
-from knotgym.common.errors import MissingFile
+from knotgym.common.errors import Failed, InvalidFile, InvalidInput, MissingFile
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.observations import SYMBOLS, symbols
 from knotgym.envs.task_states import state_origins
-from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import PictureConfig, draw
-from knotgym.rendering.window import NoWindow, PictureWindow
-from knotgym.rope.simulation import InvalidAction
-from knotgym.states.state_file import InvalidStates, States, merge_states, write_states
+from knotgym.rendering.window import PictureWindow
+from knotgym.states.state_file import States, merge_states, write_states
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
@@ -480,13 +479,13 @@ def test_rows_that_cannot_be_had_are_refused_in_one_line(
     make: Make, options: dict[str, Any]
 ) -> None:
     env = make("convert", nx=2)
-    with pytest.raises(InvalidSetting, match=next(iter(options))) as caught:
+    with pytest.raises(InvalidInput, match=next(iter(options))) as caught:
         env.reset(seed=0, options=options)
     assert "\n" not in str(caught.value)
 
 
 def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None:
-    with pytest.raises(InvalidSetting, match="train split: 12, 14, 16; got 13"):
+    with pytest.raises(InvalidInput, match="train split: 12, 14, 16; got 13"):
         make(nx=2).reset(options={"start": int(states.rows(2, "test")[0])})
 
 
@@ -538,7 +537,7 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
 def test_settings_that_cannot_be_had_are_refused_in_one_line(
     make: Make, settings: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(InvalidSetting, match=message) as caught:
+    with pytest.raises(InvalidInput, match=message) as caught:
         make(**settings)
     assert "\n" not in str(caught.value)
 
@@ -548,7 +547,7 @@ def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them
 ) -> None:
     monkeypatch.setattr("knotgym.envs.task_states.shipped", lambda: Path(states_path))
     with pytest.raises(
-        InvalidSetting, match="no states with nx = 6 in split 'train' of .*knotgym-generate --nx 6"
+        InvalidInput, match="no states with nx = 6 in split 'train' of .*knotgym-generate --nx 6"
     ):
         make("tie", nx=6)
 
@@ -586,7 +585,7 @@ def test_other_crossings_that_the_file_lacks_are_refused_with_what_it_has(
     make: Make, only_nx3: str, task: str, nx: int, lacks: int
 ) -> None:
     right = f"nx = {lacks} in split 'train' of .*nx3.h5, .* nx = {nx}; it has nx 3 .train, test.. "
-    with pytest.raises(InvalidSetting, match=right) as caught:
+    with pytest.raises(InvalidInput, match=right) as caught:
         make(task, nx=nx, states=only_nx3)
     assert "\n" not in str(caught.value)
 
@@ -595,7 +594,7 @@ def test_a_split_that_the_file_lacks_is_refused_plain_loops_too(
     make: Make, states: States, tmp_path: Path
 ) -> None:
     write_states(tmp_path / "train.h5", states.taken(np.flatnonzero(states.split == "train")))
-    with pytest.raises(InvalidSetting, match="nx = 0 in split 'test' .* it has nx 0 .train., 1"):
+    with pytest.raises(InvalidInput, match="nx = 0 in split 'test' .* it has nx 0 .train., 1"):
         make("tie", nx=2, split="test", states=str(tmp_path / "train.h5"))
 
 
@@ -617,7 +616,7 @@ def test_a_truncated_state_file_is_refused_in_one_line(
     make: Make, states_path: str, tmp_path: Path
 ) -> None:
     (tmp_path / "half.h5").write_bytes(Path(states_path).read_bytes()[:50_000])
-    with pytest.raises(InvalidStates, match="half.h5 isn't a whole state file") as caught:
+    with pytest.raises(InvalidFile, match="half.h5 isn't a whole state file") as caught:
         make(states=str(tmp_path / "half.h5"))
     assert "\n" not in str(caught.value)
 
@@ -627,7 +626,7 @@ def test_states_of_another_rope_are_refused_in_one_line(
 ) -> None:
     write_states(tmp_path / "other.h5", replace(states, attributes={"rope": "0123456789abcdef"}))
     with pytest.raises(
-        InvalidSetting, match="made for rope model 0123456789abcdef, this version has "
+        InvalidInput, match="made for rope model 0123456789abcdef, this version has "
     ) as caught:
         make(states=str(tmp_path / "other.h5"))
     assert "\n" not in str(caught.value)
@@ -639,7 +638,7 @@ def test_states_of_another_version_are_refused(
     (tmp_path / "later.h5").write_bytes(Path(states_path).read_bytes())
     with h5py.File(tmp_path / "later.h5", "a") as file:
         file.attrs["format_version"] = 99
-    with pytest.raises(InvalidStates, match="version 99"):
+    with pytest.raises(InvalidFile, match="version 99"):
         make(states=str(tmp_path / "later.h5"))
 
 
@@ -659,7 +658,7 @@ def test_bad_actions_are_refused_and_nothing_moves(make: Make, action: NDArray[A
     env = make("tie")
     env.reset(seed=0)
     before = env.episodes.simulation.states(), env.episodes.info(0), int(env.episodes.steps[0])
-    with pytest.raises(InvalidAction) as caught:
+    with pytest.raises(InvalidInput) as caught:
         env.step(action)
     assert "\n" not in str(caught.value)
     assert same(
@@ -823,7 +822,7 @@ def test_render_gives_nothing_where_no_mode_was_asked_for(make: Make) -> None:
 
 def test_a_window_without_pygame_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(NoWindow, match="needs pygame, .*: pip install pygame$"):
+    with pytest.raises(Failed, match="needs pygame, .*: pip install pygame$"):
         KnotEnv("tie", render_mode="human")
 
 
@@ -861,7 +860,7 @@ def test_a_window_without_a_display_is_one_line(monkeypatch: pytest.MonkeyPatch)
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "nonesuch")
     env = KnotEnv("tie", render_mode="human")
-    with pytest.raises(NoWindow, match="needs a display .*; use 'rgb_array' without one"):
+    with pytest.raises(Failed, match="needs a display .*; use 'rgb_array' without one"):
         env.reset(seed=0)
 
 
@@ -885,11 +884,11 @@ def test_a_goal_beyond_the_first_is_refused() -> None:
     env = KnotEnv("tie", nx=3, observation="symbolic", max_goals=2)
     rows = env.episodes.rows("goal").tolist()
     assert env.reset(options={"goal": rows[1]})[1]["goal"] == rows[1]
-    with pytest.raises(InvalidSetting, match="of the train split, of the first 2: "):
+    with pytest.raises(InvalidInput, match="of the train split, of the first 2: "):
         env.reset(options={"goal": max(rows) + 1})
 
 
 @pytest.mark.parametrize("few", [0, -1, 1.5, True, "3"])
 def test_a_limit_of_goals_is_a_whole_number(few: object) -> None:
-    with pytest.raises(InvalidSetting, match="max_goals must be a whole number of at least 1"):
+    with pytest.raises(InvalidInput, match="max_goals must be a whole number of at least 1"):
         KnotEnv("tie", nx=3, max_goals=few)

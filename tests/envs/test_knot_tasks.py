@@ -8,11 +8,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from knotgym.common.errors import InvalidInput
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_verification import episode_faults
 from knotgym.envs.environment import KnotEnv
-from knotgym.envs.tasks import InvalidSetting
 from knotgym.rope.model import Rope
 from knotgym.states.state_file import States, merge_states, read_states, shipped, write_states
 from knotgym.topology.gauss import GaussCode
@@ -47,7 +47,7 @@ def test_a_tie_to_the_least_diagram_starts_with_another_code(path: str, split: s
 
 
 def test_a_tie_whose_only_goal_is_its_start_is_refused(path: str) -> None:
-    with pytest.raises(InvalidSetting, match="its only goal's code already"):
+    with pytest.raises(InvalidInput, match="its only goal's code already"):
         made("tie", path, nx=3, max_goals=1)
 
 
@@ -60,14 +60,14 @@ def test_conversions_go_on_within_the_knot(path: str) -> None:
 def test_what_no_pull_reaches_is_refused_with_the_tasks_that_fit(
     path: str, task: str, nx: int
 ) -> None:
-    with pytest.raises(InvalidSetting) as caught:
+    with pytest.raises(InvalidInput) as caught:
         made(task, path, nx=nx)
     assert "\n" not in str(caught.value)
     assert "tie with nx = 3, 4; convert with nx = 4" in str(caught.value)
 
 
 def test_gymnasium_refuses_it_too(path: str) -> None:
-    with pytest.raises(InvalidSetting, match="no action changes the knot type"):
+    with pytest.raises(InvalidInput, match="no action changes the knot type"):
         gym.make("knotgym/Unknot-v0", nx=3, states=path)
 
 
@@ -84,7 +84,7 @@ def test_a_file_of_two_knots_is_refused(trefoils: States, tmp_path: Path) -> Non
     bare = {name: loops.columns()[name] for name in trefoils.columns()}
     both = merge_states([trefoils, loops.with_columns(bare)])
     write_states(tmp_path / "both.h5", both)
-    with pytest.raises(InvalidSetting, match="keep one type, with knotgym dataset select"):
+    with pytest.raises(InvalidInput, match="keep one type, with knotgym dataset select"):
         made("unknot", str(tmp_path / "both.h5"), nx=3)
 
 
@@ -114,7 +114,7 @@ def test_tasks_draw_from_the_splits_by_code(task: str) -> None:
 
 
 def test_a_split_by_code_without_codes_to_hold_out_is_refused(path: str, trefoils: States) -> None:
-    with pytest.raises(InvalidSetting, match="use an nx of at least 2"):
+    with pytest.raises(InvalidInput, match="use an nx of at least 2"):
         KnotEnv("unknot", nx=1, split="train-code")
-    with pytest.raises(InvalidSetting, match="too few diagrams"):
+    with pytest.raises(InvalidInput, match="too few diagrams"):
         made("tie", path, nx=3, split="test-code")

@@ -14,9 +14,8 @@ from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
-from knotgym.envs.tasks import InvalidSetting
-from knotgym.rope.simulation import InvalidAction
 
 from .test_env import same
 
@@ -215,7 +214,7 @@ def test_without_autoreset_an_ended_rope_cannot_be_stepped(make: MakeVec) -> Non
     envs = make(horizon=1, autoreset_mode="disabled")
     envs.reset(seed=0)
     envs.step(np.zeros((3, 6), np.float32))
-    with pytest.raises(InvalidSetting, match=r"episodes \[0, 1, 2\] have ended"):
+    with pytest.raises(InvalidInput, match=r"episodes \[0, 1, 2\] have ended"):
         envs.step(np.zeros((3, 6), np.float32))
 
 
@@ -255,7 +254,7 @@ def test_a_masked_reset_leaves_the_other_ropes(make: MakeVec) -> None:
 
 @pytest.mark.parametrize("mask", [np.array([True]), np.array([1, 0, 1]), "all"], ids=repr)
 def test_a_mask_of_another_shape_is_refused(make: MakeVec, mask: Any) -> None:
-    with pytest.raises(InvalidSetting, match="reset_mask must be 3 booleans"):
+    with pytest.raises(InvalidInput, match="reset_mask must be 3 booleans"):
         make().reset(options={"reset_mask": mask})
 
 
@@ -266,18 +265,18 @@ def test_options_pick_rows_for_every_rope(make: MakeVec, states_path: str) -> No
 
 
 def test_a_wrong_number_of_seeds_is_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidSetting, match="one for each of 3 ropes, got 2"):
+    with pytest.raises(InvalidInput, match="one for each of 3 ropes, got 2"):
         make().reset(seed=[1, 2])
 
 
 @pytest.mark.parametrize("count", [0, -1])
 def test_no_ropes_are_refused(make: MakeVec, count: int) -> None:
-    with pytest.raises(InvalidSetting, match=f"num_envs must be at least 1, got {count}"):
+    with pytest.raises(InvalidInput, match=f"num_envs must be at least 1, got {count}"):
         make(num_envs=count)
 
 
 def test_settings_that_cannot_be_had_are_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidSetting, match="nx must be a whole number from 1 to 11, got 12"):
+    with pytest.raises(InvalidInput, match="nx must be a whole number from 1 to 11, got 12"):
         make(nx=12)
 
 
@@ -297,7 +296,7 @@ def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec, bad: NDArray[A
     envs = make(horizon=1)
     envs.reset(seed=0)
     before, steps = envs.episodes.simulation.states(), envs.episodes.steps.copy()
-    with pytest.raises(InvalidAction):
+    with pytest.raises(InvalidInput):
         envs.step(bad)
     assert np.array_equal(envs.episodes.simulation.states(), before) and np.array_equal(
         envs.episodes.steps, steps
@@ -310,7 +309,7 @@ def test_one_bad_action_moves_no_rope(make: MakeVec) -> None:
     before = envs.episodes.simulation.states()
     bad = np.zeros((3, 6), dtype=np.float32)
     bad[2, 5] = np.nan
-    with pytest.raises(InvalidAction):
+    with pytest.raises(InvalidInput):
         envs.step(bad)
     assert np.array_equal(envs.episodes.simulation.states(), before)
 
@@ -408,7 +407,7 @@ def test_gymnasium_1_0_which_has_no_such_class_is_enough(
 
 
 def test_an_unknown_autoreset_mode_is_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidSetting, match="no autoreset_mode 'never'; there is next_step, same"):
+    with pytest.raises(InvalidInput, match="no autoreset_mode 'never'; there is next_step, same"):
         make(autoreset_mode="never")
 
 

@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.common.configuration import InvalidConfig
+from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.control.action_sequence import ActionSequence
-from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite, InvalidArchive
+from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
 from knotgym.topology.diagrams import planar_codes
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import mirror_images
@@ -170,7 +170,7 @@ def test_a_missing_archive_is_named(tmp_path: Path) -> None:
 def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path, states_path: str) -> None:
     (tmp_path / "text.h5").write_text("not HDF5")
     for path in (tmp_path / "text.h5", Path(states_path)):
-        with pytest.raises(InvalidArchive, match=path.name) as caught:
+        with pytest.raises(InvalidFile, match=path.name) as caught:
             Archive.load(path)
         assert "\n" not in str(caught.value)
 
@@ -179,7 +179,7 @@ def test_another_format_version_is_refused(saved: Path) -> None:
     with h5py.File(saved, "a") as file:
         file.attrs["format_version"] = 99
     with pytest.raises(
-        InvalidArchive,
+        InvalidFile,
         match="version 99; this version reads 'knotgym-archive' version 1",
     ):
         Archive.load(saved)
@@ -189,7 +189,7 @@ def test_another_format_version_is_refused(saved: Path) -> None:
 def test_a_truncated_archive_is_refused_in_one_line(saved: Path, share: float) -> None:
     raw = saved.read_bytes()
     saved.write_bytes(raw[: int(share * len(raw))])
-    with pytest.raises(InvalidArchive, match="isn't a whole archive") as caught:
+    with pytest.raises(InvalidFile, match="isn't a whole archive") as caught:
         Archive.load(saved)
     assert "\n" not in str(caught.value)
 
@@ -217,7 +217,7 @@ def test_a_column_that_is_missing_or_nonsense_is_refused(saved: Path, name: str)
                 del file[name]
             if nonsense is not None:
                 file[name] = nonsense
-        with pytest.raises(InvalidArchive):
+        with pytest.raises(InvalidFile):
             Archive.load(saved)
 
 
@@ -235,5 +235,5 @@ def test_as_many_elites_are_kept_as_asked_for() -> None:
 
 @pytest.mark.parametrize("settings", [{"kept": 0}, {"kept": 1.5}, {"fair": 0.0}])
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(InvalidConfig):
+    with pytest.raises(InvalidInput):
         ArchiveConfig(**settings)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from knotgym.cli.inspection import film, merge
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader
@@ -29,7 +29,7 @@ from knotgym.generate.episodes.evaluate import EvaluateConfig
 from knotgym.generate.episodes.evaluate import run as evaluate
 from knotgym.generate.episodes.suite import SuiteConfig
 from knotgym.generate.episodes.suite_scores import read_scores
-from knotgym.generate.images.seed_states import NoSeedStates, seed_states
+from knotgym.generate.images.seed_states import seed_states
 from knotgym.generate.images.walks import Unit, Walk, WalkConfig, make_walks
 from knotgym.generate.states.random_walk import RandomWalkConfig
 from knotgym.generate.states.random_walk_recipe import walk_states
@@ -37,8 +37,8 @@ from knotgym.generate.states.search import SearchConfig, new_archive
 from knotgym.rope.model import Rope
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import InvalidRun, RunOptions
-from knotgym.states.state_file import InvalidStates, merge_states, read_states
+from knotgym.runs.run_options import RunOptions
+from knotgym.states.state_file import merge_states, read_states
 
 from ..played import advance
 from ..small_job import knotgym
@@ -181,7 +181,7 @@ def test_datasets_of_two_engines_are_not_merged(root: Path, tmp_path: Path) -> N
 
 def test_a_run_is_not_resumed_with_another_engine(root: Path) -> None:
     other = config(task=replace(TASK, engine="mujoco"), episodes=2, dataset_id=config().dataset_id)
-    with pytest.raises(InvalidRun, match="engine"):
+    with pytest.raises(InvalidInput, match="engine"):
         collect(other, root, replace(QUIET, resume=True))
 
 
@@ -199,7 +199,7 @@ def test_results_of_two_engines_are_not_pooled(tmp_path: Path) -> None:
     rows = read_scores(files)
     told = [(row["episodes"], 'engine="chain"' in row["settings"]) for row in rows]
     assert sorted(told) == [(2, False), (4, True)]
-    with pytest.raises(InvalidRun, match="engine"):
+    with pytest.raises(InvalidInput, match="engine"):
         evaluate(asked, replace(QUIET, resume=True), out=files[0])
 
 
@@ -217,7 +217,7 @@ def test_states_of_random_walks_are_verified_with_their_engine(walked: Path) -> 
     file = walked / "states.h5"
     states = read_states(file)
     assert states.engine == "chain"
-    with pytest.raises(InvalidStates, match="must be of one engine, got chain and mujoco"):
+    with pytest.raises(InvalidFile, match="must be of one engine, got chain and mujoco"):
         merge_states(
             [states, replace(states, attributes={**states.attributes, "engine": "mujoco"})]
         )
@@ -239,7 +239,7 @@ def test_play_finds_states_of_its_engine_and_pictures_start_from_no_others(tmp_p
     archive = new_archive(search)
     advance(archive, search, InProcess())
     archive.save(tmp_path / "archive.h5")
-    with pytest.raises(NoSeedStates, match="made with engine chain, and walks with engine mujoco"):
+    with pytest.raises(InvalidInput, match="made with engine chain, and walks with engine mujoco"):
         seed_states((1,), archive=tmp_path / "archive.h5")
     start = seed_states((1,), archive=tmp_path / "archive.h5", engine="chain")
     walks = tuple(Walk(number, 0) for number in range(2))

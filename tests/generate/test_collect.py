@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from knotgym.cli.main import main
-from knotgym.common.atomic_files import Occupied, sha256
-from knotgym.common.configuration import InvalidConfig
+from knotgym.common.atomic_files import sha256
+from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.expert import Expert
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
@@ -30,10 +30,10 @@ from knotgym.datasets.trajectory import relabel_all
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
-from knotgym.loaders import NoLabels, Transitions
+from knotgym.loaders import Transitions
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.engine import request_of
-from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 from knotgym.states.state_file import States, write_states
 
@@ -84,7 +84,7 @@ def test_labels_are_an_expert_s_and_change_nothing_that_is_played(
     told = np.concatenate([reader.column(row, "expert_action")[:-1] for row in range(2)])
     assert np.array_equal(Transitions(made_labelled, labels=True).actions, told)
     for dataset, relabel in ((made_plain, None), (made_labelled, "all")):
-        with pytest.raises(NoLabels):
+        with pytest.raises(InvalidInput):
             Transitions(dataset, labels=True, relabel=relabel)
 
 
@@ -304,7 +304,7 @@ def test_failed_episodes_are_dropped_when_asked_and_counted(
 
 
 def test_with_nothing_left_nothing_is_written(states_path: str, tmp_path: Path) -> None:
-    with pytest.raises(InvalidConfig, match="nothing is left"):
+    with pytest.raises(InvalidInput, match="nothing is left"):
         collect(
             config(
                 states_path, policy=PolicyConfig(policy="random"), episodes=1, keep_failed=False
@@ -320,7 +320,7 @@ def test_a_finished_dataset_is_not_written_over(states_path: str, tmp_path: Path
     with pytest.raises(Occupied):
         collect(config(states_path, episodes=1), tmp_path, QUIET)
     assert collect(config(states_path, episodes=1), tmp_path, RESUMED) == folder
-    with pytest.raises(InvalidRun, match="config.episodes is 1 there and 2 here"):
+    with pytest.raises(InvalidInput, match="config.episodes is 1 there and 2 here"):
         collect(config(states_path, episodes=2), tmp_path, RESUMED)
 
 
@@ -427,7 +427,7 @@ def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> 
     made_by = request_of(tmp_path / "other" / folder.relative_to(tmp_path))
     staging_folder(folder).mkdir(parents=True)
     (staging_folder(folder) / "request.json").write_text(json.dumps(made_by))
-    with pytest.raises(InvalidRun, match="seed is 1 there and 0 here"):
+    with pytest.raises(InvalidInput, match="seed is 1 there and 0 here"):
         collect(config(states_path, episodes=1), tmp_path, RESUMED)
 
 
@@ -466,7 +466,7 @@ def test_a_file_swapped_in_between_is_refused_by_name(
         with (tmp_path / swapped).open("a") as file:
             file.write("# changed\n")
     name = "states.own" if swapped == "states.h5" else re.escape(swapped)
-    with pytest.raises(InvalidRun, match=rf"{name} is .* there and .* here"):
+    with pytest.raises(InvalidInput, match=rf"{name} is .* there and .* here"):
         collect(own_policy, tmp_path / "out", RESUMED)
 
 
@@ -491,7 +491,7 @@ def test_a_dataset_holds_the_digests_of_what_made_it(
 
 
 def test_transcripts_are_no_policy_of_a_dataset(states_path: str) -> None:
-    with pytest.raises(InvalidConfig, match="give knotgym evaluate --policy prompt:run"):
+    with pytest.raises(InvalidInput, match="give knotgym evaluate --policy prompt:run"):
         config(states_path, policy=PolicyConfig(policy="prompt:run"))
 
 
@@ -501,7 +501,7 @@ def test_a_run_of_another_version_is_not_resumed(states_path: str, tmp_path: Pat
     said = json.loads(report.read_text())
     said["versions"]["mujoco"] = "3.0.0"
     report.write_text(json.dumps(said))
-    with pytest.raises(InvalidRun, match='versions.mujoco is "3.0.0" there and') as caught:
+    with pytest.raises(InvalidInput, match='versions.mujoco is "3.0.0" there and') as caught:
         collect(config(states_path, episodes=1), tmp_path, RESUMED)
     assert "\n" not in str(caught.value)
 
@@ -510,7 +510,7 @@ def test_a_run_of_another_version_is_not_resumed(states_path: str, tmp_path: Pat
 def test_settings_that_make_no_sense_are_refused(
     settings: dict[str, Any], states_path: str
 ) -> None:
-    with pytest.raises(InvalidConfig):
+    with pytest.raises(InvalidInput):
         config(states_path, **settings)
 
 

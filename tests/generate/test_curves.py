@@ -5,11 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.generate.states.curves import (
-    InvalidCurveFile,
-    start_of,
-)
-from knotgym.rope.model import InvalidCurve, Rope
+from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.generate.states.curves import start_of
+from knotgym.rope.model import Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import shows
 
@@ -46,7 +44,7 @@ def test_a_file_is_certified_whatever_it_is_called(tmp_path: Path) -> None:
 
 def test_an_unknown_name_is_told_what_there_is() -> None:
     with pytest.raises(
-        InvalidCurveFile, match="no knot '9_50'; there are 0_1, .*; or a file with a closed curve"
+        InvalidFile, match="no knot '9_50'; there are 0_1, .*; or a file with a closed curve"
     ):
         start_of("9_50")
 
@@ -60,7 +58,7 @@ def test_a_file_without_numbers_is_refused_in_one_line(
     tmp_path: Path, name: str, content: bytes
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(InvalidCurveFile, match=f"{name} holds no curve: .") as caught:
+    with pytest.raises(InvalidFile, match=f"{name} holds no curve: .") as caught:
         start_of(str(tmp_path / name))
     assert "\n" not in str(caught.value)
 
@@ -72,14 +70,14 @@ def test_an_array_of_anything_but_real_numbers_is_refused(
     tmp_path: Path, array: np.ndarray
 ) -> None:
     np.save(tmp_path / "a.npy", array)
-    with pytest.raises(InvalidCurveFile, match="holds no curve"):
+    with pytest.raises(InvalidFile, match="holds no curve"):
         start_of(str(tmp_path / "a.npy"))
 
 
 def test_several_arrays_in_one_file_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", one=trefoil(), other=trefoil())
     (tmp_path / "a.npz").rename(tmp_path / "a.npy")
-    with pytest.raises(InvalidCurveFile, match="it isn't one array of real numbers"):
+    with pytest.raises(InvalidFile, match="it isn't one array of real numbers"):
         start_of(str(tmp_path / "a.npy"))
 
 
@@ -97,6 +95,6 @@ def test_what_is_no_closed_curve_is_refused_in_one_line(
     tmp_path: Path, curve: np.ndarray, problem: str
 ) -> None:
     np.save(tmp_path / "a.npy", curve)
-    with pytest.raises(InvalidCurve, match=problem) as caught:
+    with pytest.raises(InvalidInput, match=problem) as caught:
         start_of(str(tmp_path / "a.npy"))
     assert "\n" not in str(caught.value)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from knotgym.common.atomic_files import Occupied, sha256
-from knotgym.common.configuration import InvalidConfig
+from knotgym.common.atomic_files import sha256
+from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import DATASET, EVALUATION, episode_seed, rollout
-from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import (
     EvaluateConfig,
@@ -28,10 +28,9 @@ from knotgym.generate.episodes.evaluate import (
 )
 from knotgym.generate.episodes.results import show
 from knotgym.generate.merge_evaluations import merge_evaluations
-from knotgym.generate.merge_shards import InvalidMerge
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.executors import InProcess
-from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.runs.staging import staging_folder
 from knotgym.states.state_file import States, write_states
@@ -108,7 +107,7 @@ def test_states_that_the_file_lacks_are_refused_before_any_work(
     states_path: str, tmp_path: Path
 ) -> None:
     made = config(states_path, nx=(1, 6))
-    with pytest.raises(InvalidSetting, match="no states with nx = 6 in split 'test'"):
+    with pytest.raises(InvalidInput, match="no states with nx = 6 in split 'test'"):
         run(made, QUIET, out=tmp_path / "r.json")
     assert not (tmp_path / "r.json").exists()
 
@@ -159,7 +158,7 @@ def test_a_film_shows_every_view_in_colours(states_path: str) -> None:
 def test_settings_that_make_no_sense_are_refused(
     settings: dict[str, object], states_path: str
 ) -> None:
-    with pytest.raises(InvalidConfig):
+    with pytest.raises(InvalidInput):
         config(states_path, **settings)
 
 
@@ -255,17 +254,17 @@ def test_an_interrupted_evaluation_goes_on_to_the_same_bytes(
 def test_an_evaluation_of_other_settings_is_not_gone_on_with(
     states_path: str, interrupted: Path
 ) -> None:
-    with pytest.raises(InvalidRun, match="config.seed is 0 there and 1 here"):
+    with pytest.raises(InvalidInput, match="config.seed is 0 there and 1 here"):
         to_file(config(states_path, episodes=17, seed=1), interrupted, resume=True)
     with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
         to_file(config(states_path, episodes=1), interrupted)
     to_file(config(states_path, episodes=1), interrupted, restart=True)
-    with pytest.raises(InvalidRun, match="config.episodes is 1 there and 2 here"):
+    with pytest.raises(InvalidInput, match="config.episodes is 1 there and 2 here"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
     interrupted.write_text('{"version": 1}')
     with pytest.raises(Occupied, match="exists already"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
-    with pytest.raises(InvalidConfig, match="--resume and --restart need the --out"):
+    with pytest.raises(InvalidInput, match="--resume and --restart need the --out"):
         run(config(states_path), replace(QUIET, resume=True))
 
 
@@ -350,7 +349,7 @@ def test_a_file_swapped_in_between_is_refused_by_name(
         with (own_policy / swapped).open("a") as file:
             file.write("# changed\n")
     name = "states.own" if swapped == "states.h5" else re.escape(swapped)
-    with pytest.raises(InvalidRun, match=rf"{name} is .* there and .* here"):
+    with pytest.raises(InvalidInput, match=rf"{name} is .* there and .* here"):
         to_file(made, own_policy / "r.json", resume=True)
 
 
@@ -365,7 +364,7 @@ def test_a_file_swapped_while_episodes_are_played_is_refused(
 
     monkeypatch.setattr(evaluation, "_play", swap)
     made = config(states_path, policies=(PolicyConfig(policy="resumed_policy:act"),), episodes=1)
-    with pytest.raises(InvalidRun, match="changed while episodes were played.*beside.py"):
+    with pytest.raises(InvalidInput, match="changed while episodes were played.*beside.py"):
         to_file(made, own_policy / "r.json")
     assert not (own_policy / "r.json").exists()
 
@@ -422,11 +421,11 @@ def test_merged_shards_say_what_one_evaluation_says(states_path: str, tmp_path: 
         ([*parts, parts[0]], "each once; got 1, 2, 2, 3"),
         ([out], "isn't a shard"),
     ):
-        with pytest.raises(InvalidMerge, match=why):
+        with pytest.raises(InvalidInput, match=why):
             merge_evaluations(chosen, tmp_path / "none.json")
-    with pytest.raises(InvalidMerge, match="their settings differ"):
+    with pytest.raises(InvalidInput, match="their settings differ"):
         run(replace(asked, seed=5), replace(QUIET, shard=Shard(1, 3), overwrite=True), out=out)
         merge_evaluations(parts, tmp_path / "none.json")
-    with pytest.raises(InvalidConfig, match="a shard needs the --out"):
+    with pytest.raises(InvalidInput, match="a shard needs the --out"):
         run(asked, replace(QUIET, shard=Shard(1, 3)))
     assert not (tmp_path / "none.json").exists()

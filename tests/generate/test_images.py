@@ -17,13 +17,12 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.cli.main import main
-from knotgym.common.atomic_files import Occupied
+from knotgym.common.errors import InvalidFile, InvalidInput, MissingExtra, Occupied
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import (
     COLUMNS,
     GRADES,
-    InvalidImages,
     decode,
     encode,
     read_rows,
@@ -35,16 +34,15 @@ from knotgym.datasets.image_verification import image_faults, row_faults
 from knotgym.generate.images import image_recipe
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
-from knotgym.generate.images.seed_states import NoSeedStates, seed_states
+from knotgym.generate.images.seed_states import seed_states
 from knotgym.generate.images.selection import _options
-from knotgym.loaders import MissingExtra
 from knotgym.loaders import images as load
 from knotgym.quality.difficulty import grade
 from knotgym.quality.measures import UNITS, Limits, measure
 from knotgym.rendering.appearance import VARIED, AppearanceConfig
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
-from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.states.near_duplicates import NEAR, distances, families
 from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.topology.crossings import find_crossings, label
@@ -145,7 +143,7 @@ def test_a_run_that_was_interrupted_and_resumed_on_other_workers_gives_the_same_
 
 def test_another_run_is_not_resumed_and_what_differs_is_named(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "table")
-    with pytest.raises(InvalidRun, match="config.count is 6 there and 15 here"):
+    with pytest.raises(InvalidInput, match="config.count is 6 there and 15 here"):
         made(tmp_path / "table", replace(CONFIG, count=15), resume=True)
 
 
@@ -249,7 +247,7 @@ def test_a_torn_shard_is_one_fault(folder: Path, tmp_path: Path) -> None:
 def test_a_foreign_parquet_file_is_refused(tmp_path: Path) -> None:
     pa, parquet = tables.arrow(), tables.arrow("pyarrow.parquet")
     parquet.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
-    with pytest.raises(InvalidImages, match="format"):
+    with pytest.raises(InvalidFile, match="format"):
         read_table(tmp_path / "a.parquet")
 
 
@@ -359,7 +357,7 @@ def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
 
 
 def test_seed_states_come_from_one_file(tmp_path: Path) -> None:
-    with pytest.raises(NoSeedStates):
+    with pytest.raises(InvalidInput):
         seed_states((1,), archive=tmp_path / "a.h5", states=tmp_path / "b.h5")
 
 
@@ -425,7 +423,7 @@ def test_a_folder_of_pictures_is_one_thing_to_every_command(
 def test_an_unknown_kind_or_split_is_refused(folder: Path) -> None:
     with pytest.raises(ValueError, match="kind must be"):
         load(folder, kind="jax")
-    with pytest.raises(InvalidImages, match="no split"):
+    with pytest.raises(InvalidFile, match="no split"):
         read_table(folder, "validation")
 
 
@@ -451,7 +449,7 @@ def test_torch_reads_pictures_and_padded_labels(folder: Path, rows: list[dict[st
     small = [k for k, item in enumerate(data) if item["image"].shape[-1] == 64]
     seen = [batch["image"] for batch in DataLoader(Subset(data, small), 4, num_workers=2)]
     assert sum(map(len, seen)) == len(small)
-    with pytest.raises(InvalidImages, match="max_nx must be at least"):
+    with pytest.raises(InvalidFile, match="max_nx must be at least"):
         load(folder, max_nx=1)
 
 

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.verification import verify
-from knotgym.generate.states.imported_curves import (
-    InvalidImport,
-    import_curves,
-    read_curves,
-    write_curves,
-)
+from knotgym.generate.states.imported_curves import import_curves, read_curves, write_curves
 from knotgym.states.state_file import read_states, shipped, write_states
 from knotgym.topology.crossings import label
 
@@ -73,7 +69,7 @@ def test_what_is_no_curve_is_refused_in_one_line(
     tmp_path: Path, name: str, text: str, problem: str
 ) -> None:
     (tmp_path / name).write_text(text)
-    with pytest.raises(InvalidImport, match=problem) as caught:
+    with pytest.raises(InvalidInput, match=problem) as caught:
         import_curves([tmp_path / name])
     assert "\n" not in str(caught.value)
     assert knotgym("dataset", "import", tmp_path / name, "--out", tmp_path / "x.h5") == 2
@@ -85,5 +81,5 @@ def test_a_curve_that_cannot_be_laid_says_which_limit_it_misses(tmp_path: Path) 
     radius = 2 + 0.5 * np.cos(23 * at)
     coil = [radius * np.cos(2 * at), radius * np.sin(2 * at), 0.5 * np.sin(23 * at)]
     np.savetxt(tmp_path / "coil.csv", np.stack(coil, axis=1), delimiter=",")
-    with pytest.raises(InvalidImport, match=r"coil\.csv: "):
+    with pytest.raises(InvalidInput, match=r"coil\.csv: "):
         import_curves([tmp_path / "coil.csv"])

@@ -11,13 +11,13 @@ import typer
 import knotgym
 from knotgym.cli import run_commands
 from knotgym.cli.run_commands import code_list
+from knotgym.common.errors import InvalidFile, InvalidInput, InvalidPolicy
 from knotgym.control.policies import PolicyConfig, make_policy
-from knotgym.control.policy import InvalidPolicy
 from knotgym.envs.environment import KnotEnv
-from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import draw, picture_of
 from knotgym.rope.model import RopeConfig, rope_of
-from knotgym.states.state_file import InvalidStates, merge_states, read_states, shipped
+from knotgym.states.state_file import merge_states, read_states, shipped
 
 from ..small_job import knotgym as run
 
@@ -59,22 +59,22 @@ def test_an_environment_has_the_rope_that_it_is_told_and_no_other(states: Path) 
     seen, info = env.reset(seed=0)
     assert seen.shape == (6 * BEADS,) and info["crossings"] == 1
     assert env.step(env.action_space.sample())[0].shape == (6 * BEADS,)
-    with pytest.raises(InvalidSetting, match="has ropes of 60 beads, got beads = 100; use 60"):
+    with pytest.raises(InvalidInput, match="has ropes of 60 beads, got beads = 100; use 60"):
         KnotEnv("unknot", **given)
-    with pytest.raises(InvalidSetting, match="has ropes of 100 beads, got beads = 60; use 100"):
+    with pytest.raises(InvalidInput, match="has ropes of 100 beads, got beads = 60; use 100"):
         KnotEnv("unknot", beads=BEADS)
 
 
 def test_crossings_need_beads() -> None:
     assert TaskConfig(task="unknot", nx=22, beads=200).nx == 22
-    with pytest.raises(InvalidSetting, match="nx must be a whole number from 1 to 11, got 12"):
+    with pytest.raises(InvalidInput, match="nx must be a whole number from 1 to 11, got 12"):
         TaskConfig(task="unknot", nx=12)
-    with pytest.raises(InvalidSetting, match="beads must be a whole number from 50 to 1000"):
+    with pytest.raises(InvalidInput, match="beads must be a whole number from 50 to 1000"):
         TaskConfig(task="unknot", beads=1001)
 
 
 def test_ropes_are_not_mixed(states: Path) -> None:
-    with pytest.raises(InvalidStates, match="must have one rope model"):
+    with pytest.raises(InvalidFile, match="must have one rope model"):
         merge_states([read_states(states), read_states(shipped())])
 
 

@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.common.configuration import InvalidConfig, as_json, updated
+from knotgym.common.configuration import as_json, updated
+from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.generate.packed_records import SpoiltCheckpoint
 from knotgym.generate.states.random_walk import (
     RandomWalkConfig,
     TwistLimits,
@@ -110,7 +110,7 @@ def test_a_run_is_taken_up_where_it_was_saved(tmp_path: Path, unit: Walked) -> N
     assert again.report() == recipe.report() and again.status() == recipe.status()
     assert [one.step for one in again.accepted] == [one.step for one in recipe.accepted]
     (tmp_path / "accepted.npz").write_bytes(b"")
-    with pytest.raises(SpoiltCheckpoint):
+    with pytest.raises(InvalidFile):
         again.load(tmp_path)
 
 
@@ -139,7 +139,7 @@ def test_what_goes_with_another_source_is_one_line(
     "wrong", [{"nx": [7]}, {"nx": []}, {"start": "knot"}, {"longest": 5}, {"every": 0}]
 )
 def test_walks_that_make_no_sense_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(InvalidConfig):
+    with pytest.raises(InvalidInput):
         updated(SMALL, wrong)
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from knotgym.common.errors import InvalidFile
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
@@ -16,12 +17,7 @@ from knotgym.generate.episodes.evaluate import (
     report,
     sources_of,
 )
-from knotgym.generate.episodes.suite_scores import (
-    InvalidScores,
-    best_learner,
-    read_scores,
-    score_tables,
-)
+from knotgym.generate.episodes.suite_scores import best_learner, read_scores, score_tables
 from knotgym.runs.intervals import cluster_interval
 
 STARTS = 8
@@ -82,7 +78,7 @@ def test_the_best_learner_of_a_set_was_trained_on_it_and_tested_on_its_setup(
 
 def test_the_same_episodes_twice_are_refused(tmp_path: Path) -> None:
     first = told(tmp_path / "a", 1, 16, 64)
-    with pytest.raises(InvalidScores, match="b repeats episodes of random, readable, test"):
+    with pytest.raises(InvalidFile, match="b repeats episodes of random, readable, test"):
         read_scores([first, told(tmp_path / "b", 1, 80, 192)])
 
 
@@ -117,7 +113,7 @@ def test_a_file_without_digests_is_refused(tmp_path: Path) -> None:
     said = json.loads(path.read_text())
     del said["digests"]
     path.write_text(json.dumps(said))
-    with pytest.raises(InvalidScores, match="no digests of policy, states and code"):
+    with pytest.raises(InvalidFile, match="no digests of policy, states and code"):
         read_scores([path])
 
 
@@ -137,7 +133,7 @@ def test_outcomes_that_are_no_columns_are_refused(tmp_path: Path) -> None:
     }.items():
         path = told(tmp_path / name, 1, 2, 4)
         changed(path, "results", 0, "outcomes", name, value=values)
-        with pytest.raises(InvalidScores, match="outcomes aren't columns"):
+        with pytest.raises(InvalidFile, match="outcomes aren't columns"):
             read_scores([path])
 
 
@@ -147,7 +143,7 @@ def test_what_no_evaluation_says_is_refused(name: str, value: Any, tmp_path: Pat
     said = json.loads(path.read_text())
     said["results"][0][name] = value
     path.write_text(json.dumps(said))
-    with pytest.raises(InvalidScores, match="isn't a file of `knotgym evaluate --out`"):
+    with pytest.raises(InvalidFile, match="isn't a file of `knotgym evaluate --out`"):
         read_scores([path])
 
 
@@ -158,7 +154,7 @@ def test_numbers_beyond_all_bounds_are_refused(name: str, tmp_path: Path) -> Non
     holder = said["results"][0] if name == "planning_seconds" else said.setdefault("training", {})
     holder[name] = 10**400
     path.write_text(json.dumps(said))
-    with pytest.raises(InvalidScores, match="evaluate --out`"):
+    with pytest.raises(InvalidFile, match="evaluate --out`"):
         read_scores([path])
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knotgym.common.errors import InvalidFile
 from knotgym.generate.images import unit_files
-from knotgym.generate.images.unit_files import SpoiltUnit, UnitFile, load_frames, walked
+from knotgym.generate.images.unit_files import UnitFile, load_frames, walked
 from knotgym.generate.images.walks import WalkFrames
 
 FRAMES = WalkFrames(
@@ -43,7 +44,7 @@ def test_a_changed_byte_is_refused_and_the_walks_are_made_anew(at: int, work: Un
     spoilt = bytearray(sound)
     spoilt[at] ^= 255
     work.path.write_bytes(spoilt)
-    with pytest.raises(SpoiltUnit):
+    with pytest.raises(InvalidFile):
         load_frames(work.path)
     assert walked(work).read_bytes() == sound
 
@@ -52,7 +53,7 @@ def test_a_pipe_is_not_opened_and_other_columns_are_refused(work: UnitFile) -> N
     with np.load(work.path) as file:
         columns = dict(file)
     np.savez(work.path, **{**columns, "frames.walk": np.zeros(2)})
-    with pytest.raises(SpoiltUnit, match="walk is float64, should be int64"):
+    with pytest.raises(InvalidFile, match="walk is float64, should be int64"):
         load_frames(work.path)
     work.path.unlink()
     os.mkfifo(work.path)

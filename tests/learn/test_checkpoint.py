@@ -29,9 +29,10 @@ def changed(learner: Path, tmp_path: Path, **card: object) -> Path:
 
 
 def refusal(folder: Path) -> str:
-    from knotgym.learn.checkpoint import InvalidCheckpoint, load_policy
+    from knotgym.common.errors import InvalidFile
+    from knotgym.learn.checkpoint import load_policy
 
-    with pytest.raises(InvalidCheckpoint) as raised:
+    with pytest.raises(InvalidFile) as raised:
         load_policy(str(folder))
     return str(raised.value)
 

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidPolicy, KnotgymError
 from knotgym.control.demonstrator import passes_in_order
 from knotgym.control.pass_counts import shipped_values
 from knotgym.control.policies import PolicyConfig, make_policy
-from knotgym.control.policy import InvalidPolicy
 from knotgym.control.rollouts import rollout
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect

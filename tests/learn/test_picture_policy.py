@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
+from knotgym.common.errors import InvalidPolicy
+from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig

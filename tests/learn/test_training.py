@@ -89,7 +89,7 @@ def test_resuming_another_training_names_what_differs(tmp_path: Path) -> None:
     begun = {"config": {"steps": 6, "seed": 0}, "data_sha256": "ab"}
     (tmp_path / training.REQUEST).write_text(json.dumps(begun))
     asked = {"config": {"steps": 9, "seed": 0}, "data_sha256": "ab"}
-    with pytest.raises(training.InvalidTraining, match=r"config\.steps is 6 there and 9 here;"):
+    with pytest.raises(training.InvalidInput, match=r"config\.steps is 6 there and 9 here;"):
         training.begin_training(tmp_path, asked)
 
 
@@ -173,8 +173,8 @@ def test_a_set_of_another_engine_is_refused_unless_it_is_asked_for(
 def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
     import torch
 
+    from knotgym.common.errors import InvalidInput
     from knotgym.learn import training
-    from knotgym.learn.train_config import InvalidTraining
 
     path = tmp_path / training.UNDER_WAY
     (tmp_path / training.REQUEST).write_text("{}")
@@ -185,9 +185,9 @@ def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
     raw = bytearray(path.read_bytes())
     raw[-50] ^= 1
     path.write_bytes(raw)
-    with pytest.raises(InvalidTraining, match="its checksum differs"):
+    with pytest.raises(InvalidInput, match="its checksum differs"):
         training.begin_training(tmp_path, {})
     path.unlink()
     os.mkfifo(path)
-    with pytest.raises(InvalidTraining, match="isn't a regular file"):
+    with pytest.raises(InvalidInput, match="isn't a regular file"):
         training.begin_training(tmp_path, {})

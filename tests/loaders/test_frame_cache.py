@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.atomic_files import Unwritable
+from knotgym.common.errors import Failed, InvalidInput
 from knotgym.datasets.episode_reader import Chosen, EpisodeReader
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.trajectory import Episode
 from knotgym.envs.tasks import TaskConfig
-from knotgym.loaders import FrameCache, NoCache, Transitions, arrays, torch_dataset
+from knotgym.loaders import FrameCache, Transitions, arrays, torch_dataset
 from knotgym.rendering.picture import PictureConfig
 from knotgym.rope.model import Rope
 from knotgym.topology.crossings import label
@@ -102,7 +102,7 @@ def test_a_batch_is_those_rows_of_the_arrays(
     cached: bool, observation: str, files: dict[str, Path], tmp_path: Path
 ) -> None:
     if cached and observation in ("state", "symbolic"):
-        with pytest.raises(NoCache, match=f"observation '{observation}' has none"):
+        with pytest.raises(InvalidInput, match=f"observation '{observation}' has none"):
             arrays(files["stored"], observation=observation, cache=tmp_path)
         return
     rows = [3, 0, 9, 3, -1]
@@ -187,7 +187,7 @@ def test_a_file_that_is_lost_before_it_is_mapped_is_one_line(
     held = Transitions(files["drawn"], observation="pixels", cache=tmp_path)
     (kept,) = tmp_path.iterdir()
     damage(kept)
-    with pytest.raises(NoCache, match="missing or truncated: open the dataset again"):
+    with pytest.raises(InvalidInput, match="missing or truncated: open the dataset again"):
         held.batch([0])
 
 
@@ -198,9 +198,9 @@ def test_a_link_in_the_place_of_a_file_is_not_followed(
     (kept,) = tmp_path.iterdir()
     elsewhere = kept.rename(tmp_path / "elsewhere")
     kept.symlink_to(elsewhere)
-    with pytest.raises(NoCache, match="is a link"):
+    with pytest.raises(InvalidInput, match="is a link"):
         held.batch([0])
-    with pytest.raises(NoCache, match="is a link"):
+    with pytest.raises(InvalidInput, match="is a link"):
         Transitions(files["drawn"], observation="pixels", cache=tmp_path)
     other = PictureConfig(size=17)
     cache = FrameCache(tmp_path, limit=20_000)  # room for one of the two
@@ -213,7 +213,7 @@ def test_a_file_of_another_user_is_refused(files: dict[str, Path], tmp_path: Pat
     Transitions(files["drawn"], observation="pixels", cache=tmp_path)
     (kept,) = tmp_path.iterdir()
     os.chown(kept, 12345, 12345)
-    with pytest.raises(NoCache, match="belongs to another user"):
+    with pytest.raises(InvalidInput, match="belongs to another user"):
         Transitions(files["drawn"], observation="pixels", cache=tmp_path)
 
 
@@ -255,10 +255,12 @@ def test_the_least_recently_used_file_makes_room(files: dict[str, Path], tmp_pat
 
 
 def test_no_room_is_one_line(files: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(NoCache, match="more than the cache's limit of 0.0 GB: raise the limit"):
+    with pytest.raises(
+        InvalidInput, match="more than the cache's limit of 0.0 GB: raise the limit"
+    ):
         Transitions(files["stored"], cache=FrameCache(tmp_path, limit=10))
-    with pytest.raises(NoCache, match="a number of bytes above 0, got 0"):
+    with pytest.raises(InvalidInput, match="a number of bytes above 0, got 0"):
         FrameCache(tmp_path, limit=0)
     (tmp_path / "file").write_text("")
-    with pytest.raises(Unwritable, match="can't write pictures to"):
+    with pytest.raises(Failed, match="can't write pictures to"):
         Transitions(files["stored"], cache=tmp_path / "file")

@@ -18,18 +18,12 @@ import pytest
 from numpy.typing import NDArray
 
 import knotgym
+from knotgym.common.errors import MissingExtra
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.trajectory import Episode
 from knotgym.envs.observations import observe
 from knotgym.envs.tasks import TaskConfig
-from knotgym.loaders import (
-    MissingExtra,
-    Transitions,
-    arrays,
-    to_d3rlpy,
-    to_tensordict,
-    torch_dataset,
-)
+from knotgym.loaders import Transitions, arrays, to_d3rlpy, to_tensordict, torch_dataset
 from knotgym.rendering.picture import PictureConfig
 
 clients = pytest.mark.clients

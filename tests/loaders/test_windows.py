@@ -15,14 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.trajectory import Episode
 from knotgym.envs.observations import observe
-from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import (
     GoalSampling,
-    InvalidWindow,
     Transitions,
     Window,
     arrays,
@@ -250,7 +250,7 @@ def test_goals_have_the_probabilities_that_are_asked_for() -> None:
 def test_negatives_show_every_other_code_and_no_own(codes: list[int], seed: int) -> None:
     numbers, rng = np.array(codes), np.random.default_rng(seed)
     if len(set(codes)) == 1:
-        with pytest.raises(InvalidWindow, match="two Gauss codes"):
+        with pytest.raises(InvalidInput, match="two Gauss codes"):
             other_codes(numbers, numbers, 2, rng)
         return
     drawn = other_codes(numbers, numbers, 400, rng)
@@ -346,7 +346,7 @@ def test_marked_observations_are_made_anew_for_a_sampled_goal(tmp_path: Path) ->
         own = EPISODES[segment].points[[step]]
         right = observe(own, points[goal], "marked", PictureConfig(size=16))
         assert np.array_equal(seen[row], right[0])
-    with pytest.raises(InvalidSetting, match="has no halves"):
+    with pytest.raises(InvalidInput, match="has no halves"):
         Transitions(path, window=FULL).batch([0], rng=np.random.default_rng(0))
 
 
@@ -371,7 +371,7 @@ def test_a_history_beside_experts_actions_holds_the_pulls_taken(tmp_path: Path) 
     held = arrays(path, labels=True, window=Window(history=1))
     assert (held["actions"] == 0.25).all()
     assert np.array_equal(held["next_history"][:, 0], episode.actions)
-    with pytest.raises(InvalidWindow, match="leave out chunk"):
+    with pytest.raises(InvalidInput, match="leave out chunk"):
         arrays(path, labels=True, window=Window(chunk=2))
 
 
@@ -387,24 +387,24 @@ def test_a_history_beside_experts_actions_holds_the_pulls_taken(tmp_path: Path) 
     ],
 )
 def test_a_window_refuses_nonsense(make: Any, told: str) -> None:
-    with pytest.raises(InvalidWindow, match=told):
+    with pytest.raises(InvalidInput, match=told):
         make()
 
 
 def test_windows_that_a_dataset_cannot_give_are_refused(folder: Path) -> None:
     path, goals = folder / "state.h5", Window(goals=GoalSampling())
-    with pytest.raises(InvalidWindow, match="leave out relabel"):
+    with pytest.raises(InvalidInput, match="leave out relabel"):
         arrays(path, relabel="all", window=goals)
-    with pytest.raises(InvalidWindow, match="hand a generator in"):
+    with pytest.raises(InvalidInput, match="hand a generator in"):
         Transitions(path, window=goals).batch([0])
-    with pytest.raises(InvalidWindow, match="window=Window"):
+    with pytest.raises(InvalidInput, match="window=Window"):
         Transitions(path).sample_goals([0], np.random.default_rng(0))
 
 
 @pytest.mark.clients
 def test_whole_episodes_have_no_windows(folder: Path) -> None:
     pytest.importorskip("torch")
-    with pytest.raises(InvalidWindow, match="kind 'transitions'"):
+    with pytest.raises(InvalidInput, match="kind 'transitions'"):
         torch_dataset(folder / "state.h5", "episodes", window=Window(n_step=2))
 
 
@@ -550,5 +550,5 @@ def test_d3rlpy_trains_on_windows(folder: Path) -> None:
         .fit(buffer, n_steps=4, n_steps_per_epoch=4, logger_adapter=logged, show_progress=False)
     )
     assert all(np.isfinite(loss) for loss in history[0][1].values())
-    with pytest.raises(InvalidWindow, match="no place for negatives"):
+    with pytest.raises(InvalidInput, match="no place for negatives"):
         to_d3rlpy(folder / "state.h5", window=FULL)

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from knotgym.common.errors import Failed
 from knotgym.envs.tasks import TaskConfig
-from knotgym.play.page import Page, PlayConfig, PlayError, require_port
+from knotgym.play.page import Page, PlayConfig, require_port
 from knotgym.play.recorder import Recorder
 from knotgym.play.watch import WatchPage
 
@@ -151,7 +152,7 @@ def test_every_other_host_asks_for_a_token(page: Page) -> None:
 
 
 def test_a_taken_port_is_one_line(page: Page) -> None:
-    with pytest.raises(PlayError, match="choose another with --port"):
+    with pytest.raises(Failed, match="choose another with --port"):
         require_port("127.0.0.1", port_of(page))
 
 

@@ -6,16 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.common.atomic_files import Occupied
+from knotgym.common.errors import InvalidFile, InvalidPolicy, Occupied
 from knotgym.control.policies import PolicyConfig, make_policy
-from knotgym.control.policy import InvalidPolicy
 from knotgym.control.rollouts import EVALUATION, rollout
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.minari_dataset import metadata_of
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import arrays
-from knotgym.play.recorder import InvalidJournal, Recorder
+from knotgym.play.recorder import Recorder
 from knotgym.play.session import Session
 from knotgym.runs.staging import staging_folder
 
@@ -133,7 +132,7 @@ def test_other_data_are_left_alone(session: Session, recorder: Recorder) -> None
     session.pull(*PULLS[0])
     recorder.finish(0, session.actions)
     other = TaskConfig(task="tie", nx=2, observation="state")
-    with pytest.raises(InvalidJournal, match="isn't a recording of this task"):
+    with pytest.raises(InvalidFile, match="isn't a recording of this task"):
         Recorder(other, 4, "knotgym/tie-nx1/human-v0", root=recorder.folder.parents[2])
 
 
@@ -142,11 +141,11 @@ def test_a_broken_journal_is_one_line(tmp_path: Path) -> None:
     journal = staging_folder(recorder.folder) / "journal-0.jsonl"
     journal.parent.mkdir(parents=True)
     journal.write_text('{"number": 0, "actions": [[1, 2]]}')
-    with pytest.raises(InvalidJournal, match="isn't a journal"), recorder:
+    with pytest.raises(InvalidFile, match="isn't a journal"), recorder:
         pass
 
 
 @pytest.mark.parametrize("player", ["a\x1b[2J", "x" * 81])
 def test_a_player_is_text(tmp_path: Path, player: str) -> None:
-    with pytest.raises(InvalidJournal, match="printable"):
+    with pytest.raises(InvalidFile, match="printable"):
         Recorder(TASK, 4, "knotgym/tie-nx1/human-v0", player, tmp_path)

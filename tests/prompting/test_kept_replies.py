@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.prompting.chat import InvalidPrompting, Reply
+from knotgym.common.errors import InvalidInput
+from knotgym.prompting.chat import Reply
 from knotgym.prompting.kept_replies import KeptReplies
 
 
@@ -34,11 +35,11 @@ def test_a_truncated_last_line_is_dropped(path: Path) -> None:
 @pytest.mark.parametrize("old, new", [(b"pull 1", b"pull 2"), (b"pull", b"\xff\xfe"), (b"[", b"{")])
 def test_a_changed_line_is_refused_in_one(old: bytes, new: bytes, path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(old, new, 1))
-    with pytest.raises(InvalidPrompting, match="has a line that"):
+    with pytest.raises(InvalidInput, match="has a line that"):
         KeptReplies(path)
 
 
 def test_a_pipe_is_not_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "replies.jsonl")
-    with pytest.raises(InvalidPrompting, match="isn't a regular file"):
+    with pytest.raises(InvalidInput, match="isn't a regular file"):
         KeptReplies(tmp_path / "replies.jsonl")

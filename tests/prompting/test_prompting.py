@@ -18,26 +18,20 @@ from urllib.parse import quote
 
 import pytest
 
+from knotgym.common.errors import Failed, InvalidFile, InvalidInput
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import decode, encode, write_rows
 from knotgym.envs.tasks import TaskConfig
-from knotgym.prompting.chat import (
-    Chat,
-    ChatConfig,
-    InvalidPrompting,
-    Unanswered,
-    _spellings,
-    retry_after,
-)
+from knotgym.prompting.chat import Chat, ChatConfig, _spellings, retry_after
 from knotgym.prompting.prompt_run import run
 from knotgym.prompting.prompted_episodes import PromptConfig, play, read
 from knotgym.prompting.prompts import first
 from knotgym.prompting.reading_scores import ReadingScores
-from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts
+from knotgym.prompting.transcripts import read_transcripts
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope.model import Rope
 from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
@@ -180,7 +174,7 @@ def test_a_model_that_goes_on_refusing_has_answered_so() -> None:
 
 def test_a_server_that_never_answers_ends_the_run() -> None:
     error, server = asked(always(("status", (503, {}, "down"))))
-    assert isinstance(error, Unanswered) and "3 attempts" in str(error)
+    assert isinstance(error, Failed) and "3 attempts" in str(error)
     assert "503" in str(error) and len(server.requests) == 3
 
 
@@ -188,7 +182,7 @@ def test_a_server_that_never_answers_ends_the_run() -> None:
 def test_a_question_the_server_calls_wrong_is_not_put_again(status: int) -> None:
     body = json.dumps({"error": {"message": f"bad key {KEY}"}})
     error, server = asked(always(("status", (status, {}, body))))
-    assert isinstance(error, InvalidPrompting) and len(server.requests) == 1
+    assert isinstance(error, InvalidInput) and len(server.requests) == 1
     assert str(status) in str(error) and KEY not in str(error) and "[key]" in str(error)
 
 
@@ -248,7 +242,7 @@ def test_the_key_is_not_sent_to_where_a_server_redirects() -> None:
     with other.serving():
         moved = ("status", (302, {"location": f"{other.url}/chat/completions"}, ""))
         error, _ = asked(always(moved))
-    assert isinstance(error, InvalidPrompting) and "302" in str(error) and not other.requests
+    assert isinstance(error, InvalidInput) and "302" in str(error) and not other.requests
 
 
 SPELLINGS = {
@@ -271,7 +265,7 @@ SPELLINGS = {
 )
 def test_the_key_is_blotted_however_it_is_spelled(body: str, spelled: str) -> None:
     error, _ = asked(always(("status", (401, {}, body.replace("%s", spelled)))))
-    assert isinstance(error, InvalidPrompting) and "[key]" in str(error)
+    assert isinstance(error, InvalidInput) and "[key]" in str(error)
     assert "51ec2e7" not in str(error) and spelled[8:-8] not in str(error)
 
 
@@ -315,7 +309,7 @@ def test_half_a_surrogate_pair_doesn_t_end_a_run(states_path: str, tmp_path: Pat
                     side_by_side=1,
                     progress=Progress(quiet=True),
                 )
-            except Unanswered:
+            except Failed:
                 broken[0] = False
     (_, told) = read_transcripts(tmp_path / "r" / "transcripts.jsonl")
     assert not broken[0] and told["turns"][0]["answer"] == f"\ufffd{PULL}\ufffd"
@@ -333,14 +327,14 @@ def test_wrong_answers_are_counted_apart_and_leave_the_rope_alone(states_path: s
     "url", ["http://me:secret@host/v1", "ftp://host", "http://host/v1?key=secret", "host", ""]
 )
 def test_a_url_that_might_hold_a_key_is_refused_and_not_told(url: str) -> None:
-    with pytest.raises(InvalidPrompting, match="base URL") as refused:
+    with pytest.raises(InvalidInput, match="base URL") as refused:
         ChatConfig(model="m", base_url=url)
     assert "secret" not in str(refused.value)
 
 
 def test_without_a_key_the_public_server_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OPENAI_API_KEY")
-    with pytest.raises(InvalidPrompting, match="OPENAI_API_KEY"):
+    with pytest.raises(InvalidInput, match="OPENAI_API_KEY"):
         Chat(ChatConfig(model="m"))
     Chat(ChatConfig(model="m", base_url="http://127.0.0.1:1/v1"))
 
@@ -351,7 +345,7 @@ def test_a_word_that_stands_for_no_key_is_a_word(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_key_in_the_base_url_is_refused() -> None:
-    with pytest.raises(InvalidPrompting, match="--base-url") as refused:
+    with pytest.raises(InvalidInput, match="--base-url") as refused:
         Chat(ChatConfig(model="m", base_url=f"http://127.0.0.1:1/{KEY}/v1"))
     assert KEY not in str(refused.value)
 
@@ -466,7 +460,7 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
                 progress=Progress(quiet=True),
             )
             texts.append((out / "transcripts.jsonl").read_text())
-        with pytest.raises(InvalidRun, match="at least 1"):
+        with pytest.raises(InvalidInput, match="at least 1"):
             run(
                 own,
                 lambda number, ask: play(own, number, ask),
@@ -521,7 +515,7 @@ def test_chirality_is_no_matter_when_a_code_is_scored() -> None:
 )
 def test_a_line_that_is_no_transcript_is_refused(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "t.jsonl").write_text(text + "\n")
-    with pytest.raises(InvalidTranscript, match=said):
+    with pytest.raises(InvalidFile, match=said):
         read_transcripts(tmp_path / "t.jsonl")
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from knotgym.common.errors import InvalidInput
 from knotgym.rendering.appearance import (
     SIZES,
     VARIED,
@@ -13,7 +14,7 @@ from knotgym.rendering.appearance import (
     appearance,
     render,
 )
-from knotgym.rendering.picture import PictureError, crossing_pixels, draw
+from knotgym.rendering.picture import crossing_pixels, draw
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import find_crossings, label
 
@@ -139,5 +140,5 @@ def test_a_single_colour_is_one(points: Array) -> None:
     ],
 )
 def test_nonsense_is_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(PictureError):
+    with pytest.raises(InvalidInput):
         AppearanceConfig(**settings)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from knotgym.rendering.camera import PictureConfig, PictureError, project
+from knotgym.common.errors import InvalidInput
+from knotgym.rendering.camera import PictureConfig, project
 from knotgym.rendering.diagram import BACKGROUND, _smooth, draw_diagram, side_of
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings, label
@@ -82,7 +83,7 @@ def test_a_pull_is_an_arrow_as_long_as_the_force() -> None:
 
 @pytest.mark.parametrize("points", [np.zeros((2, 3)), np.full((10, 3), np.nan)])
 def test_what_is_no_rope_is_refused(points: np.ndarray) -> None:
-    with pytest.raises(PictureError):
+    with pytest.raises(InvalidInput):
         draw_diagram(points)
 
 

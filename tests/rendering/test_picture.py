@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput, KnotgymError
 from knotgym.rendering.picture import (
     PictureConfig,
-    PictureError,
     _on_canvas,
     bead_colours,
     crossing_pixels,
@@ -452,7 +451,7 @@ def test_crossing_pixels_lie_on_both_strands() -> None:
 def test_only_a_picture_that_shows_the_crossings_can_be_read() -> None:
     points = curves()[0]
     for config in (PictureConfig(camera="perspective"), PictureConfig(size=64)):
-        with pytest.raises(PictureError):
+        with pytest.raises(InvalidInput):
             shown_strands(draw(points, config), find_crossings(points), points, config)
 
 
@@ -483,7 +482,7 @@ def test_only_a_picture_that_shows_the_crossings_can_be_read() -> None:
     ],
 )
 def test_nonsense_is_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(PictureError) as caught:
+    with pytest.raises(InvalidInput) as caught:
         PictureConfig(**wrong)
     assert isinstance(caught.value, KnotgymError) and len(str(caught.value).splitlines()) == 1
 
@@ -495,11 +494,11 @@ def test_points_that_are_no_rope_are_refused() -> None:
         np.zeros((1, 10, 3)),
         np.full((10, 3), np.nan),
     ):
-        with pytest.raises(PictureError):
+        with pytest.raises(InvalidInput):
             draw(points)
-    with pytest.raises(PictureError):
+    with pytest.raises(InvalidInput):
         draw_many(np.zeros((10, 3)))
-    with pytest.raises(PictureError):
+    with pytest.raises(InvalidInput):
         draw(ring(), colours=np.zeros((99, 3), dtype=np.uint8))
 
 

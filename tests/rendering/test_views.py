@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.rendering.picture import (
-    PictureConfig,
-    PictureError,
-    crossing_pixels,
-    draw,
-    draw_many,
-)
+from knotgym.common.errors import InvalidInput
+from knotgym.rendering.picture import PictureConfig, crossing_pixels, draw, draw_many
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings
 
@@ -132,7 +127,7 @@ def test_the_strand_shown_is_read_off_the_top_view() -> None:
     config = PictureConfig(views=("left", "top"), depth=True)
     assert np.array_equal(shown_strands(draw(points, config), crossings, points, config), right)
     sideways = replace(config, views=("left", "front"))
-    with pytest.raises(PictureError, match="only the top view shows the crossings"):
+    with pytest.raises(InvalidInput, match="only the top view shows the crossings"):
         shown_strands(draw(points, sideways), crossings, points, sideways)
 
 
@@ -151,6 +146,6 @@ def test_the_strand_shown_is_read_off_the_top_view() -> None:
 def test_views_that_cannot_be_had_are_refused_in_one_line(
     wrong: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(PictureError, match=message) as caught:
+    with pytest.raises(InvalidInput, match=message) as caught:
         PictureConfig(**wrong)
     assert "\n" not in str(caught.value)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.actions import (
     FORCE_BINS,
-    InvalidPulls,
     decode_actions,
     decode_pulls,
     encode_actions,
@@ -67,5 +67,5 @@ def test_four_bytes_are_a_pull_at_every_state(rows: list[tuple[int, ...]], seed:
 
 def test_an_action_between_the_bytes_is_refused() -> None:
     action = encode_actions([3], [[0.05, 0.0, 0.0]], LOOP[None], ROPE.config)
-    with pytest.raises(InvalidPulls, match="1/127"):
+    with pytest.raises(InvalidInput, match="1/127"):
         encode_pulls(action, LOOP[None], ROPE.config)

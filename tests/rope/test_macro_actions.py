@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.configuration import InvalidConfig
+from knotgym.common.errors import InvalidInput
 from knotgym.control.action_sequence import step_ropes
 from knotgym.rope.macro_actions import (
     KINDS,
@@ -132,7 +132,7 @@ def test_shares_decide_what_is_drawn(rope: Rope) -> None:
     ],
 )
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], problem: str) -> None:
-    with pytest.raises(InvalidConfig, match=problem):
+    with pytest.raises(InvalidInput, match=problem):
         MacroActionConfig(**settings)
 
 

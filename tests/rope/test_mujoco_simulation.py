@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.rope.simulation import InvalidAction
 
 from ..conftest import curled, rough_play
 
@@ -148,7 +148,7 @@ def test_bad_actions_are_refused_and_nothing_moves(
 ) -> None:
     simulation = MujocoSimulation(2, rope)
     before = moved(simulation, 2)
-    with pytest.raises(InvalidAction, match=message):
+    with pytest.raises(InvalidInput, match=message):
         simulation.act(actions)
     assert np.array_equal(simulation.states(), before)
 
@@ -158,7 +158,7 @@ def test_rounding_beyond_1_is_taken_for_1(rope: Rope) -> None:
     one.act(np.array([[0.1, 0, 0, 1, -1, 1]]))
     other.act(np.array([[0.1, 0, 0, np.nextafter(np.float32(1), np.float32(2)), -1 - 1e-6, 1]]))
     assert np.array_equal(one.states(), other.states())
-    with pytest.raises(InvalidAction):
+    with pytest.raises(InvalidInput):
         one.act(np.full((1, 6), 1 + 2e-6))
 
 

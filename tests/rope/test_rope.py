@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.closed_curves import clearance, solved
-from knotgym.rope.model import InvalidCurve, Rope, RopeConfig, sub_chains
+from knotgym.rope.model import Rope, RopeConfig, sub_chains
 from knotgym.topology.crossings import label
 
 from ..conftest import curled, trefoil
@@ -256,7 +257,7 @@ def test_every_polygon_becomes_equal_beads(seed: int, corners: int) -> None:
 def test_what_is_no_rope_is_refused_in_one_line(
     rope: Rope, curve: NDArray[np.float64], message: str
 ) -> None:
-    with pytest.raises(InvalidCurve, match=message) as caught:
+    with pytest.raises(InvalidInput, match=message) as caught:
         rope.from_curve(curve)
     assert "\n" not in str(caught.value)
 

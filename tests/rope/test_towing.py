@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from knotgym.common.errors import InvalidInput
 from knotgym.control.basic_policies import ConstantPolicy
 from knotgym.control.expert import Expert
 from knotgym.control.planner_config import PlannerConfig
@@ -14,11 +15,11 @@ from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter
-from knotgym.datasets.trajectory import Episode, InvalidEpisode, goals_reached, relabel_all
+from knotgym.datasets.trajectory import Episode, goals_reached, relabel_all
 from knotgym.datasets.trajectory import relabelled as cut_at
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import arrays
 from knotgym.rope.towing import TowBound, centres, distances_towed
 
@@ -120,7 +121,7 @@ def test_a_state_beyond_the_bound_is_no_goal_in_hindsight(towed: list[Episode]) 
     for episode in towed:
         last = len(episode)
         if last in goals_reached(episode.gauss_code):
-            with pytest.raises(InvalidEpisode, match="goal_step"):
+            with pytest.raises(InvalidInput, match="goal_step"):
                 cut_at(episode, last, tow_limit=LIMIT)
         assert all(len(cut) < last for cut in relabel_all([episode], "all", tow_limit=LIMIT))
 
@@ -135,6 +136,6 @@ def test_verify_names_an_episode_that_went_on_beyond_the_bound(
 
 @pytest.mark.parametrize("limit", [0, -0.1, float("nan")])
 def test_bounds_that_cannot_be_had_are_refused_in_one_line(limit: float) -> None:
-    with pytest.raises(InvalidSetting, match="tow_limit must be a number of metres above 0") as no:
+    with pytest.raises(InvalidInput, match="tow_limit must be a number of metres above 0") as no:
         TaskConfig(task="unknot", tow_limit=limit)
     assert "\n" not in str(no.value)

@@ -14,11 +14,12 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.atomic_files import Occupied, atomic_write
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.runs import engine
 from knotgym.runs.engine import CHECKPOINT, Batch, Recipe
 from knotgym.runs.progress import Progress, Status
-from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 
 COUNT = 4
@@ -159,7 +160,7 @@ def test_what_does_not_say_what_it_is_of_is_not_gone_on_with(
         os.mkfifo(request)
     elif harm != "missing":
         request.write_text(text.replace("squares", "cubes") if harm == "another" else text[:-9])
-    with pytest.raises(InvalidRun, match="--restart"):
+    with pytest.raises(InvalidInput, match="--restart"):
         made(tmp_path / "a", RESUMED)
     with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
         made(tmp_path / "a")

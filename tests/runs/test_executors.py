@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from knotgym.common.errors import InvalidInput
 from knotgym.control.policies import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
@@ -24,7 +25,7 @@ from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import AHEAD, ordered
-from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.run_options import RunOptions
 
 from ..cli.test_generate_command import bytes_of, said
 from ..small_job import SECONDS, WANTED, knotgym, typed
@@ -193,7 +194,7 @@ def test_options_that_do_not_go_together_are_refused(
     options: tuple[str, str, int], problem: str
 ) -> None:
     kind, scheduler, workers = options
-    with pytest.raises(InvalidRun, match=problem):
+    with pytest.raises(InvalidInput, match=problem):
         RunOptions(executor=kind, scheduler=scheduler, workers=workers)
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.common.configuration import UnreadableJson
+from knotgym.common.errors import InvalidFile
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 
 SAID = {"cycle": 3, "growth": [{"steps": 0.1}], "tried": {10: 1, 2: 3}, "of": (1, 2), "name": "é"}
@@ -20,5 +20,5 @@ def test_a_changed_number_name_or_seal_is_told(old: str, new: str, tmp_path: Pat
     path = tmp_path / "a.json"
     write_sealed(path, SAID)
     path.write_text(path.read_text().replace(old, new, 1))
-    with pytest.raises(UnreadableJson, match=r"a\.json isn't what was written"):
+    with pytest.raises(InvalidFile, match=r"a\.json isn't what was written"):
         read_sealed(path)

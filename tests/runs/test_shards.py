@@ -15,9 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.image_table import points_of, read_rows, read_table
 from knotgym.generate.states.archive import Archive
-from knotgym.runs.shards import InvalidShard, Shard
+from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import NEAR, apart, distances
 from knotgym.states.state_file import read_states
 
@@ -66,7 +67,7 @@ def test_a_shard_that_is_none_is_one_line(
 
 def test_a_part_reads_as_it_is_written() -> None:
     assert str(Shard.parse("2/8")) == "2/8" and Shard.parse("").is_whole
-    with pytest.raises(InvalidShard):
+    with pytest.raises(InvalidInput):
         Shard(3, 2)
 
 

@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from knotgym.common.errors import InvalidInput
 from knotgym.topology.crossings import (
     Crossings,
-    InvalidPoints,
     count_crossings,
     find_crossings,
     label,
@@ -261,7 +261,7 @@ def test_sides_do_not_depend_on_the_order_of_asking(points: np.ndarray) -> None:
 @pytest.mark.parametrize("shape", [(2, 3), (3,), (4, 2), (1, 4, 3), (0, 3)])
 def test_another_shape_is_refused(shape: tuple[int, ...]) -> None:
     for reader in (label, find_crossings, count_crossings):
-        with pytest.raises(InvalidPoints, match="shape"):
+        with pytest.raises(InvalidInput, match="shape"):
             reader(np.zeros(shape))
 
 
@@ -271,9 +271,9 @@ def test_numbers_that_are_not_finite_are_refused(value: float, axis: int) -> Non
     points = EIGHT.copy()
     points[2, axis] = value
     for reader in (label, find_crossings, count_crossings):
-        with pytest.raises(InvalidPoints, match="finite"):
+        with pytest.raises(InvalidInput, match="finite"):
             reader(points)
-    with pytest.raises(InvalidPoints, match="rope 1"):
+    with pytest.raises(InvalidInput, match="rope 1"):
         label_many(np.array([EIGHT, points]))
 
 

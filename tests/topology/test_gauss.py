@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.common.errors import KnotgymError
-from knotgym.topology.gauss import GaussCode, InvalidGaussCode
+from knotgym.common.errors import InvalidInput, KnotgymError
+from knotgym.topology.gauss import GaussCode
 
 
 @st.composite
@@ -96,24 +96,24 @@ def test_the_flat_loop_has_one_value() -> None:
     + ["1+a,1-c", "1+a,1-", "1+b,1-b", "1+a,1-a,2+,2-"],
 )
 def test_malformed_text_is_refused(text: str) -> None:
-    with pytest.raises(InvalidGaussCode) as refusal:
+    with pytest.raises(InvalidInput) as refusal:
         GaussCode.parse(text)
     assert "\n" not in str(refusal.value) and repr(text) in str(refusal.value)
 
 
 def test_the_refusal_is_a_value_error_of_the_package() -> None:
-    assert issubclass(InvalidGaussCode, KnotgymError) and issubclass(InvalidGaussCode, ValueError)
+    assert issubclass(InvalidInput, KnotgymError) and issubclass(InvalidInput, ValueError)
 
 
 @pytest.mark.parametrize("letters", ["", "a", "aaa", "ab", "AC"])
 def test_a_wrong_chirality_is_refused(letters: str) -> None:
-    with pytest.raises(InvalidGaussCode):
+    with pytest.raises(InvalidInput):
         GaussCode((1, -1, 2, -2), letters)
 
 
 def test_letters_that_are_not_known_are_not_invented() -> None:
     for ask in ("chiral", "signs", "writhe"):
-        with pytest.raises(InvalidGaussCode):
+        with pytest.raises(InvalidInput):
             getattr(GaussCode((1, -1)), ask)
 
 
@@ -126,7 +126,7 @@ def test_matching_heeds_letters_on_request() -> None:
 
 
 def test_matching_letters_needs_letters() -> None:
-    with pytest.raises(InvalidGaussCode):
+    with pytest.raises(InvalidInput):
         GaussCode((1, -1), "a").matches(GaussCode((1, -1)), chirality=True)
 
 
@@ -149,6 +149,6 @@ def test_abstract_codes_of_two_crossings_number_twelve() -> None:
     for visits in product((1, -1, 2, -2), repeat=4):
         try:
             seen.add(GaussCode(visits))
-        except InvalidGaussCode:
+        except InvalidInput:
             continue
     assert len(seen) == 12

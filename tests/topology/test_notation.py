@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import label_many
 from knotgym.topology.diagrams import parts, with_chirality
-from knotgym.topology.gauss import GaussCode, InvalidGaussCode
+from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import diagram_of, prime_diagrams
 from knotgym.topology.knots import is_unknot, knot_type
 from knotgym.topology.notation import (
@@ -126,7 +127,7 @@ def test_the_plain_loop_is_read(text: str) -> None:
     ],
 )
 def test_a_bad_code_is_refused_in_one_short_line(text: str, problem: str) -> None:
-    with pytest.raises(InvalidGaussCode, match=problem) as caught:
+    with pytest.raises(InvalidInput, match=problem) as caught:
         parse_code(text)
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
 
@@ -135,7 +136,7 @@ def test_a_bad_code_is_refused_in_one_short_line(text: str, problem: str) -> Non
 def test_any_text_is_a_code_or_refused(text: str) -> None:
     try:
         parse_code(text)
-    except InvalidGaussCode:
+    except InvalidInput:
         pass
 
 
@@ -237,7 +238,7 @@ def test_gauss_codes_may_be_signed_numbers() -> None:
     for text in ("-1 2 -3 1 -2 3", "{-1, 2, -3, 1, -2, 3}", "[-7,2,-3,7,-2,3]"):
         assert parse_code(text) == trefoil
     assert parse_code("4 6 2") == from_dt([4, 6, 2])  # one sign for each number: a DT code
-    with pytest.raises(InvalidGaussCode, match="no planar diagram has it"):
+    with pytest.raises(InvalidInput, match="no planar diagram has it"):
         parse_code("1 -2 -1 2")
 
 

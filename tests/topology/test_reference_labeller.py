@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from knotgym.topology.crossings import InvalidPoints, find_crossings, label, visit_spacing
+from knotgym.common.errors import InvalidInput
+from knotgym.topology.crossings import find_crossings, label, visit_spacing
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 
@@ -83,5 +84,5 @@ def test_the_points_are_left_alone() -> None:
     "points", [np.zeros((2, 3)), np.zeros((4, 2)), np.zeros((4, 3)), np.full((4, 3), np.nan)]
 )
 def test_no_curve_is_refused(points: np.ndarray) -> None:
-    with pytest.raises(InvalidPoints):
+    with pytest.raises(InvalidInput):
         pyknotid_code(points)

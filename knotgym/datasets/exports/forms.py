@@ -4,7 +4,7 @@ import importlib
 import os
 from typing import Any
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import Count, uncounted
 
 # format -> function(dataset, output path, progress callback, overwrite=)
@@ -14,10 +14,6 @@ FORMS = {
     "ogbench": "knotgym.datasets.exports.ogbench_export:to_ogbench",
 }
 UPLOADS = ("huggingface", "minari")  # repository folders, of several datasets at once
-
-
-class ExportError(KnotgymError, ValueError):
-    """A dataset can't be exported: unknown format, or it lacks something the format needs."""
 
 
 def export(
@@ -38,14 +34,14 @@ def export(
         video: "h264" or "av1" for the pictures of format lerobot as video; PNG by default.
 
     Raises:
-        ExportError: there is no such format, or the dataset can't be stored in it.
+        InvalidInput: there is no such format, or the dataset can't be stored in it.
         Occupied: something exists at `out`, and `overwrite` is False.
     """
     if form not in FORMS:
         formats = ", ".join((*FORMS, *UPLOADS))
-        raise ExportError(f"no format {form!r}; formats are {formats}")
+        raise InvalidInput(f"no format {form!r}; formats are {formats}")
     if video and form != "lerobot":
-        raise ExportError(f"format {form} has no video, got {video!r}; lerobot has")
+        raise InvalidInput(f"format {form} has no video, got {video!r}; lerobot has")
     module, _, function = FORMS[form].partition(":")
     options = {"video": video} if video else {}
     to = getattr(importlib.import_module(module), function)

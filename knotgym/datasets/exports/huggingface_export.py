@@ -21,6 +21,7 @@ import numpy as np
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, copy_file, require_output
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import (
     citation_file,
     code_span,
@@ -32,7 +33,6 @@ from knotgym.datasets.cards.citation import (
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.croissant import FileObject, croissant
-from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.exports.parquet_tables import (
     TableColumn,
     picture_columns,
@@ -71,7 +71,7 @@ def to_huggingface(
     """Write the folder atomically.
 
     Raises:
-        ExportError: the sources have no rows.
+        InvalidInput: the sources have no rows.
         Occupied: `out` exists, and `overwrite` is False.
         MissingExtra: pyarrow isn't installed.
     """
@@ -81,7 +81,7 @@ def to_huggingface(
         folder.mkdir()
         files = [file for file in _written(source, folder, count) if file.rows]
         if not files:
-            raise ExportError(f"{source.title} has no rows, so there is nothing to export")
+            raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
         rows: Counter[str] = Counter()
         for file in files:
             rows[file.config] += file.rows
@@ -103,7 +103,7 @@ def _written(source: ToUpload, folder: Path, count: Count) -> Iterator[FileObjec
         for path in shards(source.pictures):
             split = path.name.split("-")[0]
             if split not in map(file_stem, IMAGE_SPLITS):
-                raise ExportError(
+                raise InvalidInput(
                     f"{path.name} must begin with a split, as train-00000-of-00001.parquet; splits"
                     f" are {', '.join(map(file_stem, IMAGE_SPLITS))}"
                 )
@@ -133,7 +133,7 @@ def _steps(datasets: Sequence[Path], folder: Path, count: Count) -> Iterator[Fil
         return
     engines = sorted({reader.task.engine for reader, _ in readers})
     if len(engines) > 1:
-        raise ExportError(
+        raise InvalidInput(
             f"trajectories exported together must be of one engine, got {', '.join(engines)};"
             " export those of each engine by themselves"
         )

@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, require_output
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import filled, write_text
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
-from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.image_table import arrow, encode, schema
 from knotgym.rendering.video import FRAMES_PER_SECOND, Codec, Encoder, pyav
 
@@ -67,17 +67,17 @@ def to_lerobot(
         video: "h264" or "av1" for pictures as video, which is lossy; "" for PNG.
 
     Raises:
-        ExportError: no episodes, the format has no place for their observations, or they can't be
+        InvalidInput: no episodes, the format has no place for their observations, or they can't be
             written as this video.
         MissingExtra: pyarrow isn't installed.
-        PictureError: PyAV isn't installed.
+        InvalidInput: PyAV isn't installed.
     """
     reader, folder = EpisodeReader(source), Path(out)
     task = reader.task
     require_output(folder, folder=True, overwrite=overwrite)
     plain = task.layout == "beside" and not task.depth
     if not len(reader) or task.observation == "symbolic" or not plain:
-        raise ExportError(
+        raise InvalidInput(
             "LeRobot's format holds pixels, state or both, in layout beside and without depth;"
             f" {reader.path} has {len(reader)} episodes of {task.observation} in layout"
             f" {task.layout}{' with depth' if task.depth else ''}"
@@ -93,11 +93,11 @@ def to_lerobot(
 def _require_video(video: str, reader: EpisodeReader, looks: list[str]) -> None:
     size = reader.task.image_size
     if video not in VIDEO_CODECS:
-        raise ExportError(f"no video {video!r}; there is {', '.join(VIDEO_CODECS)}")
+        raise InvalidInput(f"no video {video!r}; there is {', '.join(VIDEO_CODECS)}")
     if "pixels" not in looks:
-        raise ExportError(f"{reader.path} has no pictures to write as video, only {looks[0]}")
+        raise InvalidInput(f"{reader.path} has no pictures to write as video, only {looks[0]}")
     if video == "av1" and (size < _LEAST_SIDE or size % 2):
-        raise ExportError(
+        raise InvalidInput(
             f"AV1 needs an even number of at least {_LEAST_SIDE} pixels a side, and"
             f" {reader.path} has {size}; use h264, or collect with another image_size"
         )

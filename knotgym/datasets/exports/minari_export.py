@@ -15,10 +15,10 @@ from typing import Any
 
 from knotgym.common.atomic_files import atomic_write, copy_file, require_no_links, require_output
 from knotgym.common.configuration import read_json
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_reader import episode_file
-from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.gallery import write_episode_gallery
 from knotgym.datasets.minari_dataset import dataset_files
 from knotgym.states.state_file import leads_out
@@ -32,9 +32,9 @@ def to_minari(
     """Write the folder atomically.
 
     Raises:
-        ExportError: one is not a Minari dataset, two have the same id, or the ids don't begin
+        InvalidInput: one is not a Minari dataset, two have the same id, or the ids don't begin
             with the same word.
-        LinkedFile: a file of a dataset is a link.
+        InvalidFile: a file of a dataset is a link.
         Occupied: `out` exists, and `overwrite` is False.
     """
     require_output(out, folder=True, overwrite=overwrite)
@@ -47,17 +47,17 @@ def to_minari(
             metadata = read_json(data / "metadata.json")
             name, _ = str(metadata["dataset_id"]), [metadata[key] for key in _COUNTS]
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ExportError(
+            raise InvalidInput(
                 f"{dataset} is not a Minari dataset; convert it with knotgym dataset merge --id"
             ) from error
         if name in sources:
-            raise ExportError(f"two datasets have the id {name}: {sources[name]} and {data}")
+            raise InvalidInput(f"two datasets have the id {name}: {sources[name]} and {data}")
         entries[name], sources[name] = metadata, data
     if out_of := [name for name in sources if leads_out(name)]:
-        raise ExportError(f"the id {out_of[0]!r} of {sources[out_of[0]]} leads out of the folder")
+        raise InvalidInput(f"the id {out_of[0]!r} of {sources[out_of[0]]} leads out of the folder")
     words = {name.partition("/")[0] for name in sources}
     if len(words) != 1 or any("/" not in name for name in sources):
-        raise ExportError(
+        raise InvalidInput(
             "ids in one repository must begin with the same word, as knotgym/tie-nx2/expert-v0, got"
             f" {', '.join(sources)}"
         )

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, link_or_copy, require_output
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import Count, EpisodeReader, goal_axis, uncounted
-from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.minari_dataset import metadata_of
 
 _TENTH = 10  # every tenth episode is for validation
@@ -43,13 +43,13 @@ def to_ogbench(
     A dataset with both pictures and vertices gives two sets of files.
 
     Raises:
-        ExportError: fewer than two episodes, or neither pictures nor vertices.
+        InvalidInput: fewer than two episodes, or neither pictures nor vertices.
     """
     reader, folder = EpisodeReader(source), Path(out)
     shown = reader.task.observation
     looks = [name for name in _LOOKS if shown in (name, "both")]
     if len(reader) < 2 or not looks:
-        raise ExportError(
+        raise InvalidInput(
             "OGBench needs at least 2 episodes of pixels, state or both, for its training and its"
             f" validation file; {reader.path} has {len(reader)} of {shown}"
         )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json, read_json
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.fact_tables import growth
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_table import read_table
@@ -34,10 +34,6 @@ _GROWTH_ROWS = 200
 _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 
 
-class UnshownDataset(KnotgymError, ValueError):
-    """The dataset is empty, so there is nothing to show."""
-
-
 def page_data(
     title: str,
     *,
@@ -54,7 +50,7 @@ def page_data(
         pictures: perception table.
 
     Raises:
-        UnshownDataset: there are no rows.
+        InvalidInput: there are no rows.
     """
     rope = RopeConfig()
     notices: list[str] = []
@@ -69,7 +65,7 @@ def page_data(
     if states is not None:
         run = _run(states, notices)
         if episodes and run["beads"] != data["beads"]:
-            raise UnshownDataset(
+            raise InvalidInput(
                 f"{title} has states of {run['beads']} beads and episodes of {data['beads']}; show"
                 " one of them"
             )
@@ -80,7 +76,7 @@ def page_data(
     counts = [(len(data["states"]), "state"), (len(data["episodes"]), "episode")]
     contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
     if not contents:
-        raise UnshownDataset(f"{title} has no rows, so there is nothing to show")
+        raise InvalidInput(f"{title} has no rows, so there is nothing to show")
     return {**data, "says": ", ".join(contents)}
 
 

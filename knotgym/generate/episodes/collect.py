@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from knotgym.common.atomic_files import require_output, sha256
-from knotgym.common.configuration import InvalidConfig, as_json, check_numbers, differences
+from knotgym.common.configuration import as_json, check_numbers, differences
+from knotgym.common.errors import InvalidInput
 from knotgym.control.expert import Expert
 from knotgym.control.policies import Effort, PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
@@ -78,16 +79,16 @@ class CollectConfig:
 
     def __post_init__(self) -> None:
         if self.policy.policy.startswith("prompt:"):
-            raise InvalidConfig(
+            raise InvalidInput(
                 "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
                 f" {self.policy.policy}"
             )
         if self.labels not in ("", "expert"):
-            raise InvalidConfig(f"labels must be expert or empty, got {self.labels!r}")
+            raise InvalidInput(f"labels must be expert or empty, got {self.labels!r}")
         counts = ("episodes", "episodes_per_file", "attempts")
         check_numbers(self, counts=counts, whole=("seed",))
         if self.seen not in ("", *OBSERVATIONS):
-            raise InvalidConfig(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
+            raise InvalidInput(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
         if not self.dataset_id:
             marks = collection_marks(self.attempts, self.labels)
             object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy, *marks))
@@ -184,8 +185,8 @@ def collect(
             folder NAME-shard-2-of-8, which Minari doesn't list.
 
     Raises:
-        Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidConfig: no episode is left to keep.
+        Occupied, InvalidInput: as in `runs.engine.run`.
+        InvalidInput: no episode is left to keep.
     """
     folder = _folder(config, out, options)
     recipe = EpisodeRecipe(config, options)
@@ -226,7 +227,7 @@ class EpisodeRecipe(Recipe):
         self.numbers = options.shard.share(config.episodes)
         self.files: list[EpisodeFile] = []
         if not self.numbers:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"shard {options.shard} of {config.episodes} episodes has none: split the run into"
                 " fewer shards"
             )
@@ -309,10 +310,10 @@ def write_whole(
         machines: the machines that played the episodes; this one by default.
 
     Raises:
-        InvalidConfig: no episode is left to keep.
+        InvalidInput: no episode is left to keep.
     """
     if not tally.kept:
-        raise InvalidConfig(
+        raise InvalidInput(
             f"none of {tally.played} episodes reached the goal and failed ones are dropped, so"
             " nothing is left to write"
         )

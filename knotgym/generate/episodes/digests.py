@@ -9,11 +9,11 @@ from typing import Any
 
 from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import differences
+from knotgym.common.errors import InvalidInput
 from knotgym.control.policies import PolicyConfig, policy_digests
 from knotgym.envs.task_states import SHIPPED, state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.runs.engine import whole_request
-from knotgym.runs.run_options import InvalidRun
 from knotgym.runs.shards import Shard
 from knotgym.states.state_file import shipped, ships, states_file
 
@@ -50,4 +50,4 @@ def require_unchanged(before: dict[str, Any], now: dict[str, Any]) -> None:
     """Require that the files of policies and states didn't change during the run."""
     if before != now:
         changes = "; ".join(differences(before, now))
-        raise InvalidRun(f"files changed while episodes were played, start again: {changes}")
+        raise InvalidInput(f"files changed while episodes were played, start again: {changes}")

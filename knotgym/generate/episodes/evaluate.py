@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import Occupied, atomic_write, require_output
-from knotgym.common.configuration import InvalidConfig, as_json, check_numbers, read_json
+from knotgym.common.atomic_files import atomic_write, require_output
+from knotgym.common.configuration import as_json, check_numbers, read_json
+from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.policies import PolicyConfig, make_policy, training_card
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
@@ -67,7 +68,7 @@ class EvaluateConfig:
     def __post_init__(self) -> None:
         check_numbers(self, counts=("episodes",), whole=("seed", "filmed"))
         if not all((self.policies, self.tasks, self.nx, self.splits)):
-            raise InvalidConfig("give at least one policy, task, number of crossings and split")
+            raise InvalidInput("give at least one policy, task, number of crossings and split")
         list(self.setups())  # raises if an environment can't be made
 
     def setups(self) -> Iterator[tuple[PolicyConfig, TaskConfig]]:
@@ -146,7 +147,7 @@ class EvaluationRecipe(Recipe):
         self.config, self.video, self.overwrite = config, video, overwrite
         self.shard, self.numbers = shard, shard.share(config.episodes)
         if not self.numbers:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"shard {shard} of {config.episodes} episodes has none: split the evaluation into"
                 " fewer shards"
             )
@@ -290,15 +291,15 @@ def run(
         video: film to write, of `config.filmed` episodes per setup, or 2.
 
     Raises:
-        InvalidConfig: resume, restart or a shard is requested without `out`, or a film of a shard.
-        InvalidRun, Occupied, Unwritable: as in `runs.engine.run`, and for `video`.
-        PictureError: the video format can't be written here.
-        InvalidSetting: the state file lacks states that a task needs.
+        InvalidInput: resume, restart or a shard is requested without `out`, or a film of a shard.
+        InvalidInput, Occupied, Failed: as in `runs.engine.run`, and for `video`.
+        InvalidInput: the video format can't be written here.
+        InvalidInput: the state file lacks states that a task needs.
     """
     if progress is None:
         progress = Progress(quiet=True)
     if out is None and (options.resume or options.restart):
-        raise InvalidConfig("--resume and --restart need the --out of the evaluation; give it too")
+        raise InvalidInput("--resume and --restart need the --out of the evaluation; give it too")
     if video is not None:
         from knotgym.rendering.video import require_film
 
@@ -307,7 +308,7 @@ def run(
     if not options.shard.is_whole:
         if out is None or video is not None:
             wrong = "needs the --out of the evaluation" if out is None else "can't be filmed"
-            raise InvalidConfig(f"a shard {wrong}")
+            raise InvalidInput(f"a shard {wrong}")
         out = options.shard.file(out)
     recipe = EvaluationRecipe(config, video, options.overwrite, options.shard)
     spent = sum(policy.core_seconds for policy, _ in config.setups()) * len(recipe.numbers)

@@ -41,7 +41,7 @@ def evaluate_learner(
 
     Raises:
         InvalidPolicy: a policy of this name exists already.
-        InvalidConfig, InvalidSetting: the settings are invalid.
+        InvalidInput, InvalidInput: the settings are invalid.
     """
     register_policy(name, lambda _: policy, files)
     config = EvaluateConfig(policies=(PolicyConfig(policy=name),), **settings)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.configuration import as_json, differences, from_json
+from knotgym.common.errors import InvalidFile
 from knotgym.control.rollouts import rollout
 from knotgym.generate.episodes.collect import (
     CollectConfig,
@@ -14,7 +15,7 @@ from knotgym.generate.episodes.collect import (
     EpisodeRecipe,
     write_episodes,
 )
-from knotgym.generate.episodes.recordings import InvalidRecording, PulledPolicy, Recording
+from knotgym.generate.episodes.recordings import PulledPolicy, Recording
 from knotgym.generate.episodes.tally import Tally
 from knotgym.runs.run_options import RunOptions
 
@@ -34,7 +35,7 @@ class RebuildRecipe(EpisodeRecipe):
         """Take the dataset to make and its recording.
 
         Raises:
-            InvalidRecording: it has other settings or fewer episodes.
+            InvalidFile: it has other settings or fewer episodes.
         """
         _require_recorded(config, recording)
         self._recording = recording
@@ -62,11 +63,11 @@ def _require_recorded(config: CollectConfig, recording: Recording) -> None:
     task = replace(config.task, observation=recorded.task.observation)
     requested = replace(config, task=task, **free)
     if found := [*differences(as_json(recorded), as_json(requested))]:
-        raise InvalidRecording(
+        raise InvalidFile(
             f"the recording of {recording.name} has other settings: {'; '.join(found[:3])}"
         )
     if config.episodes > len(recording):
-        raise InvalidRecording(
+        raise InvalidFile(
             f"{recording.name} is recorded with {len(recording)} episodes, got {config.episodes}"
         )
 

@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, new_hdf5
 from knotgym.common.configuration import read_json
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import InvalidFile, one_line
 from knotgym.common.hdf5_files import (
     Column,
-    UnexpectedContent,
     member,
     members,
     opened_hdf5,
@@ -57,10 +56,6 @@ _ATTRIBUTES = (
     Column("source", "text", ()),
     Column("planned_actions", "int64", (), least=0),
 )
-
-
-class InvalidRecording(KnotgymError, ValueError):
-    """A recording that can't be read, or doesn't fit what is asked for."""
 
 
 class RecordedEpisode(NamedTuple):
@@ -158,8 +153,8 @@ def record(dataset: Path) -> Recording:
     """Record a dataset that `collect` made of a policy that chooses quantized pulls.
 
     Raises:
-        InvalidRecording: it wasn't collected whole, or its policy says nothing of macro-actions.
-        InvalidPulls: its pulls aren't quantized.
+        InvalidFile: it wasn't collected whole, or its policy says nothing of macro-actions.
+        InvalidInput: its pulls aren't quantized.
     """
     reader = EpisodeReader(dataset)
     try:
@@ -168,9 +163,9 @@ def record(dataset: Path) -> Recording:
         planned = int(report["tally"]["planned_actions"])
         whole = len(reader) == config["episodes"] and not config["labels"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidRecording(f"{dataset} isn't a collection: {one_line(error)}") from error
+        raise InvalidFile(f"{dataset} isn't a collection: {one_line(error)}") from error
     if not whole or not reader.has("macro_start"):
-        raise InvalidRecording(
+        raise InvalidFile(
             f"{dataset} can't be recorded: it must hold every episode played, unlabelled, of a"
             " policy that chooses macro-actions"
         )
@@ -230,10 +225,10 @@ def read_recording(name: str, path: str | os.PathLike[str] = RECORDINGS) -> Reco
 
     Raises:
         MissingFile: the file doesn't exist.
-        InvalidRecording: it is corrupted, in another format, or hasn't this dataset.
+        InvalidFile: it is corrupted, in another format, or hasn't this dataset.
     """
     if name not in (known := recorded_ids(path)):
-        raise InvalidRecording(f"no recording of {name}; there is {', '.join(known) or 'none'}")
+        raise InvalidFile(f"no recording of {name}; there is {', '.join(known) or 'none'}")
     with _opened(path) as file:
         group, sizes = member(file, name), dict[str, int]()
         columns = {column.name: read_column(group, column, sizes) for column in _COLUMNS}
@@ -249,7 +244,7 @@ def read_recording(name: str, path: str | os.PathLike[str] = RECORDINGS) -> Reco
             or config["dataset_id"] != name
             or not "".join(reasons).isprintable()
         ):
-            raise UnexpectedContent(f"{name}: lengths, beads or reasons don't fit its steps")
+            raise InvalidFile(f"{name}: lengths, beads or reasons don't fit its steps")
         return Recording(
             config=config, source=source, planned_actions=planned, reasons=reasons, **columns
         )
@@ -262,6 +257,6 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
         what="file of recordings",
         format=FORMAT,
         versions=(FORMAT_VERSION,),
-        error=InvalidRecording,
+        error=InvalidFile,
     ) as file:
         yield file

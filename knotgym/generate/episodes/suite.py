@@ -20,20 +20,16 @@ from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.common.atomic_files import Occupied, atomic_write, require_output
-from knotgym.common.configuration import InvalidConfig, read_json
+from knotgym.common.atomic_files import atomic_write, require_output
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, EpisodeRecipe, plain_id
 from knotgym.generate.episodes.rebuild import RebuildRecipe
-from knotgym.generate.episodes.recordings import (
-    RECORDINGS,
-    InvalidRecording,
-    read_recording,
-    recorded_ids,
-)
+from knotgym.generate.episodes.recordings import RECORDINGS, read_recording, recorded_ids
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_facts import describe_set
 from knotgym.generate.episodes.suite_scores import (
@@ -46,7 +42,7 @@ from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.runs.engine import is_finished, request_of, require_resumable, run, whole_request
 from knotgym.runs.executors import cores
 from knotgym.runs.progress import Progress, duration
-from knotgym.runs.run_options import NotEnough, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import has_work, require_no_interrupted_run, staging_folder
 from knotgym.states.state_file import minari_root
 
@@ -58,10 +54,6 @@ _PLAY = (
     *("id", "reached the goal, %", "first choices, %", "planner, %", "bead predicted, %", "R2"),
     *("goal codes, train", "test", "in both", "classes in both", "best learner, %"),
 )
-
-
-class DiffersFromRecording(NotEnough):
-    """Rebuilt episodes aren't those that were recorded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,12 +94,12 @@ class SuiteConfig:
             some, known = getattr(self, name), SUITE[name]
             wrong = [one for one in some if one not in known]
             if wrong or not some:
-                raise InvalidConfig(
+                raise InvalidInput(
                     f"the suite's {name} must be among {', '.join(map(str, known))}; got"
                     f" {', '.join(map(str, wrong)) or 'none'}"
                 )
         if unknown := [one for one in self.episodes if one not in POLICIES]:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"episodes are set for {', '.join(POLICIES)}; got {', '.join(unknown)}"
             )
         for _ in self.sets():  # raises if a size, seed or observation is invalid
@@ -175,10 +167,10 @@ def make_suite(
 
     Raises:
         Occupied: a dataset, a card or an interrupted run is in the way.
-        InvalidRun: an existing dataset was made by another request.
-        InvalidConfig, InvalidScores: an existing dataset or an evaluation can't be read.
-        InvalidRecording: nothing that is asked for is recorded, or with other settings.
-        DiffersFromRecording: this machine gets other episodes than recorded. The datasets and the
+        InvalidInput: an existing dataset was made by another request.
+        InvalidInput, InvalidFile: an existing dataset or an evaluation can't be read.
+        InvalidFile: nothing that is asked for is recorded, or with other settings.
+        Failed: this machine gets other episodes than recorded. The datasets and the
             card are finished.
     """
     if progress is None:
@@ -218,7 +210,7 @@ def make_suite(
     rebuilt = {one.dataset_id: descriptions[one.dataset_id]["recorded"] for one in wanted}
     differing = [f"{name} {how}" for name, how in rebuilt.items() if how.startswith("differs")]
     if config.recorded and differing:
-        raise DiffersFromRecording(
+        raise Failed(
             f"this machine gets other episodes than recorded: {'; '.join(differing)}; the sets are"
             " kept, as a collection on this machine would be, and the card says so"
         )
@@ -235,7 +227,7 @@ def _recorded(config: SuiteConfig, known: Sequence[str]) -> list[CollectConfig]:
         if one.dataset_id in known or (one.policy.policy == "random" and one.task in setups)
     ]
     if not wanted:
-        raise InvalidRecording(
+        raise InvalidFile(
             f"nothing of this is recorded; there is {', '.join(known) or 'no recording'}"
         )
     return wanted

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from knotgym.common.atomic_files import sha256
-from knotgym.common.configuration import InvalidConfig, from_json, read_json
-from knotgym.common.errors import one_line
+from knotgym.common.configuration import from_json, read_json
+from knotgym.common.errors import InvalidInput, one_line
 from knotgym.control.demonstrator import PLANNER
 from knotgym.control.pass_counts import first_goal
 from knotgym.datasets.episode_reader import EpisodeReader
@@ -37,7 +37,7 @@ def describe_set(made: Path, recordings: Path = RECORDINGS) -> dict[str, Any]:
         it, see `measured`.
 
     Raises:
-        InvalidConfig: it isn't such a dataset.
+        InvalidInput: it isn't such a dataset.
     """
     try:
         report = read_json(made / "data" / REPORT)
@@ -59,7 +59,7 @@ def describe_set(made: Path, recordings: Path = RECORDINGS) -> dict[str, Any]:
         }
         name = str(config["dataset_id"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidConfig(
+        raise InvalidInput(
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
     return {

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.configuration import as_json, read_json
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import InvalidFile, one_line
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.cards.fact_tables import table
@@ -35,10 +35,6 @@ _PLAIN = {
 _MALFORMED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
-class InvalidScores(KnotgymError, ValueError):
-    """A file is not an evaluation, or two files have the same episodes."""
-
-
 def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     """Return one row per cell of all evaluations, sorted.
 
@@ -48,21 +44,21 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     settings, states or code have separate rows.
 
     Raises:
-        InvalidScores: a file can't be read or has no digests, or two have the same episodes.
+        InvalidFile: a file can't be read or has no digests, or two have the same episodes.
     """
     found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for path in paths:
         try:
             rows = list(_rows(read_json(path)))
         except (OSError, *_MALFORMED) as error:
-            raise InvalidScores(
+            raise InvalidFile(
                 f"{path} isn't a file of `knotgym evaluate --out`: {one_line(error)}"
             ) from error
         for row in rows:
             same = found.setdefault(tuple(row[name] for name in (*LINE, *CELL)), [])
             if any(row["seeds"] == one["seeds"] for one in same):
                 cell = (row["policy"], *(row[name] for name in CELL if name != "states_sha256"))
-                raise InvalidScores(f"{path} repeats episodes of {', '.join(map(str, cell))}")
+                raise InvalidFile(f"{path} repeats episodes of {', '.join(map(str, cell))}")
             same.append(row)
     return [_together(found[key]) for key in sorted(found, key=str)]
 
@@ -155,7 +151,7 @@ def _grouped(
 
 def _rows(evaluation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     if "digests" not in evaluation:
-        raise InvalidScores("it has no digests of policy, states and code; measure it again")
+        raise InvalidFile("it has no digests of policy, states and code; measure it again")
     config, given = evaluation["settings"], evaluation["digests"]
     configs = {one["policy"]: one for one in config["policies"]}
     versions = dict(given["versions"])
@@ -189,7 +185,7 @@ def _rows(evaluation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         for name in (*LINE, *CELL):
             kind = int if name == "nx" else str
             if type(row[name]) is not kind or not str(row[name]).isprintable():
-                raise InvalidScores(f"{name} is {row[name]!r}")
+                raise InvalidFile(f"{name} is {row[name]!r}")
         _require_outcomes(row["outcomes"])
         _number(training.get("seconds") or 0)
         yield row
@@ -204,7 +200,7 @@ def _require_outcomes(outcomes: Mapping[str, Any]) -> None:
     )
     lengths = {len(values) for values in outcomes.values()}
     if not whole or len(lengths) > 1 or lengths == {0} or max(outcomes["success"]) > 1:
-        raise InvalidScores("outcomes aren't columns of one whole number an episode")
+        raise InvalidFile("outcomes aren't columns of one whole number an episode")
 
 
 def _together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -253,7 +249,7 @@ def _digest(files: Mapping[str, str]) -> str:
 
 def _number(value: Any) -> Any:
     if not isinstance(value, int | float) or not -1e300 < value < 1e300:
-        raise InvalidScores(f"{value!r} is no number")
+        raise InvalidFile(f"{value!r} is no number")
     return value
 
 

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import InvalidConfig, as_json
+from knotgym.common.configuration import as_json
+from knotgym.common.errors import Failed, InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.finished_folders import finish_images, write_used_walks
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
@@ -28,7 +29,7 @@ from knotgym.generate.images.unit_files import UnitFile, load_frames, walked
 from knotgym.generate.images.walks import WALKS, Unit, Walk, WalkFrames
 from knotgym.runs.engine import Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
-from knotgym.runs.run_options import NotEnough, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.topology.knots import codes_of
 
@@ -52,9 +53,9 @@ def make_images(
         states: state file to start from instead; by default the included states.
 
     Raises:
-        Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidConfig, NoSeedStates: such pictures can't be made.
-        NotEnough: walks from the states don't reach enough different configurations.
+        Occupied, InvalidInput: as in `runs.engine.run`.
+        InvalidInput, InvalidInput: such pictures can't be made.
+        Failed: walks from the states don't reach enough different configurations.
     """
     arrow()
     recipe = ImageRecipe(config, options, seed_states(config.nx, archive, states, config.engine))
@@ -79,12 +80,12 @@ class ImageRecipe(Recipe):
         }
         for nx in config.nx:
             if not codes[nx]:
-                raise InvalidConfig(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
+                raise InvalidInput(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
         quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
         shares = {key: self.shard.share(count) for key, count in quota.items()}
         self.wanted = {key: len(share) for key, share in shares.items() if share}
         if not self.wanted:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"shard {self.shard} has no picture to make: split the run into fewer shards"
             )
         self.split = splits_of(config, start, set(quota))
@@ -134,7 +135,7 @@ class ImageRecipe(Recipe):
                     f"{count} of {key[0]} with nx {key[1]}"
                     for key, count in sorted(self.chooser.lacking().items())
                 )
-                raise NotEnough(
+                raise Failed(
                     f"{chosen} of {sum(self.wanted.values())} pictures found, then none in {idle}"
                     f" waves of walks; missing {lacks}"
                 )
@@ -164,7 +165,7 @@ class ImageRecipe(Recipe):
             first, second = sides if key[1] == 0 else sides[::-1]
             own = np.flatnonzero(first if first.any() else second)
             if not len(own):
-                raise NotEnough(
+                raise Failed(
                     f"no family of states is left for {key[0]} with nx {key[1]}; start from more"
                     " states"
                 )

@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from knotgym.common.configuration import InvalidConfig, check_numbers, check_nx
+from knotgym.common.configuration import check_numbers, check_nx
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
@@ -70,14 +71,14 @@ class ImagesConfig:
             or not rest
             or min(self.held_nx, default=LISTED_NX + 1) <= max(rest)
         ):
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"test-nx takes the largest of the requested nx, {sorted(self.nx)}, but not all of"
                 f" them; got {sorted(self.held_nx)}"
             )
         if self.stride > self.steps:
-            raise InvalidConfig(f"stride must be at most steps, {self.steps}, got {self.stride}")
+            raise InvalidInput(f"stride must be at most steps, {self.steps}, got {self.stride}")
         if not self.test_share + self.code_share < 1:
-            raise InvalidConfig(
+            raise InvalidInput(
                 "test and code shares must be below 1 together, got"
                 f" {self.test_share} and {self.code_share}"
             )

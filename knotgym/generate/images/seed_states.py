@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.generate.states.archive import Archive
 from knotgym.rope.engines import MUJOCO, simulation_of
 from knotgym.rope.model import Array, RopeConfig
@@ -23,10 +23,6 @@ from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
 from knotgym.topology.symmetry import canonical_form
-
-
-class NoSeedStates(KnotgymError, ValueError):
-    """There are no states to start from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +52,10 @@ def seed_states(
     Without either, the included states are used. An archive must be of the same engine.
 
     Raises:
-        NoSeedStates: both files were given, or there is no suitable state.
+        InvalidInput: both files were given, or there is no suitable state.
     """
     if archive and states:
-        raise NoSeedStates(
+        raise InvalidInput(
             "walks start from an archive or from states, not both: give --archive or --states"
         )
     simulation = simulation_of(1, RopeConfig(), engine)
@@ -67,7 +63,7 @@ def seed_states(
     kind, read = ("archive", _archived) if archive else ("states", _curated)
     found = read(path, max(nx), simulation)
     if not found:
-        raise NoSeedStates(f"{path} contains no state with at most {max(nx)} crossings")
+        raise InvalidInput(f"{path} contains no state with at most {max(nx)} crossings")
     points = []
     for state in found:
         simulation.restore(state[None])
@@ -92,7 +88,7 @@ def _archived(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
     found_archive = Archive.load(path)
     niches, made_by = found_archive.niches, found_archive.settings.get("engine")
     if made_by != simulation.engine:
-        raise NoSeedStates(
+        raise InvalidInput(
             f"{path} was made with engine {made_by}, and walks with engine {simulation.engine}"
             " can't continue from its states; give the other --engine, or --states"
         )
@@ -100,7 +96,7 @@ def _archived(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
     found = list({elite.state.tobytes(): elite.state for elite in elites}.values())
     size = simulation.states().shape[1]
     if found and len(found[0]) != size:
-        raise NoSeedStates(
+        raise InvalidInput(
             f"{path} was made with another rope: its states have {len(found[0])} numbers, this"
             f" rope's {size}"
         )
@@ -111,7 +107,7 @@ def _curated(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
     """Return the integration states of a state file's states, at rest."""
     table, rope = read_states(path, images=False), simulation.rope.config.fingerprint
     if table.attributes.get("rope") != rope:
-        raise NoSeedStates(
+        raise InvalidInput(
             f"{path} was made with another rope, {table.attributes.get('rope')}; this one is {rope}"
         )
     found = []

@@ -3,14 +3,10 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import require_regular
 from knotgym.generate.images.walks import Unit, WalkFrames, make_walks
 from knotgym.generate.packed_records import FOREIGN, read_records, write_records
-
-
-class SpoiltUnit(KnotgymError, ValueError):
-    """The file doesn't contain a unit of walks, or is corrupted."""
 
 
 class UnitFile(NamedTuple):
@@ -24,18 +20,18 @@ def walked(work: UnitFile) -> Path:
     """Make a unit's walks and write them to its file, unless an intact one exists."""
     try:
         load_frames(work.path)  # the file has checksums
-    except (SpoiltUnit, OSError):
+    except (InvalidFile, OSError):
         write_records(work.path, {"frames": [make_walks(work.unit)]})
     return work.path
 
 
 def load_frames(path: Path) -> WalkFrames:
-    """Read a file of `walked`; raise SpoiltUnit if it is truncated, corrupted or of another
+    """Read a file of `walked`; raise InvalidFile if it is truncated, corrupted or of another
     kind.
     """
-    require_regular(path, "walks", SpoiltUnit)
+    require_regular(path, "walks", InvalidFile)
     try:
         (frames,) = read_records(path, "frames", WalkFrames)
     except FOREIGN as error:
-        raise SpoiltUnit(f"{path} holds no walks of a run: {error}") from error
+        raise InvalidFile(f"{path} holds no walks of a run: {error}") from error
     return frames

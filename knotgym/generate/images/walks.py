@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import InvalidConfig, check_numbers
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.control.action_sequence import step_ropes
 from knotgym.quality.difficulty import ease
@@ -58,7 +59,7 @@ class WalkConfig:
     def __post_init__(self) -> None:
         check_numbers(self, shares=("gentle", "spread"))
         if not all(1 <= least <= most for least, most in self.relaxations):
-            raise InvalidConfig(
+            raise InvalidInput(
                 "relaxations must be pairs of at least 1 round, the smaller number first; got"
                 f" {self.relaxations}"
             )

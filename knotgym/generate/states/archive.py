@@ -20,7 +20,7 @@ import numpy as np
 
 from knotgym.common.atomic_files import atomic_write, new_hdf5
 from knotgym.common.configuration import check_numbers
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import Column, member, opened_hdf5, read_column
 from knotgym.control.action_sequence import ActionSequence
 from knotgym.control.transition_counts import TransitionCounts
@@ -41,10 +41,6 @@ _COLUMNS = (
     Column("forces", "float32", ("steps", 3), finite=True),
     Column("state", "float64", ("elites", None), finite=True),
 )
-
-
-class InvalidArchive(KnotgymError, ValueError):
-    """The file is not an archive, or not one that this version can read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,12 +161,12 @@ class Archive:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Archive:
-        """Read an archive; raise InvalidArchive if the file is another, truncated, or of an unknown
+        """Read an archive; raise InvalidFile if the file is another, truncated, or of an unknown
         version.
         """
         versions = (FORMAT_VERSION,)
         with opened_hdf5(
-            path, what="archive", format=FORMAT, versions=versions, error=InvalidArchive
+            path, what="archive", format=FORMAT, versions=versions, error=InvalidFile
         ) as file:
             visits = _json(file, "visits", dict).items()
             archive = cls(
@@ -184,7 +180,7 @@ class Archive:
             ends = np.cumsum(read["length"])
             beads, forces = read["beads"], read["forces"]
             if not len(ends) or len(beads) != int(ends[-1]):
-                raise InvalidArchive(f"{path} isn't a whole archive: its sequences are truncated")
+                raise InvalidFile(f"{path} isn't a whole archive: its sequences are truncated")
             names = ("code", "base_shift", "reverse", "objective", "state")
             parts = (np.split(one, ends[:-1]) for one in (beads, forces))
             for text, shift, reverse, objective, state, *sequence in zip(
@@ -204,5 +200,5 @@ def _json(file: h5py.File, name: str, kind: type) -> Any:
     """Read a text dataset as JSON of the given type."""
     read = json.loads(str(read_column(file, Column(name, "text", ()), {})))
     if not isinstance(read, kind):
-        raise InvalidArchive(f"{file.filename}: {name} should be {kind.__name__}")
+        raise InvalidFile(f"{file.filename}: {name} should be {kind.__name__}")
     return read

@@ -4,7 +4,7 @@ import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from knotgym.common.configuration import InvalidConfig
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.runs.shards import Shard
@@ -43,7 +43,7 @@ class CodeOrder:
             self.wanted = len(shard.share(config.count))
             return
         if not self.listed:
-            raise InvalidConfig(f"no diagram of {config.knot} has {nx} crossings")
+            raise InvalidInput(f"no diagram of {config.knot} has {nx} crossings")
         order = generator(Stream.CODE_ORDER, config.seed, nx).permutation(len(self.listed))
         each = config.every_code or -(-config.count // len(self.listed))
         # first copies of all codes come before second copies; shards take slots in turn
@@ -78,6 +78,6 @@ class CodeOrder:
             code = uniform_code(self._nx, self._rng)
             if shows(code, self._knot):
                 return code
-        raise InvalidConfig(
+        raise InvalidInput(
             f"none of {_RARE} random codes with {self._nx} crossings shows {self._knot}"
         )

@@ -7,23 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import Failed, InvalidFile, InvalidInput
 from knotgym.common.streams import Stream, generator
-from knotgym.drawing.drawn_curve import UndrawnCode, drawn_curve
+from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.quality.measures import Limits, measure
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT, UnknownKnot, diagram_of, type_of
+from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
 from knotgym.topology.knots import UNKNOWN, knot_type, shows
 
 # Maximum drawings for a start. All of the 249 prime knots but 10_26 can be placed within _DRAWINGS.
 # After _ENOUGH drawings, the most legible one so far is used.
 _DRAWINGS, _ENOUGH = 400, 40
-
-
-class InvalidCurveFile(KnotgymError, ValueError):
-    """The file doesn't contain a closed curve of a known knot."""
 
 
 class Start(NamedTuple):
@@ -42,31 +38,31 @@ def start_of(knot: str) -> Start:
             .npy, or text with three numbers per line.
 
     Raises:
-        InvalidCurveFile, InvalidCurve: `knot` is neither in the table nor a file, or the file
+        InvalidFile, InvalidInput: `knot` is neither in the table nor a file, or the file
             doesn't contain a rope of a known knot.
-        UndrawnCode: no drawing of the knot could be placed.
+        Failed: no drawing of the knot could be placed.
     """
     rope = Rope()
     try:
         diagram = diagram_of(knot)
-    except UnknownKnot as error:
+    except InvalidInput as error:
         path = Path(knot)
         if not path.is_file():
-            raise InvalidCurveFile(f"{error}; or a file with a closed curve") from error
+            raise InvalidFile(f"{error}; or a file with a closed curve") from error
         points = rope.from_curve(_curve_in(path))
         code = label(points)
         return Start(_name_of(code, path), points, code)
     if type_of(knot) == UNKNOT:
         return Start(UNKNOT, rope.loop(), label(rope.loop()))
     rng = generator(Stream.START, 0)
-    tightest: UndrawnCode | None = None
+    tightest: Failed | None = None
     best: tuple[float, Array] | None = None
     for number in range(_DRAWINGS):
         if best is not None and number >= _ENOUGH:
             break
         try:
             points = drawn_curve(diagram, rng, rope)
-        except UndrawnCode as error:
+        except Failed as error:
             tightest = error
             continue
         quality = measure(points, quick=True)
@@ -75,7 +71,7 @@ def start_of(knot: str) -> Start:
         if not Limits().faults(quality, diagram.nx):
             break
     if best is None:
-        raise UndrawnCode(f"no drawing of {knot} can be laid as a rope: {tightest}")
+        raise Failed(f"no drawing of {knot} can be laid as a rope: {tightest}")
     return Start(knot, best[1], diagram)
 
 
@@ -83,15 +79,13 @@ def _name_of(code: GaussCode, path: Path) -> str:
     """Return the name in the knot table of the knot that a curve's code shows."""
     kind = knot_type(code)
     if kind == UNKNOWN:
-        raise InvalidCurveFile(
-            f"the knot of {path} can't be certified: knots of up to 10 crossings can"
-        )
+        raise InvalidFile(f"the knot of {path} can't be certified: knots of up to 10 crossings can")
     summands = kind.split("#")
     for hands in product(("", "m"), repeat=len(summands)):
         name = "#".join(map("".join, zip(hands, summands, strict=True)))
         if shows(code, name):
             return name
-    raise InvalidCurveFile(f"the handedness of {kind}, the knot of {path}, can't be determined")
+    raise InvalidFile(f"the handedness of {kind}, the knot of {path}, can't be determined")
 
 
 def _curve_in(path: Path) -> Array:
@@ -103,7 +97,7 @@ def _curve_in(path: Path) -> Array:
             else:
                 curve = np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
     except (ValueError, OSError, EOFError, OverflowError, MemoryError, UserWarning) as error:
-        raise InvalidCurveFile(f"{path} holds no curve: {' '.join(str(error).split())}") from error
+        raise InvalidFile(f"{path} holds no curve: {' '.join(str(error).split())}") from error
     if not isinstance(curve, np.ndarray) or curve.dtype.kind not in "fiu":
-        raise InvalidCurveFile(f"{path} holds no curve: it isn't one array of real numbers")
+        raise InvalidFile(f"{path} holds no curve: it isn't one array of real numbers")
     return np.asarray(curve, dtype=np.float64)

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import Failed
 from knotgym.common.streams import Stream, generator_of, key
 from knotgym.control.action_sequence import step_ropes
-from knotgym.drawing.drawn_curve import UndrawnCode, drawn_curve
+from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.random_walk import RESET_NOISE
 from knotgym.quality.measures import Limits, Quality, measure, noise_survival
@@ -107,7 +108,7 @@ def _drawn(
     rng = generator_of(seed)
     try:
         curve = drawn_curve(code, rng, rope, config.drawing)
-    except UndrawnCode:
+    except Failed:
         rejected["too tight"] += 1
         return None
     # most rejections are seen on the curve, before anything is simulated

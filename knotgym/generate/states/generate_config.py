@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from knotgym.common.configuration import InvalidConfig, check_numbers, check_nx
+from knotgym.common.configuration import check_numbers, check_nx
+from knotgym.common.errors import InvalidInput
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.drawing.drawn_curve import DrawingConfig
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
@@ -10,9 +11,9 @@ from knotgym.generate.states.search import SearchSettings
 from knotgym.quality.measures import Limits
 from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.rope.model import RopeConfig, rope_of
-from knotgym.topology.diagrams import NotPlanar, is_planar
+from knotgym.topology.diagrams import is_planar, not_planar
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UnknownKnot, diagram_of, type_of
+from knotgym.topology.knot_table import diagram_of, type_of
 from knotgym.topology.knots import LISTED_NX, knot_type, shows
 
 
@@ -94,26 +95,26 @@ class GenerateConfig:
             ranges=("force",),
         )
         if not MIN_BEADS <= self.beads <= MAX_BEADS:
-            raise InvalidConfig(f"beads must be from {MIN_BEADS} to {MAX_BEADS}, got {self.beads}")
+            raise InvalidInput(f"beads must be from {MIN_BEADS} to {MAX_BEADS}, got {self.beads}")
         if self.beads != RopeConfig().beads and self.demonstrations:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"demonstrations are for a rope of {RopeConfig().beads} beads, got {self.beads};"
                 " leave them out: --no-demonstrations"
             )
         check_nx(self.nx, max_nx(self.beads))
         require_engine(self.engine)
         if self.split_by not in ("state", "code"):
-            raise InvalidConfig(f'split_by must be "state" or "code", got {self.split_by!r}')
+            raise InvalidInput(f'split_by must be "state" or "code", got {self.split_by!r}')
         if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"there are too many codes with {max(self.nx)} crossings to list, so every_code"
                 f" takes nx up to {LISTED_NX}; give a count"
             )
         for code in self.parsed:
             if not is_planar(code):
-                raise NotPlanar(code)
+                raise not_planar(code)
             if code.nx not in self.nx:
-                raise InvalidConfig(
+                raise InvalidInput(
                     f"nx must include the crossings of all codes, got {self.nx} and {str(code)!r}"
                 )
 
@@ -132,7 +133,7 @@ def is_tabled(knot: str) -> bool:
     """Whether the knot table has a knot of this name."""
     try:
         diagram_of(knot)
-    except UnknownKnot:
+    except InvalidInput:
         return False
     return True
 
@@ -142,11 +143,11 @@ def require_possible(config: GenerateConfig, knot: str) -> None:
     least = diagram_of(knot).nx
     for nx in config.nx:
         if nx < least:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"no diagram of {config.knot} has {nx} crossings; it has at least {least}"
             )
         if config.demonstrations and nx > max(LISTED_NX, least):
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"action sequences are limited to {LISTED_NX} crossings, got nx {nx};"
                 " --no-demonstrations makes states without them"
             )
@@ -154,6 +155,6 @@ def require_possible(config: GenerateConfig, knot: str) -> None:
         if not shows(code, knot):
             seen = knot_type(code)
             other_hand = " (handedness differs)" if seen == type_of(knot) else ""
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"the code {str(code)!r} shows the knot {seen}, not {config.knot}{other_hand}"
             )

@@ -18,14 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import InvalidInput, one_line
 from knotgym.common.hdf5_files import require_regular
 from knotgym.common.streams import Stream, generator_of, key
 from knotgym.generate.states.drawn_states import ONE, MadeState, judged
 from knotgym.generate.states.state_folder import rows_of, source_of
 from knotgym.quality.limits import UNITS, Limits, Quality
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Array, InvalidCurve, Rope, RopeConfig
+from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
 from knotgym.rope.simulation import Simulation
 from knotgym.states.schema import IMPORT
@@ -42,10 +42,6 @@ _MOST = 100_000  # points of a curve
 _SUFFIXES = (".csv", ".obj", ".npz")
 
 
-class InvalidImport(KnotgymError, ValueError):
-    """A file without closed curves, or a curve that can't be laid as a state."""
-
-
 class Curve(NamedTuple):
     """A closed curve, float64 (n, 3) in any unit, and where it was read."""
 
@@ -58,14 +54,14 @@ def read_curves(path: str | Path) -> list[Curve]:
 
     Raises:
         MissingFile: there is no such file.
-        InvalidImport: it holds no curves, or is too large.
+        InvalidInput: it holds no curves, or is too large.
     """
     given = Path(path)
     if given.suffix not in _SUFFIXES:
-        raise InvalidImport(f"curves are read from {', '.join(_SUFFIXES)}, got {given.name!r}")
-    require_regular(given, "file of curves", InvalidImport)
+        raise InvalidInput(f"curves are read from {', '.join(_SUFFIXES)}, got {given.name!r}")
+    require_regular(given, "file of curves", InvalidInput)
     if given.stat().st_size > _LARGEST:
-        raise InvalidImport(f"{path} has more than {_LARGEST // 1_000_000} MB")
+        raise InvalidInput(f"{path} has more than {_LARGEST // 1_000_000} MB")
     reader = {".csv": _from_csv, ".obj": _from_obj, ".npz": _from_npz}[given.suffix]
     try:
         curves = [
@@ -73,15 +69,15 @@ def read_curves(path: str | Path) -> list[Curve]:
             for name, points in reader(given)
         ]
     except (ValueError, OSError, IndexError, EOFError, MemoryError, zipfile.BadZipFile) as error:
-        raise InvalidImport(f"{path} holds no curves: {one_line(error)}") from error
+        raise InvalidInput(f"{path} holds no curves: {one_line(error)}") from error
     for curve in curves:
         if curve.points.ndim != 2 or curve.points.shape[1] != 3 or len(curve.points) > _MOST:
-            raise InvalidImport(
+            raise InvalidInput(
                 f"{curve.name}: a curve is (n, 3) with at most {_MOST} points, got shape"
                 f" {curve.points.shape}"
             )
     if not curves:
-        raise InvalidImport(f"{path} holds no curves")
+        raise InvalidInput(f"{path} holds no curves")
     return curves
 
 
@@ -100,7 +96,7 @@ def import_curves(
         seed: of the noise that measures noise survival.
 
     Raises:
-        InvalidImport: a curve can't be laid; the line says why.
+        InvalidInput: a curve can't be laid; the line says why.
     """
     limits, simulation = limits or Limits(), simulation_of(1, RopeConfig())
     curves = [curve for path in paths for curve in read_curves(path)]
@@ -128,19 +124,19 @@ def import_curves(
 def _laid(
     curve: Curve, number: int, seed: int, limits: Limits, simulation: Simulation
 ) -> MadeState:
-    """Lay a curve as a state; raise InvalidImport if that isn't possible."""
+    """Lay a curve as a state; raise InvalidInput if that isn't possible."""
     rope = simulation.rope
     try:
         code = label(rope.from_curve(curve.points, max_overlap=np.inf))
-    except InvalidCurve as error:
-        raise InvalidImport(f"{curve.name}: {error}") from error
+    except InvalidInput as error:
+        raise InvalidInput(f"{curve.name}: {error}") from error
     if label(curve.points) != code:
-        raise InvalidImport(
+        raise InvalidInput(
             f"{curve.name}: with {rope.config.beads} beads it shows another Gauss code; it is too"
             " intricate for this rope"
         )
     if knot_type(code) == UNKNOWN:
-        raise InvalidImport(f"{curve.name}: its knot, of {code.nx} crossings, can't be certified")
+        raise InvalidInput(f"{curve.name}: its knot, of {code.nx} crossings, can't be certified")
     stream, rest = key(Stream.IMPORT, seed, code.nx, number), np.zeros((_REST, 6), dtype=np.float32)
     why = "its strands can't be moved apart"
     for height, rounds in product(_HEIGHTS, _ROUNDS):
@@ -156,14 +152,14 @@ def _laid(
         if not faults:
             return MadeState(IMPORT, code, number, stream, start, rest, qpos, points, quality)
         why = ", ".join(_missed(fault, quality, limits) for fault in faults)
-    raise InvalidImport(f"{curve.name}: refused, relaxed and flattened too: {why}")
+    raise InvalidInput(f"{curve.name}: refused, relaxed and flattened too: {why}")
 
 
 def _candidate(curve: Array, rounds: int, code: GaussCode, rope: Rope) -> Array | None:
     """Return a curve as a relaxed configuration with its code; None if that isn't possible."""
     try:
         rough = rope.from_curve(curve, max_overlap=np.inf if rounds else 0.001)
-    except InvalidCurve:
+    except InvalidInput:
         return None
     points = relaxed(rough, rounds, rope, RelaxationConfig()) if rounds else rough
     return points if points is not None and label(points) == code else None
@@ -181,7 +177,7 @@ def write_curves(path: str | Path, names: Sequence[str], points: Array) -> None:
     """Write closed curves, float64 (n, beads, 3), in the format of the suffix.
 
     Raises:
-        InvalidImport: the suffix is of no format of curves.
+        InvalidInput: the suffix is of no format of curves.
     """
     given = Path(path)
     if given.suffix == ".npz":
@@ -197,7 +193,7 @@ def write_curves(path: str | Path, names: Sequence[str], points: Array) -> None:
             lines.append("l " + " ".join(map(str, [*range(first, first + len(curve)), first])))
             first += len(curve)
         else:
-            raise InvalidImport(f"curves are written to {', '.join(_SUFFIXES)}, got {given.name!r}")
+            raise InvalidInput(f"curves are written to {', '.join(_SUFFIXES)}, got {given.name!r}")
     given.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -206,7 +202,7 @@ def _from_csv(path: Path) -> Iterator[tuple[str, list[list[float]]]]:
     curves: dict[str, list[list[float]]] = {}
     for number, words in enumerate(lines):
         if len(words) not in (3, 4):
-            raise InvalidImport(f"line {number + 1} has {len(words)} values, should be 3 or 4")
+            raise InvalidInput(f"line {number + 1} has {len(words)} values, should be 3 or 4")
         try:
             point = [float(word) for word in words[-3:]]
         except ValueError:
@@ -236,18 +232,18 @@ def _from_obj(path: Path) -> Iterator[tuple[str, list[list[float]]]]:
             joined.append(walk)
     for number, walk in enumerate(joined or [[*range(len(vertices))]] * bool(vertices)):
         if min(walk) < 0:
-            raise InvalidImport(f"line element {number + 1} names a vertex before the first")
+            raise InvalidInput(f"line element {number + 1} names a vertex before the first")
         yield (str(number) if len(joined) > 1 else ""), [vertices[n] for n in walk]
 
 
 def _from_npz(path: Path) -> Iterator[tuple[str, Array]]:
     with np.load(path, allow_pickle=False) as archive:
         if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise InvalidImport("it isn't an .npz archive")
+            raise InvalidInput("it isn't an .npz archive")
         for name in archive.files:
             if sum(info.file_size for info in zipfile.ZipFile(path).infolist()) > _LARGEST:
-                raise InvalidImport(f"it unpacks to more than {_LARGEST // 1_000_000} MB")
+                raise InvalidInput(f"it unpacks to more than {_LARGEST // 1_000_000} MB")
             values = archive[name]
             if values.dtype.kind not in "fiu":
-                raise InvalidImport(f"{name} isn't an array of real numbers")
+                raise InvalidInput(f"{name} isn't an array of real numbers")
             yield name if len(archive.files) > 1 else "", values

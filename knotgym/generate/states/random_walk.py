@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import InvalidConfig, check_numbers, check_nx
+from knotgym.common.configuration import check_numbers, check_nx
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator, key
 from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
@@ -108,11 +109,9 @@ class RandomWalkConfig:
         check_nx(self.nx, LISTED_NX)
         require_engine(self.engine)
         if self.start not in STARTS:
-            raise InvalidConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
+            raise InvalidInput(f"no start {self.start!r}; there is {', '.join(STARTS)}")
         if self.longest < self.burn_in + 1:
-            raise InvalidConfig(
-                f"longest must be above burn_in, {self.burn_in}, got {self.longest}"
-            )
+            raise InvalidInput(f"longest must be above burn_in, {self.burn_in}, got {self.longest}")
 
     def wanted(self, nx: int, split: str) -> int:
         """Return the number of states requested with nx crossings in a split."""

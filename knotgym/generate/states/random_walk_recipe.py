@@ -17,6 +17,7 @@ import numpy as np
 
 import knotgym
 from knotgym.common.configuration import as_json
+from knotgym.common.errors import Failed, InvalidInput
 from knotgym.datasets.finished_folders import finish_states
 from knotgym.generate.packed_records import (
     read_records,
@@ -37,7 +38,7 @@ from knotgym.generate.states.random_walk import (
 from knotgym.rope.model import Array, Rope
 from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status
-from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.states.near_duplicates import pairs_within
 from knotgym.states.schema import RANDOM_WALK, STATE_SPLITS
@@ -53,11 +54,11 @@ def walk_states(
     """Make states of random walks in the new folder `out`, and return it.
 
     Raises:
-        Occupied, InvalidRun: as in `runs.engine.run`; shards are not supported.
-        NotEnough: `config.attempts` were used up.
+        Occupied, InvalidInput: as in `runs.engine.run`; shards are not supported.
+        Failed: `config.attempts` were used up.
     """
     if not options.shard.is_whole:
-        raise InvalidRun("--source random-walk doesn't support --shard: leave it out")
+        raise InvalidInput("--source random-walk doesn't support --shard: leave it out")
     return run(RandomWalkRecipe(config), out, options, progress)
 
 
@@ -81,7 +82,7 @@ class RandomWalkRecipe(Recipe):
         most = config.attempts * max(config.count, config.loops)
         while lacking := self._lacking():
             if self.walked >= most:
-                raise NotEnough(
+                raise Failed(
                     f"states are missing for {lacking} after {self.walked} walks; give more"
                     " --attempts"
                 )

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import InvalidConfig, check_numbers
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_ropes
 from knotgym.control.transition_counts import TransitionCounts, TransitionRecorder
@@ -66,7 +67,7 @@ class SearchSettings:
             shares=("replay_share",),
         )
         if self.longest < self.room:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"longest must be at least room ({self.room}), or no round can start; got"
                 f" {self.longest}"
             )

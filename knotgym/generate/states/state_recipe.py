@@ -22,8 +22,8 @@ import numpy as np
 
 import knotgym
 from knotgym.common.atomic_files import sha256
-from knotgym.common.configuration import InvalidConfig, as_json
-from knotgym.common.errors import MissingFile
+from knotgym.common.configuration import as_json
+from knotgym.common.errors import Failed, InvalidInput, MissingFile
 from knotgym.common.streams import Stream, derived_seed, key
 from knotgym.datasets.finished_folders import finish_states
 from knotgym.generate.states.archive import Archive, Elite
@@ -47,7 +47,7 @@ from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Rope
 from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
-from knotgym.runs.run_options import NotEnough, RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.states.schema import DRAWING
 from knotgym.states.state_file import write_states
@@ -79,9 +79,9 @@ def generate(
         archive: archive of another run, whose action sequences this one starts with.
 
     Raises:
-        Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidConfig: such states can't be made.
-        NotEnough: `config.attempts` or `config.searches` were used up.
+        Occupied, InvalidInput: as in `runs.engine.run`.
+        InvalidInput: such states can't be made.
+        Failed: `config.attempts` or `config.searches` were used up.
     """
     recipe = StateRecipe(config, options.shard, archive)
     if progress is not None:
@@ -113,7 +113,7 @@ class StateRecipe(MadeStates, Recipe):
         self.codes = {nx: CodeOrder(config, self.knot, self.shard, nx) for nx in config.nx}
         self.wanted = sum(codes.wanted for codes in self.codes.values())
         if not self.wanted:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"shard {self.shard} has no state to make: split the run into fewer shards"
             )
 
@@ -151,7 +151,7 @@ class StateRecipe(MadeStates, Recipe):
         fresh = new_archive(self.search, None if is_loop else self.start.points)
         self.archive = fresh if given is None else given
         if self.archive.origin != fresh.origin:
-            raise InvalidConfig(
+            raise InvalidInput(
                 f"the action sequences of {self.given} start from another curve, move another rope"
                 f" or were made with another engine than those of knot {self.config.knot} with"
                 f" engine {self.config.engine} here"
@@ -182,12 +182,12 @@ class StateRecipe(MadeStates, Recipe):
                 if unreached
                 else "more --attempts"
             )
-            raise NotEnough(
+            raise Failed(
                 f"missing states: {missing}; give --resume with {more}, or with --cycles"
                 f" {self.cycle} to keep the states made"
             )
         if not self.states:
-            raise NotEnough(f"no state accepted in {self.cycle} cycles; give more --cycles")
+            raise Failed(f"no state accepted in {self.cycle} cycles; give more --cycles")
 
     def _wave(self) -> Iterator[Batch] | None:
         """Return the next wave of work; None if nothing is left to do."""

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.chain.contact import DAMPING as CONTACT_DAMPING
 from knotgym.rope.chain.contact import FLOOR, RADIUS, STIFFNESS
 from knotgym.rope.chain.dynamics import (
@@ -30,7 +31,7 @@ from knotgym.rope.chain.dynamics import (
 from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import LOST, SCHEDULE, STATE, TICKS, advance
-from knotgym.rope.model import Array, InvalidRope, Rope, RopeConfig, sub_chains
+from knotgym.rope.model import Array, Rope, RopeConfig, sub_chains
 from knotgym.rope.simulation import Ids, Simulation
 
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
@@ -64,14 +65,14 @@ class ChainSimulation(Simulation):
         # `passage`.
         longest = longest_edge(self.rope.config.radius)
         if self.rope.config.bead_length > longest:
-            raise InvalidRope(
+            raise InvalidInput(
                 "the chain engine takes ropes whose beads are at most"
                 f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
             )
         for name in ("closure_solref", "closure_solimp"):
             given, usual = getattr(self.rope.config, name), getattr(RopeConfig(), name)
             if given != usual:
-                raise InvalidRope(
+                raise InvalidInput(
                     f"the chain engine closes the rope exactly and has no {name}; leave it at"
                     f" {usual}, got {given}"
                 )

@@ -13,13 +13,13 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
 from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
 from knotgym.rope.chain.contact import closest
 from knotgym.rope.chain.simd import LANES, put
 from knotgym.rope.closed_curves import clearance
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.rope.simulation import InvalidAction
 from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.knots import is_unknot, knot_type
 
@@ -236,7 +236,7 @@ def test_actions_are_read_as_in_mujocos_engine(rope: Rope) -> None:
     chain = ChainSimulation(2, rope)
     actions = chain.actions([7, 60], np.full((2, 3), 0.1))
     assert chain.read_actions(actions)[0].tolist() == [7, 60]
-    with pytest.raises(InvalidAction, match=r"must be in \[-1, 1\]"):
+    with pytest.raises(InvalidInput, match=r"must be in \[-1, 1\]"):
         chain.act(np.full((2, 6), np.nan))
     with pytest.raises(ValueError, match="at least 1 rope, got 0"):
         ChainSimulation(0)
