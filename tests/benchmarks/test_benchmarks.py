@@ -16,7 +16,7 @@ from ..scripts import ROOT, run_script
 from ..small_job import knotgym
 
 FOLDER = ROOT / "benchmarks"
-MODULES = {"picture_check"}  # what the scripts share
+MODULES = {"picture_check", "rope_states"}  # what the scripts share
 SCRIPTS = sorted(path for path in FOLDER.glob("*.py") if path.stem not in MODULES)
 
 

@@ -2,7 +2,8 @@
 
 A rope starts as a coil, as in the published model, and takes uniform actions until its distribution
 no longer depends on the start: walks from the coil and from the plain loop converge. From then on,
-every few actions a configuration is examined. States are not made more legible. Only positions are kept, at rest: an episode starts without the velocity of the walk.
+every few actions a configuration is examined. States are not made
+more legible. Only positions are kept, at rest: an episode starts without the velocity of the walk.
 """
 
 from collections import Counter

@@ -1,0 +1,29 @@
+"""Rope states for the other scripts: ropes that random pulls have tangled, none chosen."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from knotgym.generate.states.random_walk import coil
+from knotgym.rope.engines import CHAIN, simulation_of
+from knotgym.rope.model import Array, RopeConfig
+from knotgym.topology.crossings import count_crossings
+
+ROPES, EVERY = 64, 4  # ropes side by side; pulls between two looks at a rope
+
+
+def tangled(
+    count: int, rng: np.random.Generator, least: int = 1, most: int = 15
+) -> Iterator[Array]:
+    """Yield `count` configurations (beads, 3) with `least` to `most` crossings."""
+    simulation = simulation_of(ROPES, RopeConfig(), CHAIN)
+    start = simulation.rope.qpos(coil(simulation.rope))
+    simulation.lay(np.repeat(start[None], ROPES, axis=0))
+    given = 0
+    while given < count:
+        for _ in range(EVERY):
+            simulation.act(rng.uniform(-1, 1, (ROPES, 6)).astype(np.float32))
+        for points in simulation.points:
+            if given < count and least <= count_crossings(points) <= most:
+                yield points.copy()
+                given += 1
