@@ -498,7 +498,7 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"nx": True}, "nx must be a whole number, got True"),
         (
             {"split": "validation"},
-            "split must be one of train, test, train-code, test-code, got 'val",
+            "split must be one of train, test, train-code, test-code, got",
         ),
         ({"task": "plait"}, "task must be one of unknot, tie, convert, got 'plait'"),
         (
