@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from knotgym.generate.episodes.collect import CollectConfig as CollectConfig
     from knotgym.generate.episodes.collect import collect as collect
     from knotgym.generate.episodes.evaluate import EvaluateConfig as EvaluateConfig
-    from knotgym.generate.episodes.evaluate import run as evaluate
+    from knotgym.generate.episodes.evaluate import run as evaluate  # noqa: F401
     from knotgym.generate.episodes.suite import SuiteConfig as SuiteConfig
     from knotgym.generate.episodes.suite import make_suite as make_suite
     from knotgym.generate.images.image_recipe import make_images as make_images
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from knotgym.generate.states.generate_config import GenerateConfig as GenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig as RandomWalkConfig
     from knotgym.generate.states.random_walk_recipe import walk_states as walk_states
-    from knotgym.generate.states.state_recipe import generate as make_states
+    from knotgym.generate.states.state_recipe import generate as make_states  # noqa: F401
     from knotgym.runs.run_options import RunOptions as RunOptions
 else:
     from knotgym.common.lazy_exports import lazy_exports
