@@ -12,6 +12,7 @@ from knotgym.common.errors import InvalidInput
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import chiralities, faces, is_planar, planar_codes, with_chirality
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import diagram_of
 from knotgym.topology.knots import is_unknot, knot_type, possible_types, shows
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
 from knotgym.topology.reidemeister import simplify, without_bigons
