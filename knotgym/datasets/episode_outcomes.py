@@ -34,9 +34,9 @@ def outcomes(episodes: Episodes, task: TaskConfig) -> Outcomes:
     failed = np.zeros(len(shown), dtype=bool)
     failed[last] = own["failed"]
     # the rule compares with one number of steps for all episodes
-    rule = replace(task.reward_rule, hold=0)
+    rule = replace(task.reward_rule, hold=1)
     wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
-    held = held_for(shown & within, episodes) - wanted[episode]
+    held = held_for(shown & within, episodes) - wanted[episode] + 1
     count = ranges(np.zeros_like(own["length"]), own["length"] + 1)  # pulls before each state
     found = rule.outcome(held, count, failed, ~within)
     reached = rule.reached(held, failed)

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, link_or_copy, new_hdf5, require_output
+from knotgym.common.atomic_files import atomic_write, copy_file, new_hdf5, require_output
 from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
@@ -142,7 +142,7 @@ def publish(
         own = {**(facts or {}), "metadata": asdict(metadata)}
         write_episodes(data / FILE, parts, task, own)
         if states is not None:
-            link_or_copy(states, data / "states.h5")
+            copy_file(Path(states), data / "states.h5")
         if wanted:
             write_minari(open_episodes(data / FILE), data)
     return folder
