@@ -42,7 +42,7 @@ class RopeConfig:
         rooted: bead of a sub-chain that carries the free joint, "middle" or "start" (published).
             The rope is the same, but with the root in the middle the tree is half as deep. MuJoCo
             integrates joint angles, which differ between the two, so that beads end up millimetres
-            apart after an action (`benchmarks/physics.py`).
+            apart after an action.
         closure_solref, closure_solimp: MuJoCo's solver parameters of the constraints that join the
             sub-chains.
         timestep: integrator step, seconds.

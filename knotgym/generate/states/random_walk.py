@@ -1,8 +1,8 @@
 """Random walks: states reached by uniform random actions, as in the published benchmark.
 
 A rope starts as a coil, as in the published model, and takes uniform actions until its distribution
-no longer depends on the start (`benchmarks/stationary.py`: walks from the coil and from the plain
-loop converge). From then on, every few actions a configuration is examined. States are not made
+no longer depends on the start: walks from the coil and from the plain loop converge. From then on,
+every few actions a configuration is examined. States are not made
 more legible. Only positions are kept, at rest: an episode starts without the velocity of the walk.
 """
 
