@@ -33,9 +33,10 @@ Seed = int | np.random.Generator
 
 # Arrays with a row per rope that describe its episode; `copy_from` copies them.
 _STATE = (
-    "seed start_row goal_row start_qpos steps held visits signs crossings wanted shown failed towed"
-    " centre beads forces applied_shares"
-).split()
+    *("seed", "start_row", "goal_row", "start_qpos", "hold", "steps", "held", "shown", "failed"),
+    *("visits", "signs", "crossings", "wanted", "towed", "centre", "beads", "forces"),
+    "applied_shares",
+)
 
 
 class EpisodeBatch(OldNames):
@@ -49,6 +50,7 @@ class EpisodeBatch(OldNames):
         seed: int64 (count,), the seed of each episode; -1 if it began from a generator.
         start_row, goal_row: int64 (count,), rows of `starts` and `goals`; -1 until the first reset.
         start_qpos: float64 (count, nq), generalized positions that each rope was laid at.
+        hold: int64 (count,), consecutive steps for which the goal must be shown.
         steps: int64 (count,), pulls since the reset.
         held: int64 (count,), consecutive steps for which the goal has been shown.
         visits, signs, crossings: the Gauss codes now, see `topology.code_arrays`.
@@ -84,6 +86,7 @@ class EpisodeBatch(OldNames):
         self.number, self.seed = np.full((2, count), -1, dtype=np.int64)
         self.start_row, self.goal_row = np.full((2, count), -1, dtype=np.int64)
         self.start_qpos = np.zeros((count, self.simulation.rope.nq))
+        self.hold = np.full(count, task.hold, dtype=np.int64)
         self.steps, self.held = np.zeros((2, count), dtype=np.int64)
         self.visits, self.signs, self.crossings = read_codes(self.simulation.points)
         self.wanted = np.zeros_like(self.visits)
@@ -170,16 +173,22 @@ class EpisodeBatch(OldNames):
 
         Args:
             ids: which ropes, in increasing order.
-            rows: the columns `seed`, `start`, `goal` and `start_qpos` of `datasets.episodes`.
+            rows: the columns `seed`, `start`, `goal` and `start_qpos` of `datasets.episodes`, and
+                `goal_visits` and `hold` where an episode has a goal of its own.
         """
         self.seed[ids], self.start_row[ids] = rows["seed"], rows["start"]
         self.goal_row[ids], self.start_qpos[ids] = rows["goal"], rows["start_qpos"]
+        hold = np.asarray(rows.get("hold", 0))
+        self.hold[ids] = np.where(hold, hold, self.task.hold)
         self.simulation.lay(self.start_qpos[ids], ids)
-        goals = [_parsed(str(code)) for code in self.goals.gauss_code[self.goal_row[ids]]]
         self.centre[ids] = centres(self.simulation.points[ids])
         self.steps[ids] = self.held[ids] = 0
         self.failed[ids] = self.towed[ids] = False
         self.beads[ids], self.forces[ids], self.applied_shares[ids] = -1, 0.0, 1.0
+        if "goal_visits" in rows:
+            goals = [plain_code(row) for row in np.asarray(rows["goal_visits"], dtype=np.int16)]
+        else:
+            goals = [_parsed(str(code)) for code in self.goals.gauss_code[self.goal_row[ids]]]
         self.seek(ids, goals)
         if self._view is not None:
             self._view.reset(ids)
@@ -199,6 +208,8 @@ class EpisodeBatch(OldNames):
         other._widen(width)
         for name in _STATE:
             getattr(self, name)[ids] = getattr(other, name)[rows]
+        if self._view is not None:
+            self._view.reset(ids)
 
     # acting
 
@@ -226,7 +237,15 @@ class EpisodeBatch(OldNames):
         self.towed[ids] = towed
         self.steps[ids] += 1
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
-        return self.task.reward_rule.outcome(self.held[ids], self.steps[ids], failed, towed)
+        return self.task.reward_rule.outcome(self._counted(ids), self.steps[ids], failed, towed)
+
+    def successes(self, ids: Ids) -> NDArray[np.bool_]:
+        """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
+        return self.task.reward_rule.reached(self._counted(ids), self.failed[ids])
+
+    def _counted(self, ids: Ids) -> NDArray[np.int64]:
+        """Steps held, shifted so that episodes with a `hold` of their own meet the task's rule."""
+        return self.held[ids] + (self.task.hold - self.hold[ids])
 
     def act(self, actions: ArrayLike, ids: Ids) -> Outcome:
         """Take one action of the task's view in each episode of `ids`, with all of its pulls.
@@ -343,7 +362,7 @@ class EpisodeBatch(OldNames):
         infos = {
             **dict(zip(("gauss_code", "gauss_code_chiral", "goal_gauss_code"), shown, strict=True)),
             "crossings": self.crossings[ids],
-            "is_success": self.task.reward_rule.reached(self.held[ids], failed),
+            "is_success": self.successes(ids),
             "simulation_failed": failed,
             "start": self.start_row[ids],
             "goal": self.goal_row[ids],

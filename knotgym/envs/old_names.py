@@ -1,4 +1,4 @@
-"""Names of `EpisodeBatch` that policies of the old protocol use; goes when the last of them does."""
+"""Names of `EpisodeBatch` that policies of the old protocol use; goes with the last of them."""
 
 from typing import Any
 
@@ -27,6 +27,8 @@ class _Goals:
         self._batch, self._states = batch, states
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
         return getattr(self._states, name)
 
     def __getitem__(self, index: int) -> Any:
