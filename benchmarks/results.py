@@ -37,9 +37,8 @@ HEAD = """# Benchmark
 
 Made by `python benchmarks/results.py` from files that `knotgym evaluate --out FILE.json` wrote.
 `benchmarks/evaluations.csv` holds the same, with the digests of policy, states and code, the commit
-and the command of each cell; `python benchmarks/measure.py` measures them all. Success is in per
-cent, with a 95 % interval and the number of episodes. Earlier figures were taken before results
-recorded digests; they stand in the history at commit 20e3deb and are not repeated here.
+and the command of each cell. Success is in per cent, with a 95 % interval and the number of
+episodes.
 
 The published rows are of the train split of states that aren't published, of 384 episodes (random:
 256). They stand beside ours for scale; the settings differ. `pretrained` acts on pictures alone, as

@@ -1,45 +1,29 @@
-"""Rope states for the other scripts: ropes that random macro-actions have tangled, as they come,
-none chosen.
-"""
+"""Rope states for the other scripts: ropes that random pulls have tangled, none chosen."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from knotgym.control.action_sequence import step_ropes
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
-from knotgym.rope.model import Array
-from knotgym.rope.mujoco_simulation import MujocoSimulation
+from knotgym.generate.states.random_walk import coil
+from knotgym.rope.engines import CHAIN, simulation_of
+from knotgym.rope.model import Array, RopeConfig
 from knotgym.topology.crossings import count_crossings
 
-ROPES = 32
-LONGEST = 60  # steps before a rope starts over
+ROPES, EVERY = 64, 4  # ropes side by side; pulls between two looks at a rope
 
 
 def tangled(
     count: int, rng: np.random.Generator, least: int = 1, most: int = 15
 ) -> Iterator[Array]:
-    """Yield `count` configurations (beads, 3) with `least` to `most` crossings, at most every
-    fourth step of a rope.
-    """
-    simulation, config = MujocoSimulation(ROPES, threads=0), MacroActionConfig()
-    controller = WaypointController(ROPES, config)
-    loop = np.repeat(simulation.rope.qpos(simulation.rope.loop())[None], ROPES, axis=0)
-    step = given = 0
-    while True:
-        if step % LONGEST == 0:
-            simulation.lay(loop)
-            for rope in range(ROPES):
-                controller.begin(rope, propose(simulation.points[rope], rng, config))
-        controller.advance(simulation.points)
-        for rope in np.flatnonzero(controller.idle).tolist():
-            controller.begin(rope, propose(simulation.points[rope], rng, config))
-        controller.advance(simulation.points)
-        step_ropes(simulation, controller.beads, controller.forces(simulation.points))
-        step += 1
-        for points in simulation.points if step % 4 == 0 else ():
-            if least <= count_crossings(points) <= most:
+    """Yield `count` configurations (beads, 3) with `least` to `most` crossings."""
+    simulation = simulation_of(ROPES, RopeConfig(), CHAIN)
+    start = simulation.rope.qpos(coil(simulation.rope))
+    simulation.lay(np.repeat(start[None], ROPES, axis=0))
+    given = 0
+    while given < count:
+        for _ in range(EVERY):
+            simulation.act(rng.uniform(-1, 1, (ROPES, 6)).astype(np.float32))
+        for points in simulation.points:
+            if given < count and least <= count_crossings(points) <= most:
                 yield points.copy()
                 given += 1
-                if given == count:
-                    return

@@ -1,15 +1,27 @@
 """Settings of the clone's training; no torch here, because the command line reads them."""
 
-from dataclasses import dataclass
+from typing import Annotated
 
-from knotgym.common.configuration import check_numbers
+from pydantic import Field
+
+from knotgym.common.configuration import (
+    Count,
+    NonNegative,
+    Positive,
+    Real,
+    Seed,
+    Share,
+    Whole,
+    choice,
+    configuration,
+)
 from knotgym.common.errors import InvalidInput
-from knotgym.rope.engines import MUJOCO, require_engine
+from knotgym.rope.engines import MUJOCO, EngineName
 
 HEADS = ("macro", "bead")
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class DemonstrationsConfig:
     """Demonstrations that a training makes for itself, in the chain engine.
 
@@ -29,31 +41,19 @@ class DemonstrationsConfig:
         lanes: demonstrations side by side; makes no difference to them.
     """
 
-    episodes: int = 0
+    episodes: Whole = 0
     task: tuple[str, ...] = ("tie",)
-    nx: tuple[int, ...] = (2,)
-    split: str = "train"
+    nx: tuple[Count, ...] = (2,)
+    split: Annotated[str, choice("train", "train-code")] = "train"
     every_code: bool = False
-    starts: int = 512
-    wander: int = 3
-    led: int = 0
-    budget: int = 400
-    lanes: int = 128
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("starts", "budget", "lanes"),
-            whole=("episodes", "wander", "led"),
-            error=InvalidInput,
-        )
-        if self.split not in ("train", "train-code"):
-            raise InvalidInput(
-                f"a clone learns from train or train-code, got the split {self.split!r}"
-            )
+    starts: Count = 512
+    wander: Whole = 3
+    led: Whole = 0
+    budget: Count = 400
+    lanes: Count = 128
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class ImproveConfig:
     """How the clone plays to improve.
 
@@ -63,21 +63,12 @@ class ImproveConfig:
         share: of each batch that comes from play.
     """
 
-    episodes: int = 1500
-    temperature: float = 0.5
-    share: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("episodes",),
-            non_negative=("temperature",),
-            shares=("share",),
-            error=InvalidInput,
-        )
+    episodes: Count = 1500
+    temperature: NonNegative = 0.5
+    share: Share = 0.5
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class CloneConfig:
     """Settings of a clone's training.
 
@@ -109,45 +100,30 @@ class CloneConfig:
         play: how the clone plays.
     """
 
-    action: str = "macro"
+    action: Annotated[str, choice(*HEADS)] = "macro"
     guided: bool = False
     start: str = ""
-    blend: float = 0.0
-    steps: int = 4000
+    blend: Share = 0.0
+    steps: Count = 4000
     failed: bool = False
     demonstrations: DemonstrationsConfig = DemonstrationsConfig()
-    hindsight: int = 1
-    copies: int = 3
-    improve: int = 0
-    round_steps: int = 1000
-    batch: int = 128
-    rate: float = 1e-3
-    decay: float = 0.05
-    average: float = 0.998
-    held_out: float = 0.1
-    judge_every: int = 250
-    width: int = 96
-    layers: int = 2
-    engine: str = MUJOCO
-    seed: int = 0
+    hindsight: Whole = 1
+    copies: Whole = 3
+    improve: Whole = 0
+    round_steps: Count = 1000
+    batch: Count = 128
+    rate: Positive = 1e-3
+    decay: NonNegative = 0.05
+    average: Annotated[Real, Field(ge=0, lt=1)] = 0.998
+    held_out: Annotated[Real, Field(ge=0, lt=1)] = 0.1
+    judge_every: Count = 250
+    width: Count = 96
+    layers: Count = 2
+    engine: EngineName = MUJOCO
+    seed: Seed = 0
     play: ImproveConfig = ImproveConfig()
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("steps", "round_steps", "batch", "judge_every", "width", "layers"),
-            whole=("seed", "improve", "hindsight", "copies"),
-            positive=("rate",),
-            non_negative=("decay", "average", "held_out"),
-            shares=("blend",),
-            error=InvalidInput,
-        )
-        require_engine(self.engine)
-        if self.action not in HEADS:
-            raise InvalidInput(f"action must be {' or '.join(HEADS)}, got {self.action!r}")
-        for name in ("average", "held_out"):
-            if getattr(self, name) >= 1:
-                raise InvalidInput(f"{name} must be below 1, got {getattr(self, name)}")
         if (self.demonstrations.led or self.blend) and not self.start:
             raise InvalidInput(
                 "to blend with a clone, or let it lead to demonstrations, set start to its folder"

@@ -1,13 +1,10 @@
 """The configuration of `knotgym train`, which can be read without torch."""
 
-from dataclasses import dataclass
-
-from knotgym.common.configuration import check_numbers
-from knotgym.common.errors import InvalidInput
-from knotgym.rope.engines import MUJOCO, require_engine
+from knotgym.common.configuration import Count, Seed, configuration
+from knotgym.rope.engines import MUJOCO, EngineName
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class TrainConfig:
     """Settings of a training.
 
@@ -20,18 +17,9 @@ class TrainConfig:
         seed: random seed; the same seed and data give the same weights.
     """
 
-    steps: int = 3000
-    batch: int = 48
-    places: int = 512
-    save_every: int = 200
-    engine: str = MUJOCO
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("steps", "batch", "places", "save_every"),
-            whole=("seed",),
-            error=InvalidInput,
-        )
-        require_engine(self.engine)
+    steps: Count = 3000
+    batch: Count = 48
+    places: Count = 512
+    save_every: Count = 200
+    engine: EngineName = MUJOCO
+    seed: Seed = 0

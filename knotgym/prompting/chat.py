@@ -17,7 +17,6 @@ import urllib.error
 import urllib.request
 from collections import Counter
 from concurrent.futures import Future
-from dataclasses import dataclass
 from email.message import Message
 from email.utils import parsedate_to_datetime
 from http.client import HTTPException
@@ -25,7 +24,7 @@ from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 import knotgym
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Count, NonNegative, Positive, configuration
 from knotgym.common.errors import Failed, InvalidInput, one_line
 
 KEY = "OPENAI_API_KEY"
@@ -38,7 +37,7 @@ MOST_BYTES = 4_000_000  # size limit of a reply; compressed replies are not requ
 _BLOCK = 65536  # bytes read at a time; the time limit is checked after each block
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class ChatConfig:
     """Settings of the client.
 
@@ -54,19 +53,12 @@ class ChatConfig:
 
     model: str
     base_url: str = PUBLIC
-    temperature: float | None = 1.0
-    timeout: float = 120.0
-    attempts: int = 6
-    backoff: float = 1.0
+    temperature: NonNegative | None = 1.0
+    timeout: Positive = 120.0
+    attempts: Count = 6
+    backoff: NonNegative = 1.0
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("attempts",),
-            positive=("timeout",),
-            non_negative=("backoff", *(["temperature"] if self.temperature is not None else [])),
-            error=InvalidInput,
-        )
         if not self.model.strip():
             raise InvalidInput("name the model to ask: --model NAME")
         try:

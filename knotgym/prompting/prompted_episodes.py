@@ -8,12 +8,11 @@ same codes.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from knotgym.common.configuration import as_json, check_numbers
+from knotgym.common.configuration import Count, NonNegative, Seed, as_json, choice, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, derived_seed
 from knotgym.envs.episode_batch import EpisodeBatch
@@ -41,7 +40,7 @@ from knotgym.prompting.transcripts import PRICES
 _NO_OP = (0.0,) * 6  # an action without force
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class PromptConfig:
     """Settings of a run.
 
@@ -60,28 +59,19 @@ class PromptConfig:
         pictures: in mode read, the split of the pictures, then the SHA-256 of each.
     """
 
-    mode: str = "stateless"
+    mode: Annotated[str, choice(*MODES)] = "stateless"
     chat: ChatConfig
     task: TaskConfig = TaskConfig(task="tie", image_size=256)
-    episodes: int = 100
-    seed: int = 0
-    window: int = 4
+    episodes: Count = 100
+    seed: Seed = 0
+    window: Count = 4
     tell_centre: bool = False
-    prompt_price: float | None = None
-    completion_price: float | None = None
+    prompt_price: NonNegative | None = None
+    completion_price: NonNegative | None = None
     pictures: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.mode not in MODES:
-            raise InvalidInput(f"no mode {self.mode!r}; there is {', '.join(MODES)}")
         prices = [name for name in PRICES if getattr(self, name) is not None]
-        check_numbers(
-            self,
-            counts=("episodes", "window"),
-            whole=("seed",),
-            non_negative=prices,
-            error=InvalidInput,
-        )
         if len(prices) == 1:
             raise InvalidInput("give the prices of both prompt and completion tokens, or neither")
         if self.task.views != ("top",) or self.task.depth:

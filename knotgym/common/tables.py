@@ -1,0 +1,460 @@
+"""Tables: columns declared by a schema, in memory and in HDF5 files.
+
+A file holds one group per table and one dataset per column. A column is stored contiguously, and
+then the reader maps it into memory at its offset in the file, or it is compressed ("packed") and
+read whole. Text is `str` in memory and fixed-length UTF-8 in the file.
+
+The reader trusts nothing: it follows no links, refuses data stored in other files, and reads a
+column only after checking its type, shape and size.
+"""
+
+import hashlib
+import json
+import os
+import stat
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import prod
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.common.atomic_files import atomic_write, new_hdf5
+from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile, one_line
+
+# errors that h5py and NumPy raise on corrupted or foreign files
+_FOREIGN = (
+    OSError,
+    LookupError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    MemoryError,
+    ArithmeticError,
+)
+# A column may be this many times as large as its stored bytes: gzip expands at most 1032-fold.
+_MOST_EXPANDED, _SMALL = 1100, 1 << 20  # columns of up to _SMALL bytes are always read
+_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+_PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+_CHUNK = 1 << 20  # bytes of a packed chunk before compression
+_HEADER = ("format", "format_version")
+
+
+class Column(NamedTuple):
+    """Schema of one column.
+
+    Attributes:
+        name: may contain slashes; "source/steps" is stored in the group `source`.
+        dtype: NumPy's name of the type, such as "float64" or "bool", or "text".
+        shape: shape of one row. A word, such as "beads", stands for a size that is the same in the
+            whole file.
+        unit: unit of the values; "" if they have none.
+        doc: description.
+        optional: whether a table may do without the column.
+        finite: whether files with infinity or NaN are refused.
+        least: the smallest number that a file may hold; None for no limit.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[int | str, ...] = ()
+    unit: str = ""
+    doc: str = ""
+    optional: bool = False
+    finite: bool = False
+    least: float | None = None
+
+    def has_dtype(self, dtype: np.dtype[Any]) -> bool:
+        """Return whether this is the type of the column in memory; text has any length."""
+        return dtype.kind == "U" if self.dtype == "text" else dtype == self.dtype
+
+    def require_values(self, values: NDArray[Any]) -> None:
+        """Raise InvalidInput if text has control characters or numbers are out of range."""
+        if self.dtype == "text":
+            if not "".join(values.tolist()).isprintable():
+                raise InvalidInput(f"column {self.name} holds control characters")
+        elif self.dtype == "bool" and values.size and values.view(np.uint8).max() > 1:
+            raise InvalidInput(f"column {self.name} holds bytes other than 0 and 1")
+        elif self.finite and not np.isfinite(values).all():
+            first = np.argwhere(~np.isfinite(values))[0].tolist()
+            raise InvalidInput(f"column {self.name} holds {values[tuple(first)]} at {first}")
+        elif self.least is not None and values.size and values.min() < self.least:
+            raise InvalidInput(
+                f"column {self.name} holds {values.min()}, should be at least {self.least:g}"
+            )
+
+
+class Schema(NamedTuple):
+    """Schema of a table.
+
+    Attributes:
+        name: name of the HDF5 group; "" for the root group.
+        columns: the columns.
+        row: what one row is, for the documentation.
+        sizes: values of the words in the columns' shapes. Words that have none yet get theirs from
+            the first table or file that is checked against the schema.
+    """
+
+    name: str
+    columns: tuple[Column, ...]
+    row: str = ""
+    sizes: tuple[tuple[str, int], ...] = ()
+
+    def sized(self, **sizes: int) -> "Schema":
+        """Return the schema with values for words in shapes."""
+        return self._replace(sizes=tuple(sorted({**dict(self.sizes), **sizes}.items())))
+
+    def only(self, *names: str) -> "Schema":
+        """Return the schema of some of the columns, which stay in their order."""
+        unknown = set(names) - {column.name for column in self.columns}
+        if unknown:
+            raise InvalidInput(f"no column {', '.join(sorted(unknown))} in table {self.name!r}")
+        return self._replace(columns=tuple(c for c in self.columns if c.name in names))
+
+    def shape(self, column: Column) -> tuple[int, ...]:
+        """Return the shape of a row of a column; all of its words must have values."""
+        sizes = dict(self.sizes)
+        return tuple(sizes[size] if isinstance(size, str) else size for size in column.shape)
+
+    def empty(self, rows: int) -> dict[str, NDArray[Any]]:
+        """Return new columns of zeros, by name, to be filled; without those of text if rows > 0.
+
+        An array of text can't be filled, because it cuts texts to the length that it was made for.
+        """
+        return {
+            c.name: np.zeros((rows, *self.shape(c)), "U1" if c.dtype == "text" else c.dtype)
+            for c in self.columns
+            if not rows or c.dtype != "text"
+        }
+
+    def page(self) -> str:
+        """Return the documentation's table of the columns, in Markdown."""
+        lines = ["| column | type, shape of a row | unit | |", "| --- | --- | --- | --- |"]
+        for c in self.columns:
+            shape = f" ({', '.join(map(str, c.shape))})" if c.shape else ""
+            doc = f"optional; {c.doc}" if c.optional else c.doc
+            lines.append(f"| `{c.name}` | {c.dtype}{shape} | {c.unit} | {doc} |")
+        return "\n".join(lines)
+
+
+class Table(Mapping[str, NDArray[Any]]):
+    """Columns of equal length that fit a schema; the arrays are shared, not copied.
+
+    Attributes:
+        schema: the columns that are present, with the size of every word in their shapes.
+        rows: number of rows.
+
+    Raises:
+        InvalidInput: a column is missing, or has another type, shape or length.
+    """
+
+    def __init__(self, schema: Schema, columns: Mapping[str, NDArray[Any]]) -> None:
+        self._columns: dict[str, NDArray[Any]] = {}
+        self.rows, sizes = 0, dict(schema.sizes)
+        for c in schema.columns:
+            if c.name not in columns:
+                if c.optional:
+                    continue
+                raise InvalidInput(f"column {c.name} is missing")
+            found = columns[c.name]
+            if not self._columns:
+                self.rows = len(found) if found.ndim else 0
+            wanted = (self.rows, *c.shape)
+            if len(wanted) == found.ndim:
+                for word, size in zip(wanted, found.shape, strict=True):
+                    if isinstance(word, str):
+                        sizes.setdefault(word, size)
+            expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in wanted)
+            if not c.has_dtype(found.dtype) or found.shape != expected:
+                raise InvalidInput(
+                    f"column {c.name} is {_type_name(found.dtype)} {_listed(found.shape)}, should"
+                    f" be {c.dtype} {_listed(expected)}"
+                )
+            self._columns[c.name] = found
+        self.schema = schema.only(*self._columns).sized(**sizes)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._columns[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        """Return the number of columns; `rows` is that of rows."""
+        return len(self._columns)
+
+    def take(self, rows: ArrayLike | slice) -> "Table":
+        """Return some rows, by a mask or by indices, in the order given; a slice copies nothing."""
+        chosen = rows if isinstance(rows, slice) else np.asarray(rows)
+        if not isinstance(chosen, slice) and not chosen.size and chosen.dtype != bool:
+            chosen = chosen.astype(np.int64)  # an empty list
+        return Table(self.schema, {name: column[chosen] for name, column in self.items()})
+
+    def only(self, *names: str) -> "Table":
+        """Return some columns."""
+        return Table(self.schema.only(*names), self)
+
+    def replaced(self, **columns: NDArray[Any]) -> "Table":
+        """Return the table with other values in some columns."""
+        return Table(self.schema, {**self, **columns})
+
+
+def joined(tables: Sequence[Table]) -> Table:
+    """Append tables of one schema; optional columns are kept if all of them have them.
+
+    Raises:
+        InvalidInput: there is no table, or their schemas or sizes differ.
+    """
+    schema = _shared_schema(tables)
+    return Table(
+        schema, {c.name: np.concatenate([t[c.name] for t in tables]) for c in schema.columns}
+    )
+
+
+def write(
+    path: str | os.PathLike[str],
+    tables: Iterable[Table | Sequence[Table]],
+    attributes: Mapping[str, Any],
+    *,
+    format: str,
+    version: int = 1,
+    pack: bool = False,
+) -> None:
+    """Write tables to a file atomically; it is replaced if it exists.
+
+    Args:
+        path: path of the file.
+        tables: each a table, or its parts, which are appended as by `joined` but one at a time, so
+            that mapped files aren't read into memory.
+        attributes: attributes of the file: text and numbers, or lists and dictionaries, which are
+            stored as JSON. So text that begins with "{" or "[" is read as JSON.
+        format, version: what `read` requires.
+        pack: whether to compress the columns, which then aren't mapped but read.
+
+    Raises:
+        InvalidInput: parts of a table differ in schema, or values are out of range.
+    """
+    with (
+        atomic_write(path) as part,
+        new_hdf5(
+            part, libver=("v110", "v110"), alignment_threshold=1, alignment_interval=8
+        ) as file,
+    ):
+        file.attrs.update({"format": format, "format_version": version})
+        for name, value in attributes.items():
+            plain = isinstance(value, str | int | float | np.generic)
+            file.attrs[name] = value if plain else json.dumps(value, sort_keys=True)
+        for table in tables:
+            _write_table(file, [table] if isinstance(table, Table) else table, pack)
+
+
+def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
+    schema, rows = _shared_schema(parts), sum(part.rows for part in parts)
+    group = file.require_group(schema.name) if schema.name else file
+    for c in schema.columns:
+        dtype: Any = np.dtype("S1") if c.dtype == "text" else np.dtype(c.dtype)
+        if c.dtype == "text":
+            length = max(1, *(_encoded(part[c.name]).dtype.itemsize for part in parts))
+            dtype = h5py.string_dtype("utf-8", length)
+        shape, options = schema.shape(c), {}
+        if pack and rows and prod(shape):
+            fitting = max(1, _CHUNK // (dtype.itemsize * prod(shape)))
+            options = {**_PACKED, "chunks": (min(rows, fitting), *shape)}
+        data, at = group.create_dataset(c.name, (rows, *shape), dtype, **options), 0
+        if c.unit:
+            data.attrs["unit"] = c.unit
+        for part in parts:
+            values = part[c.name]
+            c.require_values(values)
+            text = c.dtype == "text"
+            data[at : at + part.rows] = _encoded(values).astype(dtype) if text else values
+            at += part.rows
+
+
+def read(
+    path: str | os.PathLike[str], *schemas: Schema, format: str, version: int = 1
+) -> tuple[list[Table], dict[str, Any]]:
+    """Read tables from a file and check them against their schemas.
+
+    Args:
+        path: path of the file.
+        schemas: the tables to read; columns that they don't list are left alone.
+        format, version: what the file must say it is.
+
+    Returns:
+        One table per schema, and the file's attributes. Contiguous columns are read-only and mapped
+        into memory. The file must not be modified meanwhile, only replaced.
+
+    Raises:
+        MissingFile: there is no such file.
+        InvalidFile: it is damaged, of another format or version, or doesn't fit the schemas.
+    """
+    _require_readable(path, format)
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            attributes = {name: _attribute(file, name) for name in file.attrs}
+            found = tuple(attributes.pop(name, None) for name in _HEADER)
+            if found != (format, version) or type(found[1]) is not int:
+                raise InvalidFile(
+                    f"{path} has format {found[0]!r} version {found[1]!r}; this version reads"
+                    f" {format!r} version {version}"
+                )
+            tables: list[Table] = []
+            sizes: dict[str, int] = {}
+            for schema in schemas:
+                own = schema.sized(**{**sizes, **dict(schema.sizes)})
+                tables.append(Table(own, _read_columns(file, path, schema)))
+                sizes = dict(tables[-1].schema.sizes)
+            return tables, attributes
+    except InvalidFile:
+        raise
+    except _FOREIGN as error:
+        raise InvalidFile(f"{path} isn't a whole {format} file: {one_line(error)}") from error
+
+
+def format_of(path: str | os.PathLike[str]) -> str | None:
+    """Return the format that a file claims to have; None if it isn't one of ours."""
+    try:
+        _require_readable(path, "")
+        with h5py.File(path, "r", locking=False) as file:
+            return str(_attribute(file, "format"))
+    except (InvalidFile, *_FOREIGN):
+        return None
+
+
+def digest(table: Table) -> str:
+    """Hash the names, types, shapes and values of all columns (SHA-256, hexadecimal)."""
+    whole = hashlib.sha256()
+    for name, values in sorted(table.items()):
+        text = values.dtype.kind == "U"
+        header = [name, "text" if text else values.dtype.str, values.shape]
+        whole.update(json.dumps([*header, values.tolist()] if text else header).encode())
+        if not text:
+            whole.update(np.ascontiguousarray(values).data if values.size else b"")
+    return whole.hexdigest()
+
+
+def _require_readable(path: str | os.PathLike[str], format: str) -> None:
+    """Check that a path is a regular file that can be opened; reading a pipe may never end."""
+    try:
+        opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise MissingFile(f"no {format} file at {path}") from error
+    except OSError as error:  # trouble with access isn't damage
+        raise InvalidFile(f"{path} can't be opened: {error.strerror}") from error
+    mode = os.fstat(opened).st_mode
+    os.close(opened)
+    if not stat.S_ISREG(mode):
+        error_class = MissingFile if stat.S_ISDIR(mode) else InvalidFile
+        raise error_class(f"{path} isn't a regular file; a {format} file is read here")
+
+
+def _attribute(file: h5py.File, name: str) -> Any:
+    """Read an attribute of the file: text, a number, or what its JSON holds."""
+    kind, shape = file.attrs.get_id(name).dtype, file.attrs.get_id(name).shape
+    if shape != () or not (kind.kind in "biufS" or h5py.check_string_dtype(kind)):
+        raise InvalidInput(f"attribute {name} is {kind} {shape}, should be one text or number")
+    value = file.attrs[name]
+    value = value.decode() if isinstance(value, bytes) else value
+    if not isinstance(value, str):
+        return value.item()
+    if not (name + value).isprintable():
+        raise InvalidInput(f"attribute {name!r} holds control characters")
+    return json.loads(value) if value[:1] in ("{", "[") else value
+
+
+def _read_columns(
+    file: h5py.File, path: str | os.PathLike[str], schema: Schema
+) -> dict[str, NDArray[Any]]:
+    """Read or map the columns of a table that are in a file, checking all but their shapes."""
+    columns = {}
+    for c in schema.columns:
+        data = _member(file, f"{schema.name}/{c.name}".lstrip("/"))
+        if data is None:
+            continue
+        if not isinstance(data, h5py.Dataset) or data.shape is None:
+            raise InvalidInput(f"column {c.name} should be a dataset")
+        stored = data.dtype
+        if h5py.check_enum_dtype(stored) is not None or stored.hasobject:
+            raise InvalidInput(f"column {c.name} is {_type_name(stored)}, should be {c.dtype}")
+        _require_stored_here(data, c.name)
+        values = _mapped(path, data) if stored.kind != "S" else np.asarray(data[()])
+        if stored.kind == "S":
+            values = np.strings.decode(values, "utf-8").astype(np.str_)
+        if c.has_dtype(values.dtype):
+            c.require_values(values)
+        columns[c.name] = values
+    return columns
+
+
+def _member(file: h5py.File, name: str) -> Any:
+    """Return what is in a file under a name, without following links; None if there is nothing."""
+    found: Any = file
+    for part in name.split("/"):
+        link = found.get(part, getlink=True) if isinstance(found, h5py.Group) else None
+        if link is None:
+            return None
+        if not isinstance(link, h5py.HardLink):
+            raise InvalidInput(f"column {name} is a link, should be stored in the file itself")
+        found = found[part]
+    return found
+
+
+def _require_stored_here(data: h5py.Dataset, name: str) -> None:
+    """Refuse data in other files, unusual filters, and sizes beyond what the bytes can hold."""
+    made = data.id.get_create_plist()
+    layout = made.get_layout()
+    if layout == h5py.h5d.VIRTUAL or made.get_external_count():
+        raise InvalidInput(f"column {name} is in other files, should be stored in the file itself")
+    if any(made.get_filter(k)[0] not in _FILTERS for k in range(made.get_nfilters())):
+        raise InvalidInput(f"column {name} is compressed, but not with gzip")
+    chunk = prod(made.get_chunk()) if layout == h5py.h5d.CHUNKED else 0
+    size = data.dtype.itemsize * max(prod(data.shape), chunk)
+    stored = min(data.id.get_storage_size(), os.path.getsize(data.file.filename))
+    if size > _SMALL + _MOST_EXPANDED * stored:
+        raise InvalidInput(
+            f"column {name} declares {size} bytes and stores {stored}; at most {_MOST_EXPANDED}"
+            " times as many are read"
+        )
+
+
+def _mapped(path: str | os.PathLike[str], data: h5py.Dataset) -> NDArray[Any]:
+    """Return the values of a dataset: mapped if it is contiguous, otherwise read."""
+    offset = data.id.get_offset()
+    if offset is None or not data.size:
+        return np.asarray(data[()])
+    # a plain array over the mapped bytes: unlike np.memmap itself, it is fast to slice
+    return np.require(
+        np.asarray(np.memmap(Path(path), data.dtype, "r", offset, data.shape)), None, "A"
+    )
+
+
+def _shared_schema(tables: Sequence[Table]) -> Schema:
+    """Return the schema that tables share: all required columns, and the optional ones of all."""
+    if not tables:
+        raise InvalidInput("no table to append")
+    first = tables[0].schema
+    shared = tuple(c for c in first.columns if all(c.name in table for table in tables))
+    for other in (table.schema for table in tables):
+        required = {c.name for c in (*first.columns, *other.columns) if not c.optional}
+        if other.sizes != first.sizes or not required <= {c.name for c in shared}:
+            raise InvalidInput(
+                f"tables {first.name!r} differ in their columns or sizes: {dict(first.sizes)} and"
+                f" {dict(other.sizes)}"
+            )
+    return first._replace(columns=shared)
+
+
+def _encoded(values: NDArray[np.str_]) -> NDArray[np.bytes_]:
+    return np.strings.encode(values, "utf-8")
+
+
+def _type_name(dtype: np.dtype[Any]) -> str:
+    return "text" if dtype.kind == "U" else str(dtype)
+
+
+def _listed(shape: tuple[int | str, ...]) -> str:
+    return f"({', '.join(map(str, shape))})"
