@@ -26,6 +26,7 @@ def toy(place: Path) -> Recipe[str]:
     scale = float(sum(part["x"].sum() for part in parts))
     more = yield [Call(f"more {number}", drawn, (1, number, scale)) for number in range(5)]
     place.mkdir()
+    (place / "manifest.json").write_text("{}")
     np.save(place / "x.npy", np.concatenate([part["x"] for part in [*parts, *more]]))
     return f"{len(parts)} parts"
 
