@@ -174,10 +174,7 @@ def _images_options() -> list[Option]:
         option(
             "--out", Path, "Folder to write; by default knotgym-data/images-nx0-4 for --nx 0-4."
         ),
-        option("--archive", Path, "Start from the states in a run's archive.h5."),
-        option(
-            "--states", Path, "Start from a states.h5; without either, from the included states."
-        ),
+        option("--states", Path, "Start from a states.h5; by default from the included states."),
         *options_of(config, "test_nx test_share code_share", _SPLITS, test_nx=test_nx),
         *options_of(
             config,
@@ -209,10 +206,10 @@ def images(given: Given) -> None:
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.generate.images.images_config import ImagesConfig
 
-    archive, states, size = given["archive"], given["states"], given.text("appearance.sizes")
+    states, size = given["states"], given.text("appearance.sizes")
     folder = given["out"] or default_folder(
         f"images-nx{given.text('nx')}",
-        made_from(archive or states),
+        made_from(states),
         "" if given["engine"] == "mujoco" else given["engine"],
         "" if given["appearance.style"] == "published" else given["appearance.style"],
         "varied" if given["appearance.vary"] else "",
@@ -223,7 +220,6 @@ def images(given: Given) -> None:
         given.config(ImagesConfig),
         folder,
         given.run,
-        archive=archive,
         states=states,
         progress=given.progress,
     )

@@ -38,13 +38,12 @@ class Stream(IntEnum):
     SEARCH_REPLAYS = 10  # round, wave of the planner after it
     EPISODE = 13  # episode number: the seed of its environment, in datasets
     POLICY = 14  # episode number, rollout of the episode: the policy's draws, in datasets
-    IMAGE_WALK = 15  # walk number
-    IMAGE_WAVE = 16  # wave: start states of its walks
-    IMAGE_CHOICE = 17  # frame number
+    IMAGE_WALK = 15  # rope: the seed of its policy
+    IMAGE_WAVE = 16  # wave: start states of its ropes
+    IMAGE_CHOICE = 17  # rope, pulls: the symmetries of a frame
     IMAGE_CODES = 18  # nx: the codes held out for split test-code
-    IMAGE_FAMILIES = 19  # nx: splits of the start states of walks
+    IMAGE_FAMILIES = 19  # nx: splits of the start states of ropes
     IMAGE_ORDER = 20  # split: order of the rows
-    IMAGE_NOISE = 21  # row: its noise survival
     IMAGE_APPEARANCE = 22  # row
     IMAGE_GRAIN = 23  # pixel noise of one picture, whose seed is stored
     EXPERT_LABEL = 24  # episode number, step: the plan that gives the expert action

@@ -15,7 +15,7 @@ from knotgym.common.atomic_files import require_output
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import Chosen, EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
-from knotgym.datasets.finished_folders import finish_images, finish_states, write_used_walks
+from knotgym.datasets.finished_folders import finish_images, finish_states
 from knotgym.datasets.image_table import (
     COLUMNS,
     arrow,
@@ -36,7 +36,6 @@ from knotgym.datasets.selectable_rows import (
     selection_sentence,
     with_selection,
 )
-from knotgym.datasets.walks_file import read_walks
 from knotgym.states.near_duplicates import families
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS
@@ -138,9 +137,8 @@ class _Pictures(RowsOfDataset):
 
     def keys(self) -> list[list[Hashable]]:
         near = families(points_of(self.table)).tolist()
-        names = ("source.family", "source.walk")
-        columns = [[(name, one) for one in self.columns[name].tolist()] for name in names]
-        return [[("near", one), *shared] for one, *shared in zip(near, *columns, strict=True)]
+        ropes = zip(self.columns["source.seed"], self.columns["source.rope"], strict=True)
+        return [[("near", one), ("rope", *rope)] for one, rope in zip(near, ropes, strict=True)]
 
     def earlier(self) -> list[dict[str, Any]]:
         metadata = self.table.schema.metadata or {}
@@ -165,8 +163,6 @@ class _Pictures(RowsOfDataset):
         ends = np.cumsum([len(read_table(one, columns=["nx"])) for one in files])[:-1]
         chosen = dict(zip(files, np.split(kept, ends), strict=True))
         written = write_shards(path, chosen, int(manifest["config"]["rows_per_file"]))
-        walks = read_walks(self.path / "walks.h5")
-        write_used_walks(path, written, walks.state, [walks], walks.engine)
         finish_images(path, written, manifest["report"], *_made(manifest, made))
 
 

@@ -13,20 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, require_no_links, require_output, sha256
 from knotgym.common.configuration import from_json, read_json
 from knotgym.common.errors import InvalidInput, one_line
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import Chosen
-from knotgym.datasets.finished_folders import finish_images, finish_states
-from knotgym.datasets.image_table import points_of, read_table, shards, write_shards
+from knotgym.datasets.finished_folders import finish_states
 from knotgym.datasets.machine import distinct
-from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
 from knotgym.generate.episodes.collect import REPORT, CollectConfig, write_whole
 from knotgym.generate.episodes.tally import Tally
-from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.generate_config import GenerateConfig
@@ -49,7 +45,6 @@ from knotgym.topology.gauss import GaussCode
 _KINDS: dict[str, tuple[str, type[Any]]] = {  # format of a manifest -> kind, configuration
     "knotgym-manifest": ("states", GenerateConfig),
     "knotgym-collection": ("episodes", CollectConfig),
-    "knotgym-images-manifest": ("images", ImagesConfig),
 }
 _NEAR = "near_duplicates_between_shards"  # in the report of the whole
 
@@ -59,7 +54,7 @@ class ShardFolder:
     """The output folder of a shard."""
 
     folder: Path
-    kind: str  # "states", "episodes" or "images"
+    kind: str  # "states" or "episodes"
     shard: Shard
     request: dict[str, Any]  # request of the run without the shard; equal for all shards of a run
     manifest: dict[str, Any]  # the folder's manifest; for episodes, collection.json
@@ -107,7 +102,7 @@ def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool =
         distinct(shard.manifest for shard in ordered),
     )
     with atomic_write(folder, overwrite=overwrite) as part:
-        merge = {"states": _states, "episodes": _episodes, "images": _images}[first.kind]
+        merge = {"states": _states, "episodes": _episodes}[first.kind]
         merge(whole, part.with_name("whole")).rename(part)
     return folder
 
@@ -171,7 +166,7 @@ def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
         if first.kind == "episodes":
             return asdict(sum((Tally(**shard.manifest["tally"]) for shard in ordered), Tally()))
         reports = [shard.manifest["report"] for shard in ordered]
-        return _report_of_states(reports) if first.kind == "states" else _report_of_images(reports)
+        return _report_of_states(reports)
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InvalidInput(
             f"{first.folder} and the others say what no shard of ours says: {one_line(error)}"
@@ -269,14 +264,6 @@ def _report_of_states(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _report_of_images(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    totals = {name: sum(report[name] for report in reports) for name in ("walks", "frames")}
-    for name in ("dropped", "refused"):
-        counts = sum((Counter(report[name]) for report in reports), Counter[str]())
-        totals[name] = dict(sorted(counts.items()))
-    return totals
-
-
 def _episodes(whole: _Whole, folder: Path) -> Path:
     config = from_json(CollectConfig, whole.request["config"])
     return write_whole(
@@ -288,21 +275,3 @@ def _episodes(whole: _Whole, folder: Path) -> Path:
         concatenate=True,
         machines=whole.machines,
     )
-
-
-def _images(whole: _Whole, folder: Path) -> Path:
-    kept = _kept_rows([path for shard in whole.shards for path in shards(shard.folder)])
-    written = write_shards(folder, kept, whole.request["config"]["rows_per_file"])
-    walks = [read_walks(file) for file in whole.files("walks.h5")]
-    write_walks(folder / "walks.h5", joined_walks(walks))
-    report = {**whole.report, _NEAR: sum(int((~rows).sum()) for rows in kept.values())}
-    finish_images(folder, written, report, whole.request, whole.machines)
-    return folder
-
-
-def _kept_rows(tables: Sequence[Path]) -> dict[Path, NDArray[np.bool_]]:
-    """Return a mask of rows to keep for each file: those without an earlier near-duplicate."""
-    points = [points_of(read_table(path, columns=["points"])) for path in tables]
-    ends = np.cumsum([len(own) for own in points])
-    kept = np.split(apart(np.concatenate(points)), ends[:-1])
-    return dict(zip(tables, kept, strict=True))
