@@ -146,7 +146,7 @@ def updated(config: Config, changes: Mapping[str, Any]) -> Config:
     >>> updated(TaskConfig(task="tie"), {"nx": 3}).nx
     3
     """
-    return _validated(type(config), _merged(as_json(config), changes))
+    return _validated(type(config), merged(as_json(config), changes))
 
 
 def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
@@ -162,7 +162,15 @@ def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
         for field in dataclasses.fields(kind)  # type: ignore[arg-type]
         if dataclasses.is_dataclass(field.default)
     }
-    return _validated(kind, _merged(nested, values))
+    return _validated(kind, merged(nested, values))
+
+
+def merged(below: Any, above: Any) -> Any:
+    """JSON with the values of `above`, and those of `below` that it lacks, object by object."""
+    if not (isinstance(below, Mapping) and isinstance(above, Mapping)):
+        return above
+    common = {name: merged(below[name], above[name]) for name in above if name in below}
+    return {**below, **above, **common}
 
 
 def _validated(kind: type[Config], values: Any) -> Config:
@@ -184,14 +192,6 @@ def _jsonable(value: Any) -> Any:
     if isinstance(value, (np.integer, np.floating)):
         return value.item()
     raise TypeError(f"{value!r} isn't one")
-
-
-def _merged(below: Any, above: Any) -> Any:
-    """JSON with the values of `above`, and those of `below` that it lacks, object by object."""
-    if not (isinstance(below, Mapping) and isinstance(above, Mapping)):
-        return above
-    common = {name: _merged(below[name], above[name]) for name in above if name in below}
-    return {**below, **above, **common}
 
 
 def _refuse(error: ValidationError, kind: type) -> NoReturn:
