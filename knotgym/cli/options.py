@@ -51,6 +51,7 @@ class Option(NamedTuple):
         kind: type of its value.
         help: its help.
         default: the default that is shown.
+        is_field: whether it sets a field of a configuration.
     """
 
     path: str
@@ -58,6 +59,7 @@ class Option(NamedTuple):
     kind: Any
     help: str
     default: Any = None
+    is_field: bool = False
 
     @property
     def key(self) -> str:
@@ -161,10 +163,10 @@ class Given:
             if value is not None:
                 self.typed.add(option.path)
                 value = read_value(value, option.kind, option.typed.partition("/")[0])
-            if _field(sections, option.path) is None:
-                self._extras[option.path] = option.default if value is None else value
-            elif value is not None:
+            if option.is_field and value is not None:
                 fields[option.path] = value
+            elif not option.is_field:
+                self._extras[option.path] = option.default if value is None else value
         settings = _read_settings(self._extras.get("settings"))
         for one in self._extras.get("set") or ():
             path, sign, text = one.partition("=")
@@ -284,7 +286,7 @@ def _option(sections: Sections, path: str, typed: str = "") -> Option:
     assert field is not None, path
     name = f"--{path.rpartition('.')[2].replace('_', '-')}"
     name += f"/--no-{name[2:]}" if field.default is True else ""
-    return Option(path, typed or name, field.hint, field.help, field.default)
+    return Option(path, typed or name, field.hint, field.help, field.default, is_field=True)
 
 
 def read_value(value: Any, hint: Any, name: str) -> Any:
