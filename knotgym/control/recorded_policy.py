@@ -6,7 +6,6 @@ the reset and by its goal's code, so a recording is replayed in every command th
 same starts, such as `knotgym evaluate` with the seed that the episodes were recorded with.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from knotgym.common.errors import InvalidPolicy, KnotgymError
 from knotgym.control.basic_policies import Generators
 from knotgym.control.rollouts import Ids, Pulls
+from knotgym.datasets.episode_dataset import episode_file, open_episodes
 from knotgym.datasets.episodes import MACROS, Episodes
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
@@ -52,8 +52,7 @@ class _RecordedPlayer:
         self._row = np.zeros(batch.count, dtype=np.int64)
         self.planned = np.zeros(batch.count, dtype=np.int64)
         rows = policy.episodes.episodes
-        self.names: Sequence[str] = [policy.name] * batch.count
-        self._own_names = not policy.by_start
+        self.names = [policy.name] * batch.count
         self._known: dict[_Key, int] = {}
         if policy.by_start:
             keys = zip(rows["start_qpos"], rows["goal_visits"], strict=True)
@@ -74,7 +73,7 @@ class _RecordedPlayer:
                 )
             self._row[index] = row
             if not policy.by_start:
-                self.names[index] = str(rows["policy"][row])  # type: ignore[index]
+                self.names[index] = str(rows["policy"][row])
         self.planned[ids] = rows["planned"][self._row[ids]]
 
     def act(self, ids: Ids) -> Pulls:
@@ -93,19 +92,14 @@ def load_recording(name: str) -> RecordedPolicy:
     Raises:
         InvalidPolicy: there is no such dataset.
     """
-    from knotgym.datasets.episode_sets import read_episodes
-
     try:
-        episodes = read_episodes(name.removeprefix(PREFIX))
+        return RecordedPolicy(open_episodes(name.removeprefix(PREFIX)).episodes, name, True)
     except KnotgymError as error:
         raise InvalidPolicy(str(error)) from error
-    return RecordedPolicy(episodes, name, by_start=True)
 
 
 def recording_files(name: str) -> dict[str, Path]:
     """Return the file that decides how a recorded policy acts."""
-    from knotgym.datasets.episode_sets import episode_file
-
     path = episode_file(name.removeprefix(PREFIX))
     return {path.name: path}
 

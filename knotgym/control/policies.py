@@ -1,0 +1,222 @@
+"""Look up policies by name and make them.
+
+random          uniform in [-1, 1]^6
+constant        (1, 1, 1, 1, 1, 1) at every step, which tows the rope
+scripted        one macro-action after another, without a goal
+expert          plans passes; does the same thing in the same state
+noisy           the expert, but each pull is a random one with probability `noise`, after which it
+                looks again; half of the episodes begin with a random pass
+play            the expert, to another goal whenever one is reached; for endless tasks
+planner         plans pulls in the chain engine from the rope's current state
+mixed           draws one of random, scripted, noisy and expert for each episode
+module:name     user code, see `own_policies`; the module may lie in the current folder
+FOLDER          a learner that `knotgym train` wrote; `pretrained`, `pretrained-clone` ship
+prompt:FILE     replays the actions in the transcripts of `knotgym prompt`
+recorded:DATASET  repeats the pulls of a dataset's episodes, see `recorded_policy`
+
+`register_policy` adds a single name. A `PolicyFamily` handles every name of some form; packages
+provide families through the entry-point group `knotgym.policies`, and FOLDER and prompt:FILE are
+provided in this way by `knotgym.learn` and `knotgym.prompting`. Worker processes make their own
+policies, so a name must be registered in every process that uses it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from math import inf
+from pathlib import Path
+from typing import Any
+
+from knotgym.common.atomic_files import sha256
+from knotgym.common.configuration import Share, configuration
+from knotgym.common.errors import InvalidPolicy, one_line
+from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
+from knotgym.control.demonstrator import DemonstratorConfig
+from knotgym.control.old_policies import Adapted, old_policy
+from knotgym.control.own_policies import load_own, module_files
+from knotgym.control.pass_counts import PASSES
+from knotgym.control.planner_config import PlannerConfig
+from knotgym.control.recorded_policy import PREFIX as RECORDED
+from knotgym.control.recorded_policy import load_recording, recording_files
+from knotgym.control.rollouts import Policy
+from knotgym.control.transition_graph import TRANSITIONS
+
+GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
+PLANNED = ("scripted", "expert", "noisy", "play", "planner", "mixed")
+MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
+
+
+@configuration
+class PolicyConfig:
+    """Which policy acts, and its settings.
+
+    Attributes:
+        policy: policy: random, constant, scripted, expert, noisy, play, planner, mixed, pretrained
+            or pretrained-clone; a folder written by `knotgym train`; prompt:FILE or
+            recorded:DATASET, to score transcripts of `knotgym prompt` or a recording; or
+            module:name for your own code: a function of (observation) or (observation, info,
+            generator), or an object with reset and act.
+        noise: probability that a pull of the noisy policy is random.
+        shares: shares of random, scripted, noisy and expert episodes in mixed.
+        demonstrator: settings of the expert.
+        planner: settings of the planner; the scripted policy uses its macro-actions.
+    """
+
+    policy: str = "random"
+    noise: Share = 0.1
+    shares: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
+    demonstrator: DemonstratorConfig = DemonstratorConfig()
+    planner: PlannerConfig = PlannerConfig()
+
+    def __post_init__(self) -> None:
+        fit = len(self.shares) == len(MIXED) and all(0 <= one < inf for one in self.shares)
+        if not fit or not 0 < sum(self.shares) < inf:
+            raise InvalidPolicy(
+                f"shares must be {len(MIXED)} finite numbers of at least 0, not all 0, for"
+                f" {', '.join(MIXED)}; got {self.shares}"
+            )
+        _family(self.policy)
+
+    @property
+    def plans(self) -> bool:
+        """Whether the policy searches, so that an episode takes far longer than its pulls."""
+        return self.policy in ("expert", "noisy", "play", "planner", "mixed")
+
+    @property
+    def short(self) -> str:
+        """A name for dataset ids: letters, digits and dashes."""
+        stem = self.policy
+        if stem not in _constructors:
+            stem = Path(stem.partition(":")[0]).stem.split(".")[-1]
+        return "".join(letter if letter.isalnum() else "-" for letter in stem)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyFamily:
+    """Policies whose names share a form, such as `module:name` or the path of a folder.
+
+    Attributes:
+        form: what such a name looks like, for error messages.
+        matches: tell whether a name has this form. Must be cheap; what the name refers to need not
+            exist.
+        make: make the policy, or raise InvalidPolicy.
+        files: name -> the files that decide how the policy acts, by the names used for them in
+            results.
+        card: name -> facts about the policy's training, or None if it has none.
+    """
+
+    form: str
+    matches: Callable[[str], bool]
+    make: Callable[[PolicyConfig], Policy]
+    files: Callable[[str], Mapping[str, Path]]
+    card: Callable[[str], dict[str, Any] | None] = lambda name: None
+
+
+Constructor = Callable[[PolicyConfig], Policy]
+_constructors: dict[str, Constructor] = {}
+_files: dict[str, tuple[Path, ...]] = {}  # files that a registered policy is made from
+
+
+def register_policy(name: str, constructor: Constructor, files: Sequence[Path] = ()) -> None:
+    """Register a policy under a name.
+
+    Args:
+        name: neither module:name nor a path.
+        constructor: makes the policy from a configuration.
+        files: what decides how the policy acts, such as its weights; results hold their digests.
+
+    Raises:
+        InvalidPolicy: the name is taken, or would be read as a module or path.
+    """
+    if name in _constructors:
+        raise InvalidPolicy(f"a policy named {name!r} is already registered")
+    if not name or any(mark in name for mark in ":/\\."):
+        raise InvalidPolicy(
+            f"a policy's name must not look like module:name or a path, got {name!r}"
+        )
+    _constructors[name], _files[name] = constructor, tuple(files)
+
+
+def make_policy(config: PolicyConfig) -> Policy:
+    """Make the policy of a configuration.
+
+    Raises:
+        InvalidPolicy: the function or file doesn't exist, or its library isn't installed.
+    """
+    made = _family(config.policy).make(config)
+    return made if hasattr(made, "player") else Adapted(made, config.policy)
+
+
+def policy_digests(config: PolicyConfig) -> dict[str, str]:
+    """SHA-256 of each file that decides how a policy acts: weights, user code, transcripts, and the
+    planner's table. The package's own code isn't among them; its version is recorded elsewhere.
+
+    Raises:
+        InvalidPolicy: a file can't be read.
+    """
+    try:
+        files = _family(config.policy).files(config.policy)
+        return {name: sha256(files[name]) for name in sorted(files)}
+    except OSError as error:
+        raise InvalidPolicy(f"policy {config.policy}: {one_line(error)}") from error
+
+
+def training_card(name: str) -> dict[str, Any] | None:
+    """Facts about the training of a policy, or None if its family records none."""
+    return _family(name).card(name)
+
+
+def _family(name: str) -> PolicyFamily:
+    """The first family whose form a name has. Entry points are read only if they are needed."""
+    if _REGISTERED.matches(name):
+        return _REGISTERED
+    families = (_RECORDED, *_entry_point_families(), _OWN_CODE)
+    for family in families:
+        if family.matches(name):
+            return family
+    raise InvalidPolicy(
+        f"no policy {name!r}; use {', '.join((*_constructors, *(one.form for one in families)))}"
+    )
+
+
+@cache
+def _entry_point_families() -> tuple[PolicyFamily, ...]:
+    families = []
+    for one in sorted(entry_points(group=GROUP), key=lambda one: one.value):
+        try:
+            families.append(one.load())
+        except Exception as error:  # another package's import may raise anything
+            raise InvalidPolicy(
+                f"the policies of entry point {one.name} = {one.value} can't be loaded:"
+                f" {one_line(error)}"
+            ) from error
+    return tuple(families)
+
+
+_REGISTERED = PolicyFamily(
+    form="a registered name",
+    matches=lambda name: name in _constructors,
+    make=lambda config: _constructors[config.policy](config),
+    files=lambda name: {path.name: path for path in _files[name]},
+)
+_RECORDED = PolicyFamily(
+    form=f"{RECORDED}DATASET",
+    matches=lambda name: name.startswith(RECORDED),
+    make=lambda config: load_recording(config.policy),
+    files=recording_files,
+)
+_OWN_CODE = PolicyFamily(
+    form="module:name",
+    matches=lambda name: ":" in name,
+    make=lambda config: load_own(config.policy),
+    files=module_files,
+)
+
+_planner_files = tuple(path for path in (TRANSITIONS,) if path.is_file())
+_expert_files = (*_planner_files, *(path for path in PASSES.values() if path.is_file()))
+register_policy("random", lambda config: RandomPolicy())
+register_policy("constant", lambda config: ConstantPolicy())
+for _name in PLANNED:
+    _read = {"scripted": (), "planner": _planner_files}.get(_name, _expert_files)
+    register_policy(_name, lambda config: Adapted(old_policy(config), config.policy), _read)
