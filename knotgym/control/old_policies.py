@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.control.demonstrator import Demonstrator
+from knotgym.control.demonstrator import Demonstrator, DemonstratorConfig
 from knotgym.control.expert import Expert
 from knotgym.control.old_basic_policies import ConstantPolicy as OldConstantPolicy
 from knotgym.control.old_basic_policies import (
@@ -14,6 +14,7 @@ from knotgym.control.old_basic_policies import (
     RandomPolicy,
     ScriptedPolicy,
 )
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.rope.actions import decode_actions
 
 
@@ -65,7 +66,8 @@ class _Player:
 
 
 def old_policy(config: Any) -> Any:
-    expert = Demonstrator(config.demonstrator, config.planner)
+    planner = PlannerConfig(budget=config.planner.budget, batch_size=config.planner.batch_size)
+    expert = Demonstrator(DemonstratorConfig(), planner)
     noisy = NoisyPolicy("noisy", expert, config.noise)
     scripted = ScriptedPolicy(config.planner.macro_actions)
     made = {
@@ -74,8 +76,8 @@ def old_policy(config: Any) -> Any:
         "scripted": lambda: scripted,
         "expert": lambda: expert,
         "noisy": lambda: noisy,
-        "play": lambda: PlayPolicy(config.demonstrator, config.planner),
-        "planner": lambda: Expert(config.planner),
+        "play": lambda: PlayPolicy(DemonstratorConfig(), planner),
+        "planner": lambda: Expert(planner),
         "mixed": lambda: MixedPolicy([RandomPolicy(), scripted, noisy, expert], config.shares),
     }
     return made[config.policy]()
@@ -84,7 +86,7 @@ def old_policy(config: Any) -> Any:
 def make_policy(config: Any) -> Any:
     from knotgym.control import policies
 
-    if config.policy in ("random", "constant", *policies.PLANNED):
+    if config.policy in ("random", "constant", "scripted", *policies._PLANNED):
         return old_policy(config)
     made = policies._family(config.policy).make(config)
     return getattr(made, "old", made)

@@ -32,18 +32,25 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import Share, configuration
 from knotgym.common.errors import InvalidPolicy, one_line
 from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
-from knotgym.control.demonstrator import DemonstratorConfig
-from knotgym.control.old_policies import Adapted, old_policy
+from knotgym.control.old_policies import Adapted
 from knotgym.control.own_policies import load_own, module_files
-from knotgym.control.pass_counts import PASSES
-from knotgym.control.planner_config import PlannerConfig
+from knotgym.control.planning import (
+    CHANGES,
+    PASSES,
+    Mixed,
+    Noisy,
+    PassPlanner,
+    PassPlannerConfig,
+    Play,
+    PullPlanner,
+    PullPlannerConfig,
+    Scripted,
+)
 from knotgym.control.recorded_policy import PREFIX as RECORDED
 from knotgym.control.recorded_policy import load_recording, recording_files
 from knotgym.control.rollouts import Policy
-from knotgym.control.transition_graph import TRANSITIONS
 
 GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
-PLANNED = ("scripted", "expert", "noisy", "play", "planner", "mixed")
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
 
 
@@ -59,15 +66,15 @@ class PolicyConfig:
             generator), or an object with reset and act.
         noise: probability that a pull of the noisy policy is random.
         shares: shares of random, scripted, noisy and expert episodes in mixed.
-        demonstrator: settings of the expert.
+        expert: settings of the expert.
         planner: settings of the planner; the scripted policy uses its macro-actions.
     """
 
     policy: str = "random"
     noise: Share = 0.1
     shares: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
-    demonstrator: DemonstratorConfig = DemonstratorConfig()
-    planner: PlannerConfig = PlannerConfig()
+    expert: PassPlannerConfig = PassPlannerConfig()
+    planner: PullPlannerConfig = PullPlannerConfig()
 
     def __post_init__(self) -> None:
         fit = len(self.shares) == len(MIXED) and all(0 <= one < inf for one in self.shares)
@@ -81,7 +88,7 @@ class PolicyConfig:
     @property
     def plans(self) -> bool:
         """Whether the policy searches, so that an episode takes far longer than its pulls."""
-        return self.policy in ("expert", "noisy", "play", "planner", "mixed")
+        return self.policy in _PLANNED
 
     @property
     def short(self) -> str:
@@ -213,10 +220,31 @@ _OWN_CODE = PolicyFamily(
     files=module_files,
 )
 
-_planner_files = tuple(path for path in (TRANSITIONS,) if path.is_file())
-_expert_files = (*_planner_files, *(path for path in PASSES.values() if path.is_file()))
+
+def _expert(config: PolicyConfig) -> PassPlanner:
+    return PassPlanner(config.expert, config.planner)
+
+
+def _noisy(config: PolicyConfig) -> Noisy:
+    return Noisy(_expert(config), config.noise)
+
+
+def _scripted(config: PolicyConfig) -> Scripted:
+    return Scripted(config.planner.macro_actions)
+
+
+def _mixed(config: PolicyConfig) -> Mixed:
+    policies = (RandomPolicy(), _scripted(config), _noisy(config), _expert(config))
+    return Mixed(policies, config.shares)
+
+
+_PLANNED = ("expert", "noisy", "play", "planner", "mixed")
+_tables = tuple(path for path in (CHANGES, *PASSES.values()) if path.is_file())
 register_policy("random", lambda config: RandomPolicy())
 register_policy("constant", lambda config: ConstantPolicy())
-for _name in PLANNED:
-    _read = {"scripted": (), "planner": _planner_files}.get(_name, _expert_files)
-    register_policy(_name, lambda config: Adapted(old_policy(config), config.policy), _read)
+register_policy("scripted", _scripted)
+register_policy("expert", _expert, _tables)
+register_policy("noisy", _noisy, _tables)
+register_policy("play", lambda config: Play(_expert(config)), _tables)
+register_policy("planner", lambda config: PullPlanner(config.planner), _tables[:1])
+register_policy("mixed", _mixed, _tables)
