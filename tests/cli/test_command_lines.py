@@ -157,7 +157,7 @@ REFUSED = [
     ("collect --nx", "requires an argument"),
     ("collect --nx 2 --nx 3", "specified multiple times"),
     ("collect --horizon 30", "--horizon is a setting: --set task.horizon=..."),
-    ("collect --budget=3", "--budget is a setting: --set policy.demonstrator.budget=... or"),
+    ("collect --budget=3", "--budget is a setting: --set policy.expert.budget=... or"),
     ("evaluate --noise 0.2", "--noise is a setting: --set policy.noise=..."),
     ("evaluate --shard 1/2", "--shard is a setting: --set run.shard=..."),
     ("collect --set horizon", "--set takes name=value, such as task.horizon=30, got 'horizon'"),
