@@ -8,7 +8,7 @@ Each frame comes with a few symmetries, drawn at random, and the codes that it w
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,7 @@ def frames_of(
         crossing would be at the base bead. `dropped` and `count`: why frames were dropped, and how
         many.
     """
-    rows: dict[str, list[object]] = {
+    rows: dict[str, list[Any]] = {
         name: [] for name in ("points", "rope", "pulls", "nx", "ease", "symmetries", "codes")
     }
     dropped: Counter[str] = Counter()
@@ -93,7 +93,7 @@ def frames_of(
             column.append(value)
     kinds = {"rope": np.int64, "pulls": np.int64, "nx": np.int64, "ease": np.float64}
     return {
-        "points": np.array(rows["points"], np.float64).reshape(len(rows["nx"]), -1, 3),
+        "points": np.array(rows["points"] or np.empty((0, 0, 3)), np.float64),
         "symmetries": np.array(rows["symmetries"], np.int64).reshape(-1, SYMMETRIES, 4),
         "codes": np.array(rows["codes"], np.str_).reshape(-1, SYMMETRIES),
         **{name: np.array(rows[name], kind) for name, kind in kinds.items()},

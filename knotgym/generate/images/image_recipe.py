@@ -136,9 +136,7 @@ def splits_of(config: ImagesConfig, states: States, wanted: set[Quota]) -> NDArr
     return split
 
 
-def _pictures(
-    config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Path
-) -> Recipe[str]:
+def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Path) -> Recipe[str]:
     """Make pictures in the new folder `place`; the result is a summary."""
     waves = _Waves(config, plan)
     while waves.chooser.lacking():
