@@ -101,7 +101,7 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
     quality = {f"quality/{name}": value for name, value in row["quality"].items()}
     stored = {**row, **quality, "points": points}
     del stored["image"]
-    found = list(state_faults(stored, Rope()))
+    found = [one.replace("quality/", "quality.") for one in state_faults(stored, Rope())]
     yield from found
     if any("the rope is" in fault for fault in found):
         return  # too wide to be measured

@@ -23,7 +23,6 @@ from knotgym.common.errors import InvalidInput, KnotgymError
 from knotgym.drawing.drawn_curve import DrawingConfig
 from knotgym.drawing.layout_relaxation import LayoutRelaxationConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.quality.label_limits import LabelLimits
 from knotgym.quality.limits import Limits
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rendering.camera import PictureConfig
@@ -34,7 +33,6 @@ from knotgym.rope.relaxation import RelaxationConfig
 CONFIGURATIONS = (
     AppearanceConfig,
     DrawingConfig,
-    LabelLimits,
     LayoutRelaxationConfig,
     Limits,
     MacroActionConfig,

@@ -20,7 +20,6 @@ from knotgym.datasets.row_expressions import matching_rows
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.states.near_duplicates import families
 from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.gauss import GaussCode
 
 from ..small_job import knotgym
 from .test_image_table import SOURCE, UNMOVED
@@ -187,8 +186,7 @@ def test_split_episodes_share_no_start_with_crossings(episodes: Path, tmp_path: 
 def shard(tmp_path: Path) -> Path:
     """A file with one picture."""
     states = read_states(shipped(), images=False).taken(np.array([20]))
-    code = GaussCode.parse(states.gauss_code_chiral[0])
-    row = Row(states.points[0], code, "train", {**SOURCE, **UNMOVED})
+    row = Row(states.points[0], "train", {**SOURCE, **UNMOVED})
     write_rows(tmp_path / "train.parquet", [record(row, AppearanceConfig())])
     return tmp_path / "train.parquet"
 

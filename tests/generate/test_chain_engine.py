@@ -23,25 +23,19 @@ from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import episode_faults, replay, verify_episodes
 from knotgym.datasets.state_verification import folder_faults
-from knotgym.datasets.walks_file import retrace
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect, distinct_id
 from knotgym.generate.episodes.evaluate import EvaluateConfig
 from knotgym.generate.episodes.evaluate import run as evaluate
 from knotgym.generate.episodes.suite import SuiteConfig
 from knotgym.generate.episodes.suite_scores import read_scores
-from knotgym.generate.images.seed_states import seed_states
-from knotgym.generate.images.walks import Unit, Walk, WalkConfig, make_walks
 from knotgym.generate.states.random_walk import RandomWalkConfig
 from knotgym.generate.states.random_walk_recipe import walk_states
-from knotgym.generate.states.search import SearchConfig, new_archive
 from knotgym.rope.model import Rope
-from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import merge_states, read_states
 
-from ..played import advance
 from ..small_job import knotgym
 
 QUIET = RunOptions(workers=1, quiet=True)
@@ -243,22 +237,6 @@ def test_a_file_that_names_another_engine_has_faults(walked: Path, tmp_path: Pat
         with h5py.File(folder / "states.h5", "r+") as states:
             states.attrs["engine"] = engine
         assert any(fault in one for one in folder_faults(folder))
-
-
-def test_play_finds_states_of_its_engine_and_pictures_start_from_no_others(tmp_path: Path) -> None:
-    search = SearchConfig(batch_size=4, steps=4, max_nx=3, engine="chain")
-    archive = new_archive(search)
-    advance(archive, search, InProcess())
-    archive.save(tmp_path / "archive.h5")
-    with pytest.raises(InvalidInput, match="made with engine chain, and walks with engine mujoco"):
-        seed_states((1,), archive=tmp_path / "archive.h5")
-    start = seed_states((1,), archive=tmp_path / "archive.h5", engine="chain")
-    walks = tuple(Walk(number, 0) for number in range(2))
-    unit = Unit(walks, start.states[[0, 0]], 0, 4, 2, 3, "chain", WalkConfig(relaxations=()))
-    frames = make_walks(unit)
-    again = retrace(unit.states, frames.beads, frames.forces, "chain")
-    rows = [frames.number.tolist().index(walk) for walk in frames.walk.tolist()]
-    assert len(rows) and np.array_equal(again[rows, frames.steps], frames.points)
 
 
 @pytest.mark.slow

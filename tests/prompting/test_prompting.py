@@ -559,9 +559,9 @@ def test_a_line_that_is_no_transcript_is_refused(text: str, said: str, tmp_path:
 @pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
 def test_a_model_reads_the_pictures_of_a_split(rope: Rope, tmp_path: Path) -> None:
     ropes = [rope.from_curve(curled(nx, 0.3)) for nx in (1, 2, 1)]
-    sources = [{"seed": 0, "family": number, "row": number} for number in range(len(ropes))]
+    sources = [{"seed": 0, "rope": number, "row": number} for number in range(len(ropes))]
     rows = [
-        record(Row(points, label(points), "test", source), AppearanceConfig())
+        record(Row(points, "test", source), AppearanceConfig())
         for points, source in zip(ropes, sources, strict=True)
     ]
     write_rows(tmp_path / "table.parquet", rows)

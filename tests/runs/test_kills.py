@@ -331,24 +331,6 @@ def test_spoilt_shards_of_a_collection_are_made_anew(
     assert made(tmp_path / "a") == unbroken(COLLECT)
 
 
-@pytest.mark.slow  # the engine and damaged shards are tried by the collection above
-@with_arrow
-def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
-    unbroken: Unbroken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from knotgym.generate.images.image_recipe import ImageRecipe
-
-    with monkeypatch.context() as patch:
-        patch.setattr(ImageRecipe, "finish", stopped)
-        assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 130
-    spoil(next(tmp_path.rglob("*.npz")))
-    spoil(next(tmp_path.rglob("*.parquet")))
-    assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
-    assert made(tmp_path / "a") == unbroken(IMAGES) and [
-        path.name for path in tmp_path.iterdir()
-    ] == ["a"]
-
-
 # What the engine's own tests say of the one engine (test_engine), here of each of the kinds.
 
 
