@@ -22,7 +22,7 @@ def demo(given: Given) -> None:
 
     from knotgym.cli.inspection import page
     from knotgym.common.atomic_files import atomic_write, require_output
-    from knotgym.control.policies import PolicyConfig
+    from knotgym.control.policy_config import PolicyConfig
     from knotgym.datasets.episode_reader import EpisodeReader
     from knotgym.envs.tasks import TaskConfig
     from knotgym.generate.episodes.collect import CollectConfig, collect
