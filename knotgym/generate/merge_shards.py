@@ -33,7 +33,7 @@ from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import apart
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import (
     States,

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import require_output, sha256
 from knotgym.common.configuration import Count, Seed, as_json, choice, configuration, differences
 from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_dataset import FILE, open_episodes
 from knotgym.datasets.episodes import Episodes, merged

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from knotgym.common.atomic_files import sha256
-from knotgym.control.policies import PolicyConfig, policy_digests
+from knotgym.control.policies import policy_digests
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.task_states import SHIPPED, state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.runs.identity import identity

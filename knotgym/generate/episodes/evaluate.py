@@ -20,7 +20,8 @@ from knotgym.common.configuration import Count, Seed, Whole, as_json, configurat
 from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.common.streams import Stream
 from knotgym.common.tables import Table
-from knotgym.control.policies import PolicyConfig, make_policy, training_card
+from knotgym.control.policies import make_policy, training_card
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_outcomes import outcomes
 from knotgym.datasets.episodes import RECORDED, STEPS, Episodes
