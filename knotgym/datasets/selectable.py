@@ -36,7 +36,7 @@ from knotgym.datasets.walks_file import read_walks
 from knotgym.states.near_duplicates import families
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.states.state_file import read_states, ships, states_at, write_states
+from knotgym.states.state_file import States, read_states, ships, states_at, write_states
 
 Rows = NDArray[np.int64]
 Selections = list[dict[str, Any]]
@@ -88,7 +88,7 @@ class _States:
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        flat = {name: values for name, values in self.states.columns().items() if values.ndim == 1}
+        flat = {name: values for name, values in self.states.table.items() if values.ndim == 1}
         return {"row": self.ids} | {name.replace("/", "."): flat[name] for name in flat}
 
     @property
@@ -119,21 +119,21 @@ class _States:
         return _selections(self.states.attributes.get("selection"))
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
-        states = self.states.taken(rows)
-        attributes = {**states.attributes, "selection": json.dumps(made, sort_keys=True)}
-        states = replace(states, attributes=attributes)
+        states = self.states.taken(rows).replaced({}, selection=made)
         if not self.path.is_dir():
             write_states(path, states)
             return
         manifest = _manifest(self.path)
         path.mkdir()
-        write_states(path / "states.h5", states)
+        kept: list[tuple[EpisodeDataset, Episodes]] = []
         for file in sorted((self.path / "minari").glob(f"**/data/{FILE}")):
-            demonstrations = open_episodes(file)
-            kept = _of_states(demonstrations, rows, len(self.states))
-            if kept.episodes.rows:
-                target = Destination(path / "minari", demonstrations.name)
-                _publish(demonstrations, kept, made, path / "states.h5", target)
+            dataset = open_episodes(file)
+            episodes, states = _of_states(dataset, rows, len(self.states), states)
+            kept += [(dataset, episodes)] if episodes.episodes.rows else []
+        write_states(path / "states.h5", states)
+        for dataset, episodes in kept:
+            target = Destination(path / "minari", dataset.name)
+            _publish(dataset, episodes, made, path / "states.h5", target)
         finish_states(path, states, manifest["report"], *_made(manifest, made))
 
 
@@ -343,12 +343,16 @@ def _made(
     return {**request, "selection": selections}, manifest.get("machines"), added
 
 
-def _of_states(dataset: EpisodeDataset, rows: Rows, count: int) -> Episodes:
-    """Return the episodes whose goals are among some rows of the states, with their new numbers."""
+def _of_states(
+    dataset: EpisodeDataset, rows: Rows, count: int, states: States
+) -> tuple[Episodes, States]:
+    """Return the episodes whose goals are among some of `count` states, and these states.
+
+    Both name each other by their new numbers.
+    """
     new = np.full(count, -1)
     new[rows] = np.arange(len(rows))
-    own = dataset.episodes.episodes
-    columns = {}
+    own, columns = dataset.episodes.episodes, {}
     kept = np.ones(own.rows, dtype=bool)
     for name, nx in (("start", dataset.task.start_nx), ("goal", dataset.task.goal_nx)):
         # plain loops come from the set that ships where the file has none
@@ -356,8 +360,14 @@ def _of_states(dataset: EpisodeDataset, rows: Rows, count: int) -> Episodes:
             known = (own[name] >= 0) & (own[name] < count)
             columns[name] = np.where(known, new[np.where(known, own[name], 0)], -1)
             kept &= columns[name] >= 0
-    renumbered = dataset.episodes._replace(episodes=own.replaced(**columns))
-    return renumbered.select(kept)
+    renumbered = dataset.episodes._replace(episodes=own.replaced(**columns)).select(kept)
+    if "source/trajectory" in states.table:
+        number = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+        mine, old = states.source["dataset"] == dataset.name, states.source["trajectory"]
+        led = np.where(mine & (old >= 0) & (old < own.rows), old, own.rows)
+        changed = np.where(mine, number[led], old).astype(old.dtype)
+        states = states.replaced({"source/trajectory": changed})
+    return renumbered, states
 
 
 def _publish(

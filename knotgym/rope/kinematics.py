@@ -3,6 +3,9 @@
 Quaternions are (w, x, y, z). The kinematic trees are described by arrays over the beads: `order`
 lists parents before their children; `parent` is -1 at a root; `at` is the index in qpos at which a
 bead's numbers begin; `rest` is its orientation relative to its parent at zero joint angle.
+
+After a change run `pytest tests/rope/test_rope.py`: positions must be MuJoCo's, and qpos of a curve
+lead back to it.
 """
 
 import numba
@@ -111,6 +114,24 @@ def backward(
             for c in range(1, 4):
                 back[c] *= -1.0
             _multiply(back, world[bead], qpos[a : a + 4])
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
+    """Find the vertex of each rope (n, beads, 3) nearest to its position (n, 3): int64 (n,).
+
+    The first one if several are equally near, as in `actions.decode_actions`.
+    """
+    nearest = np.zeros(len(points), np.int64)
+    for rope in range(len(points)):
+        best = np.inf
+        for bead in range(points.shape[1]):
+            square = 0.0
+            for c in range(3):
+                square += (points[rope, bead, c] - positions[rope, c]) ** 2
+            if square < best:
+                best, nearest[rope] = square, bead
+    return nearest
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # 0 / 0 is NaN instead of an exception
