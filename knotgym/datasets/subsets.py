@@ -107,7 +107,8 @@ def split(
     if len(set(dealt.tolist())) < len(shares):
         raise InvalidInput(
             f"{source} can't be cut into {len(shares)} parts: its {len(given.ids)} rows share"
-            f" starts, goals, walks or near-duplicates, which leaves {together.max() + 1} separate groups"
+            f" starts, goals, walks or near-duplicates, which leaves {together.max() + 1}"
+            " separate groups"
         )
     targets = []
     for name in shares:
