@@ -15,15 +15,17 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import as_json
 from knotgym.common.errors import KnotgymError, one_line
 from knotgym.datasets.episode_dataset import EpisodeDataset, content_digest, open_episodes
-from knotgym.datasets.episodes import differences, gauss_codes, merged
+from knotgym.datasets.episodes import Episodes, differences, gauss_codes, merged
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
+from knotgym.envs.tasks import TaskConfig
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
 
 Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
+Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.verification.replay`
 _BLOCK = 1024  # episodes played again between two reports of progress
 
 
@@ -31,22 +33,19 @@ def uncounted(stage: str, done: int, total: int) -> None:
     """Report no progress."""
 
 
-def expanded(dataset: EpisodeDataset, count: Count = uncounted) -> EpisodeDataset:
+def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) -> EpisodeDataset:
     """Return a dataset with all columns, made by playing its episodes again.
 
-    Of columns that can't be recomputed, expert actions, goals in hindsight and the numbers of
-    planned pulls, the dataset's own stay.
+    Of columns that can't be recomputed, goals in hindsight and the numbers of planned pulls, the
+    dataset's own stay.
     """
-    from knotgym.control.recorded_policy import RecordedPolicy
-    from knotgym.control.rollouts import rollouts
-
     parts = []
     for first in range(0, dataset.episodes.episodes.rows, _BLOCK):
         count("episodes played again", first, dataset.episodes.episodes.rows)
         some = dataset.episodes.select(
             np.arange(first, min(first + _BLOCK, dataset.episodes.episodes.rows))
         )
-        made = rollouts(RecordedPolicy(some), dataset.task, some.episodes)
+        made = replay(some, dataset.task)
         goals = made.episodes["goal_points"].copy()
         hindsight = some.episodes["relabelled"]
         goals[hindsight] = made.steps["observation"][made.last()][hindsight]
@@ -56,13 +55,13 @@ def expanded(dataset: EpisodeDataset, count: Count = uncounted) -> EpisodeDatase
 
 
 def verify_episodes(
-    source: Any, *, act_out: bool = True, pyknotid: bool = True, count: Count = uncounted
+    source: Any, replay: Replay | None, *, pyknotid: bool = True, count: Count = uncounted
 ) -> Iterator[str]:
     """Verify a file of episodes or a Minari dataset.
 
     Args:
         source: what `open_episodes` takes.
-        act_out: play the episodes again and compare them.
+        replay: plays the episodes again, to be compared; None to believe their states.
         pyknotid: compare each episode's last state with pyknotid, an independent labeller; about
             10 ms each.
         count: progress callback.
@@ -82,8 +81,8 @@ def verify_episodes(
     yield from duplicate_faults(dataset)
     try:
         columns = dataset
-        if act_out:
-            columns = expanded(dataset, count)
+        if replay is not None:
+            columns = expanded(dataset, replay, count)
             for fault in differences(columns.episodes, dataset.episodes):
                 yield f"{dataset.path}, {fault}, played again"
     except KnotgymError as error:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from knotgym.datasets.row_expressions import matching_rows
 
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets import delete, read_rows, select, split, verify
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import write_rows
-from knotgym.datasets.row_expressions import matching_rows
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.states.near_duplicates import families
 from knotgym.states.state_file import read_states, shipped

@@ -15,7 +15,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from knotgym.datasets.exports.parquet_tables import (
 )
 from knotgym.datasets.gallery import write_gallery, write_picture_gallery
 from knotgym.datasets.image_table import arrow, file_stem, shards
+from knotgym.datasets.located import Sources
 from knotgym.states.schema import STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.states.state_file import read_states
@@ -48,17 +49,8 @@ from knotgym.states.state_file import read_states
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 
 
-class ToUpload(NamedTuple):
-    """The sources of a folder, and the title of its card."""
-
-    title: str
-    states: Path | None = None  # state file
-    episodes: Sequence[Path] = ()  # datasets
-    pictures: Path | None = None  # folder of a perception table
-
-
 def to_huggingface(
-    source: ToUpload,
+    source: Sources,
     out: str | os.PathLike[str],
     *,
     overwrite: bool = False,
@@ -91,7 +83,7 @@ def to_huggingface(
         write_text(folder / "README.md", _card(source.title, description, folder, files))
 
 
-def _written(source: ToUpload, folder: Path) -> Iterator[FileObject]:
+def _written(source: Sources, folder: Path) -> Iterator[FileObject]:
     """Write tables and gallery; yield a description of each file."""
     if source.pictures is not None:
         columns = picture_columns()
