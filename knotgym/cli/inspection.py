@@ -34,7 +34,6 @@ from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.merging import merge as merge_datasets
 from knotgym.datasets.page.page_data import page_data
 from knotgym.datasets.page.page_writer import write_page
-from knotgym.generate.merge_evaluations import merge_evaluations
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
@@ -134,8 +133,6 @@ def page(named: str, out: Path, overwrite: bool) -> str:
 
 def merge(sources: Sequence[str], out: Path, overwrite: bool) -> str:
     """Merge datasets of one kind, or the shards of one run; return a one-line summary."""
-    if all(Path(source).is_file() and source.endswith(".json") for source in sources):
-        return merge_evaluations([Path(source) for source in sources], out, overwrite=overwrite)
     run_shards = [shard for source in sources if (shard := shard_folder_of(source))]
     if run_shards:
         others = len(sources) - len(run_shards)

@@ -34,7 +34,7 @@ from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.datasets.walks_file import read_walks
 from knotgym.states.near_duplicates import families
-from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
+from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.states.state_file import States, read_states, ships, states_at, write_states
 
