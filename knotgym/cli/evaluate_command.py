@@ -4,8 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, command, extra, field_help
-from knotgym.control.policies import PolicyConfig
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 
 
 @command(

@@ -14,7 +14,8 @@ from knotgym.common.streams import Stream, generator
 from knotgym.datasets.image_table import encode, parquet, table_of
 from knotgym.quality.difficulty import grade
 from knotgym.quality.limits import LEGIBLE, Quality
-from knotgym.rendering.appearance import Appearance, AppearanceConfig, appearance, render
+from knotgym.rendering.appearance import Appearance, appearance, render
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rendering.picture import crossing_pixels
 from knotgym.rope.model import Array
 from knotgym.runs.journal import Result

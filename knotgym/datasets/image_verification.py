@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidFile, KnotgymError, MissingFile, one_line
-from knotgym.datasets.episode_reader import Count, uncounted
+from knotgym.datasets.episode_verification import Count, uncounted
 from knotgym.datasets.image_rows import appearance_of, derived
 from knotgym.datasets.image_table import (
     arrow,
@@ -28,7 +28,7 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
 from knotgym.quality.limits import UNAMBIGUOUS, Quality
-from knotgym.rendering.appearance import SIZES
+from knotgym.rendering.appearance_config import SIZES
 from knotgym.rope.model import Array, Rope
 from knotgym.states.derivation import row_faults as state_faults
 from knotgym.states.near_duplicates import pairs_within

@@ -21,8 +21,7 @@ from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import Chosen
 from knotgym.datasets.finished_folders import finish_states
 from knotgym.datasets.machine import distinct
-from knotgym.generate.episodes.collect import REPORT, CollectConfig, write_whole
-from knotgym.generate.episodes.tally import Tally
+from knotgym.generate.episodes.old_collect import REPORT, CollectConfig, Tally, write_whole
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.generate_config import GenerateConfig
@@ -30,7 +29,7 @@ from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import apart
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import (
     States,

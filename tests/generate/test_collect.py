@@ -20,7 +20,7 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.expert import Expert
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
@@ -29,7 +29,8 @@ from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
 from knotgym.datasets.trajectory import relabel_all
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.generate.episodes.collect import collect
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.loaders import Transitions
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.engine import request_of

@@ -36,7 +36,7 @@ from knotgym.generate.images.images_config import ImagesConfig, quotas
 from knotgym.loaders import images as load
 from knotgym.quality.difficulty import grade
 from knotgym.quality.measures import UNITS, Limits, measure
-from knotgym.rendering.appearance import VARIED, AppearanceConfig
+from knotgym.rendering.appearance_config import VARIED, AppearanceConfig
 from knotgym.rope.model import Array, Rope
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.near_duplicates import NEAR, distances

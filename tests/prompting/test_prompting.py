@@ -28,7 +28,7 @@ from knotgym.prompting.prompted_episodes import PromptConfig, play, read
 from knotgym.prompting.prompts import first
 from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.prompting.transcripts import read_transcripts
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rope.model import Rope
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.common.tables import Table
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollouts
 from knotgym.datasets.episodes import STARTS, STEPS
 from knotgym.envs.tasks import TaskConfig

@@ -9,7 +9,7 @@ from knotgym.common.configuration import Count, Distinct, Seed, Share, Whole, co
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.quality.limits import UNAMBIGUOUS, Limits
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rope.engines import MUJOCO, EngineName
 from knotgym.topology.knots import LISTED_NX
 
