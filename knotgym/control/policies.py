@@ -36,7 +36,10 @@ from typing import Any
 from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import Share, configuration
 from knotgym.common.errors import InvalidPolicy, one_line
-from knotgym.control.basic_policies import (
+from knotgym.control.demonstrator import Demonstrator, DemonstratorConfig
+from knotgym.control.expert import Expert
+from knotgym.control.learned_policies import MODEL_FILES, ModelPolicy, load_model
+from knotgym.control.old_basic_policies import (
     ConstantPolicy,
     MixedPolicy,
     NoisyPolicy,
@@ -44,9 +47,6 @@ from knotgym.control.basic_policies import (
     RandomPolicy,
     ScriptedPolicy,
 )
-from knotgym.control.demonstrator import Demonstrator, DemonstratorConfig
-from knotgym.control.expert import Expert
-from knotgym.control.learned_policies import MODEL_FILES, ModelPolicy, load_model
 from knotgym.control.own_policies import OwnPolicy, load_own, module_files
 from knotgym.control.pass_counts import PASSES
 from knotgym.control.planner_config import PlannerConfig

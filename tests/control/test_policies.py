@@ -11,7 +11,7 @@ from knotgym.cli.main import main
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidPolicy, KnotgymError
 from knotgym.control import policies
-from knotgym.control.basic_policies import RandomPolicy
+from knotgym.control.old_basic_policies import RandomPolicy
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import (
     MIXED,
