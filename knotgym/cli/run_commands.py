@@ -50,16 +50,7 @@ def _generate_options() -> list[Option]:
             Path,
             "Folder to write; by default knotgym-data/nx3, or nx3-3_1 with --knot 3_1.",
         ),
-        option(
-            "--source",
-            str,
-            '"drawing": draw states from their Gauss codes, after readable states found by'
-            ' simulated play; "random-walk": take states from uniform random actions, without'
-            " over-twisted ones and without demonstrations.",
-            default="drawing",
-            group=_CHOICE,
-        ),
-        *options_of(config, "demonstrations every_code split_by knot", _CHOICE),
+        *options_of(config, "source demonstrations every_code split_by knot", _CHOICE),
         option(
             "--codes",
             Path,
@@ -68,13 +59,7 @@ def _generate_options() -> list[Option]:
             " the number of states per code, 1 by default.",
             group=_CHOICE,
         ),
-        option(
-            "--archive",
-            Path,
-            "Start from the action sequences of another run (its archive.h5).",
-            group=_SEARCH,
-        ),
-        *options_of(config, "attempts cycles", _SEARCH),
+        *options_of(config, "attempts", _SEARCH),
         *options_of(config, "engine beads", ENVIRONMENT),
         *options_of(config, "seed", RUN),
         *run_options(f"{EXECUTION} shard {EXISTING}"),
@@ -100,43 +85,27 @@ def generate(given: Given) -> None:
     from knotgym.common.streams import Stream, generator
     from knotgym.datasets.minari_dataset import loading_lines
     from knotgym.generate.states.generate_config import GenerateConfig
-    from knotgym.generate.states.random_walk import RandomWalkConfig
-    from knotgym.generate.states.random_walk_recipe import walk_states
-    from knotgym.generate.states.state_recipe import generate as run
+    from knotgym.generate.states.state_recipe import make_states
     from knotgym.topology.knot_table import UNKNOT, diagram_of
 
     options, progress, source, knot = given.run, given.progress, given["source"], given["knot"]
-    archive, codes, every_code = given["archive"], given["codes"], given["every_code"]
-    if source not in ("drawing", "random-walk"):
-        raise typer.BadParameter(f"--source takes drawing or random-walk, got {source!r}")
+    codes, every_code = given["codes"], given["every_code"]
     nx, usual = given.text("nx"), {}
     if nx is None:
-        is_table_name = knot != UNKNOT and not Path(knot).is_file()
-        nx = str(diagram_of(knot).nx) if is_table_name else "3"
+        nx = str(diagram_of(knot).nx) if knot != UNKNOT else "3"
         usual["nx"] = numbers(nx)
     folder = given["out"] or default_folder(
         f"nx{nx}",
         "" if source == "drawing" else source,
-        "" if knot == UNKNOT else Path(knot).stem,
+        "" if knot == UNKNOT else knot,
         f"every{every_code}" if every_code else "",
         "" if given["split_by"] == "state" else f"by-{given['split_by']}",
         codes.stem if codes else "",
         "" if given["demonstrations"] else "states",
-        "" if given["engine"] == "mujoco" else given["engine"],
+        "" if given["engine"] == "auto" else given["engine"],
         "" if given["beads"] == 100 else f"beads{given['beads']}",
-        made_from(archive),
         f"seed{given['seed']}" if given["seed"] else "",
     )
-    if source == "random-walk":
-        for name in ("every_code", "split_by", "knot", "codes", "beads", "archive", "cycles"):
-            if name in given.typed:
-                dashed = name.replace("_", "-")
-                raise typer.BadParameter(f"--{dashed} needs --source drawing, not random-walk")
-        walks = given.config(RandomWalkConfig, usual=usual)
-        walk_states(walks, folder, options, progress=progress)
-        return
-    if archive is not None and not given["demonstrations"]:
-        raise typer.BadParameter("--archive provides action sequences; remove --no-demonstrations")
     more: dict[str, Any] = {}
     if codes is not None:
         wanted = numbers(nx) if "nx" in given.typed else None
@@ -146,8 +115,8 @@ def generate(given: Given) -> None:
         more["codes"] = [str(code) if code.chirality is None else code.chiral for code in found]
         more["every_code"] = every_code or 1
     config = given.config(GenerateConfig, more, usual=usual)
-    run(config, folder, options, archive=archive, progress=progress)
-    root = options.shard.folder(folder) / "minari"
+    made = make_states(config, folder, options, progress=progress)
+    root = made / "minari"
     for dataset in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
         shown = dataset.relative_to(root).as_posix()
         progress.say_how_to_load(loading_lines(shown, root))

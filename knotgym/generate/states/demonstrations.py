@@ -23,11 +23,11 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.state_rows import Rows, joined
+from knotgym.generate.states.state_rows import Rows
 from knotgym.runs.run import Call, Recipe
 from knotgym.states.schema import DRAWING, STATE_SPLITS
 from knotgym.states.state_file import States, demonstrations_id
-from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
+from knotgym.topology.knot_table import diagram_of, type_of
 
 HORIZON = 200  # actions, more than any demonstration needs
 _STARTS = 8  # drawn states that episodes start from, in both splits together
@@ -136,6 +136,21 @@ def task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:
         horizon=HORIZON,
         engine=config.engine_used,
     )
+
+
+def where_demonstrated(
+    config: GenerateConfig, rows: Rows, sets: Sequence[Demonstrated]
+) -> dict[str, NDArray[Any]]:
+    """Return the columns of provenance that locate the rows' demonstrations."""
+    count = len(rows["nx"])
+    dataset = [""] * count
+    trajectory = rows.get("source/trajectory", np.full(count, -1)).copy()
+    step = rows["source/steps"].copy()
+    for nx, split, episodes in sets:
+        for number, goal in enumerate(episodes.episodes["goal"].tolist()):
+            dataset[goal] = demonstrations_id(nx, split, type_of(config.knot))
+            trajectory[goal], step[goal] = number, episodes.episodes["length"][number]
+    return {"dataset": np.array(dataset), "trajectory": trajectory, "step": step}
 
 
 def publish_demonstrations(

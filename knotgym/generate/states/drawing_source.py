@@ -198,7 +198,7 @@ def _drawn(
         rejected["simulation failed"] += 1
         return None
     points, qpos = simulation.points[0].copy(), simulation.qpos(_ONE)[0]
-    judgement = judge(points, [config.limits], rng, code=code)
+    judgement = judge(points, [config.limits], code=code)
     rejected.update(judgement.faults)
     if judgement.faults:
         return None

@@ -16,8 +16,7 @@ from knotgym.common.configuration import (
 from knotgym.common.errors import InvalidInput
 from knotgym.drawing.drawn_curve import DrawingConfig
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
-from knotgym.generate.states.state_filter import TwistLimits
-from knotgym.quality.limits import Limits
+from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope.engines import CHAIN, MUJOCO
 from knotgym.rope.model import RopeConfig, rope_of
 from knotgym.states.schema import DRAWING, PLAY
@@ -123,7 +122,7 @@ class GenerateConfig:
         play: settings of source play.
         walk: settings of source random-walk.
         limits: limits that make a state readable; source random-walk has none.
-        twist: limits that leave out over-twisted states of the sources play and random-walk.
+        twist: limits that leave out over-twisted states; source drawing has none.
     """
 
     nx: Crossings = (3,)
@@ -143,8 +142,8 @@ class GenerateConfig:
     drawing: DrawnConfig = DrawnConfig()
     play: PlayConfig = PlayConfig()
     walk: PlayConfig = PUBLISHED
-    limits: Limits = Limits()
-    twist: TwistLimits = TwistLimits()
+    limits: Limits = LEGIBLE
+    twist: Limits = UNTWISTED
 
     def __post_init__(self) -> None:
         if max(self.nx) > (most := max_nx(self.beads)):

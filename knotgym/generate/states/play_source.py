@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.common.errors import Failed
-from knotgym.common.streams import Stream, generator, key
+from knotgym.common.streams import Stream, key
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.rope_lives import live
 from knotgym.generate.states.selection import Selection
@@ -73,7 +73,7 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
             rows, reasons = without_report(result)
             for nx, each in reasons:
                 rejected[nx].update(each)
-            for row, rope in enumerate(rows.get("source/trajectory", np.empty(0, int)).tolist()):
+            for row, rope in enumerate(ropes_of(rows)):
                 code = GaussCode.parse(str(rows["gauss_code"][row]))
                 split = split_of(config, rope)
                 even = wanted(config, code.nx, split) / len(codes_of(UNKNOT, code.nx))
@@ -110,6 +110,11 @@ def split_of(config: GenerateConfig, rope: int) -> str:
     return STATE_SPLITS[0] if after > before else STATE_SPLITS[1]
 
 
+def ropes_of(rows: Rows) -> list[int]:
+    """Return the ropes that rows come from, by their numbers in the run."""
+    return [int(seed[2]) for seed in rows.get("source/seed", ())]
+
+
 def key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
     """Return the key of a rope's random stream."""
     stream = Stream.PLAYED_ROPE if config.source == PLAY else Stream.RANDOM_WALK
@@ -140,8 +145,7 @@ def play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ...
             continue
         if kept[rope, code.nx] == config.lives.per_rope:
             continue
-        rng = generator(Stream.RANDOM_WALK_NOISE, config.seed, rope, frame.step)
-        judgement = judge(frame.points, limits, rng)
+        judgement = judge(frame.points, limits)
         rejected[code.nx].update(judgement.faults)
         if judgement.faults:
             continue
@@ -155,10 +159,9 @@ def play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ...
             seed=np.array(keys[frame.rope]),
             policy=config.source,
             trajectory=rope,
-            step=frame.step,
         )
         if played:  # those of a random walk follow from its key
             row["source/actions"] = lives.actions[frame.rope, : frame.step]
         rows.append(row)
-    rows.sort(key=lambda row: (row["source/trajectory"], row["source/step"]))
+    rows.sort(key=lambda row: (row["source/trajectory"], row["source/steps"]))
     return with_report(stacked(rows), list(rejected.items()))

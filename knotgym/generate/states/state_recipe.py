@@ -20,10 +20,11 @@ from knotgym.generate.states.demonstrations import (
     demonstrated,
     publish_demonstrations,
     start_rows,
+    where_demonstrated,
 )
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.play_source import rows_of_ropes, split_of
+from knotgym.generate.states.play_source import ropes_of, rows_of_ropes, split_of
 from knotgym.generate.states.state_rows import Rows, joined, states_of
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.identity import identity
@@ -83,25 +84,24 @@ def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]
     }
     source = drawn_rows if config.source == DRAWING else rows_of_ropes
     rows = yield from source(config, report)
-    engine, facts = config.engine_used, as_json(config)
-    states = states_of(rows, _splits(config, rows), engine, facts)
+    engine, facts, split = config.engine_used, as_json(config), _splits(config, rows)
     place.mkdir(parents=True)
-    write_states(place / "states.h5", states)
-    sets = []
+    located: dict[str, NDArray[Any]] = {}
     if config.demonstrations:
-        starts = yield from start_rows(config, rows)
-        both = joined([rows, starts])
-        more = np.resize(np.array(STATE_SPLITS), len(both["nx"]) - len(states))
-        playing = states_of(both, np.concatenate([states.split, more]), engine, facts)
+        # the set and what its demonstrations start from, in a file for the workers
+        both = joined([rows, (yield from start_rows(config, rows))])
+        more = np.resize(np.array(STATE_SPLITS), len(both["nx"]) - len(split))
+        playing = states_of(both, np.concatenate([split, more]), engine, facts)
         path = place.parent / "with-starts.h5"
         write_states(path, playing)
-        sets = yield from demonstrated(config, playing, len(states), path)
+        sets = yield from demonstrated(config, playing, len(split), path)
         publish_demonstrations(sets, config, place / "minari", path)
-        reached = {row for one in sets for row in one.episodes.episodes["goal"].tolist()}
-        report["demonstrations"] = len(reached)
-        report["undemonstrated"] = sorted(
-            {str(states.gauss_code[row]) for row in {*range(len(states))} - reached}
-        )
+        located = where_demonstrated(config, rows, sets)
+        shown = located["dataset"] != ""
+        report["demonstrations"] = int(shown.sum())
+        report["undemonstrated"] = np.unique(rows["gauss_code"][~shown]).tolist()
+    states = states_of(rows, split, engine, facts, **located)
+    write_states(place / "states.h5", states)
     finish_states(place, states, report, made_by)
     return _summary(states, report)
 
@@ -109,8 +109,7 @@ def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]
 def _splits(config: GenerateConfig, rows: Rows) -> NDArray[np.str_]:
     """Assign rows to train and test; those of one rope, and near duplicates, stay together."""
     if config.source != DRAWING:
-        ropes = rows["source/trajectory"].tolist()
-        return np.array([split_of(config, rope) for rope in ropes], dtype=np.str_)
+        return np.array([split_of(config, rope) for rope in ropes_of(rows)])
     codes = [GaussCode.parse(text) for text in rows["gauss_code_chiral"].tolist()]
     assigned = np.full(len(codes), STATE_SPLITS[0], dtype="<U5")
     for nx in config.nx:

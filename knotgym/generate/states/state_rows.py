@@ -94,27 +94,14 @@ def states_of(
         "image": draw_many(points, picture_of(points.shape[1])),
         **{f"source/{name}": values for name, values in source.items()},
     }
-
-    def group(name: str) -> dict[str, NDArray[Any]]:
-        return {
-            column.removeprefix(name): values
-            for column, values in columns.items()
-            if column.startswith(name)
-        }
-
-    return States(
-        **{name: values for name, values in columns.items() if "/" not in name},
-        quality=group("quality/"),
-        units=dict(UNITS),
-        source=group("source/"),
-        attributes={
-            "knotgym": knotgym.__version__,
-            "mujoco": mujoco.__version__,
-            "rope": rope_of(points.shape[1]).fingerprint,
-            "engine": engine,
-            "config": json.dumps(config, sort_keys=True),
-        },
-    )
+    attributes = {
+        "knotgym": knotgym.__version__,
+        "mujoco": mujoco.__version__,
+        "rope": rope_of(points.shape[1]).fingerprint,
+        "engine": engine,
+        "config": config,
+    }
+    return States.of(columns, attributes)
 
 
 def _padded(actions: NDArray[Any], length: int) -> NDArray[Any]:
