@@ -20,7 +20,14 @@ from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.selection import Selection
 from knotgym.generate.states.state_filter import judge
-from knotgym.generate.states.state_rows import Rows, row_of, stacked, taken, with_report, without_report
+from knotgym.generate.states.state_rows import (
+    Rows,
+    row_of,
+    stacked,
+    taken,
+    with_report,
+    without_report,
+)
 from knotgym.generate.states.wanted_codes import WantedCodes
 from knotgym.quality.measures import measure
 from knotgym.rope.engines import simulation_of

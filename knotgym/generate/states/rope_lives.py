@@ -206,9 +206,7 @@ def _rest(ids: Ids) -> BeadsAndForces:
     return np.zeros(len(ids), dtype=np.int64), np.zeros((len(ids), 3), dtype=np.float32)
 
 
-def _lived(
-    config: PlayConfig, engine: str, start: Array, keys: Sequence[tuple[int, ...]]
-) -> _Life:
+def _lived(config: PlayConfig, engine: str, start: Array, keys: Sequence[tuple[int, ...]]) -> _Life:
     """Play lives from starts float64 (ropes, nq)."""
     schema, life = STARTS.sized(nq=start.shape[1]), _Life(config, keys)
     rows = schema.empty(len(keys))

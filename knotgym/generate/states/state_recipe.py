@@ -1,7 +1,7 @@
 """The recipe of `knotgym generate`: states from one of three sources, then their demonstrations.
 
-    rows = drawing | play | random-walk        (rows that pass the filter and are new)
-      -> splits -> states.h5 -> the expert's episodes to their codes -> gallery, card, manifest
+rows = drawing | play | random-walk        (rows that pass the filter and are new)
+  -> splits -> states.h5 -> the expert's episodes to their codes -> gallery, card, manifest
 """
 
 from collections.abc import Mapping
