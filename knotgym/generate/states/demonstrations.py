@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, derived_seed
 from knotgym.common.tables import Table
-from knotgym.control.policies import make_policy
+from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollouts
 from knotgym.datasets.episodes import EPISODES, STARTS, STEPS, Episodes, merged
 from knotgym.datasets.minari_form import MinariMetadata, publish
@@ -120,7 +120,7 @@ def demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int)
     schema = STARTS.sized(nq=batch.start_qpos.shape[1])
     columns = (batch.seed, batch.start_row, batch.goal_row, batch.start_qpos)
     starts = Table(schema, dict(zip((c.name for c in schema.columns), columns, strict=True)))
-    policy = make_policy("expert" if attempt < _EXPERT else "planner")
+    policy = make_policy(PolicyConfig(policy="expert" if attempt < _EXPERT else "planner"))
     played = rollouts(policy, task, starts, attempt=attempt)
     reached = played.select(played.episodes["success"])
     return {f"{table.schema.name}/{name}": one for table in reached for name, one in table.items()}
