@@ -4,11 +4,9 @@ Merged episodes have the same bytes as a run without shards. Pictures differ fro
 have the same distribution: of near-duplicates in two shards the later one is dropped.
 """
 
-import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from itertools import groupby, product
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +16,7 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import atomic_write, require_no_links, require_output, sha256
 from knotgym.common.configuration import from_json, read_json
 from knotgym.common.errors import InvalidInput, one_line
-from knotgym.common.streams import Stream, generator
-from knotgym.datasets.episode_reader import Chosen
-from knotgym.datasets.finished_folders import finish_images, finish_states
+from knotgym.datasets.finished_folders import finish_images
 from knotgym.datasets.image_table import points_of, read_table, shards, write_shards
 from knotgym.datasets.machine import distinct
 from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
@@ -30,17 +26,9 @@ from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import apart
-from knotgym.states.schema import STATE_SPLITS
-from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import (
-    States,
     leads_out,
-    merge_states,
-    merged_order,
-    read_states,
-    write_states,
 )
-from knotgym.topology.gauss import GaussCode
 
 _KINDS: dict[str, tuple[str, type[Any]]] = {  # format of a manifest -> kind, configuration
     "knotgym-collection": ("episodes", CollectConfig),

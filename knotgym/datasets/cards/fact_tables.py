@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-
 from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.image_table import GRADES
 from knotgym.states.splits import IMAGE_SPLITS
