@@ -25,7 +25,7 @@ from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows
 from knotgym.runs.run import Call, Recipe
-from knotgym.states.schema import DRAWING, STATE_SPLITS
+from knotgym.states.schema import STATE_SPLITS
 from knotgym.states.state_file import States, demonstrations_id
 from knotgym.topology.knot_table import diagram_of, type_of
 
@@ -59,8 +59,7 @@ def start_rows(config: GenerateConfig, rows: Rows) -> Recipe[Rows]:
         config,
         nx=(needed,),
         count=_STARTS,
-        source=DRAWING,
-        engine=config.engine_used,
+        source="drawing",
         every_code=0,
         codes=(),
         demonstrations=False,

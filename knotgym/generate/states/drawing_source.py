@@ -57,14 +57,14 @@ class Order(NamedTuple):
 
     Attributes:
         code: with chirality, or without for any chirality.
-        index: of the code among those of its nx.
+        which: index of the code among those of its nx.
         first: number of the first drawing.
         drawings: most drawings.
         wanted: states, at most.
     """
 
     code: GaussCode
-    index: int
+    which: int
     first: int
     drawings: int
     wanted: int
@@ -153,15 +153,15 @@ def draw(config: GenerateConfig, orders: Sequence[Order]) -> Rows:
         selection, rejected, number = Selection(), Counter[str](), order.first
         letters = _letters(order.code, config.knot)
         while number < order.first + order.drawings and len(selection) < order.wanted:
-            # `index` keeps codes from all starting with the same chirality
-            turn = (order.index + number) % len(letters)
+            # `which` keeps codes from all starting with the same chirality
+            turn = (order.which + number) % len(letters)
             code = GaussCode(order.code.visits, letters[turn])
             row = _drawn(config, order, code, number, simulation, rejected)
             number += 1
             if row is not None and selection.offer(stacked([row]), 0):
                 rows.append(row)
         rejected["near-duplicate"] = selection.near[order.code.nx]
-        drawn.append([order.code.nx, order.index, number - order.first, rejected])
+        drawn.append([order.code.nx, order.which, number - order.first, rejected])
     return with_report(stacked(rows), drawn)
 
 
@@ -186,7 +186,7 @@ def _drawn(
 ) -> dict[str, Any] | None:
     """Make one state; return None if it is rejected, and count the reasons in `rejected`."""
     rope = simulation.rope
-    seed = key(Stream.DRAWING, config.seed, code.nx, order.index, number)
+    seed = key(Stream.DRAWING, config.seed, code.nx, order.which, number)
     rng = generator_of(seed)
     try:
         curve = drawn_curve(code, rng, rope, config.drawing.curve)
@@ -257,4 +257,4 @@ def _parts(total: int, most: int) -> list[int]:
 
 def _ranks(values: NDArray[np.int64], order: Sequence[int]) -> NDArray[np.int64]:
     """Return the position of each value in an order."""
-    return np.array([order.index(value) for value in values.tolist()], dtype=np.int64)
+    return np.array([order.which(value) for value in values.tolist()], dtype=np.int64)
