@@ -11,6 +11,7 @@ import importlib.util
 import inspect
 import json
 import re
+import runpy
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -299,14 +300,15 @@ def test_the_page_of_the_environment_names_the_keywords_of_many_at_once() -> Non
 def test_the_state_file_is_as_its_page_says(tmp_path: Path) -> None:
     states.write_states(tmp_path / "states.h5", knotgym.read_states(knotgym.shipped()))
     with h5py.File(tmp_path / "states.h5") as file:
-        check_datasets("states.md", "Datasets", file)
         said = names(tables(DOCS / "formats/states.md")["Attributes of the file"])
         assert said == {*file.attrs}
-        for name, unit in {
-            code_words(row[0])[0]: row[3] for row in tables(DOCS / "formats/states.md")["Datasets"]
-        }.items():
-            if name.startswith("quality/"):
-                assert file[name].attrs["unit"] == unit
+
+
+def test_tables_of_columns_are_those_of_the_schemas() -> None:
+    with_tables = runpy.run_path(str(DOCS / "schemas.py"))["with_tables"]
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert text == with_tables(text), f"{page_name(page)}: run python docs/schemas.py"
 
 
 def test_pages_name_as_many_measures_as_there_are() -> None:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.streams import Stream, generator
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policies import PolicyConfig
 from knotgym.control.policy import Policy
 from knotgym.control.rollouts import EVALUATION, episode_seed
 from knotgym.envs.episode_batch import EpisodeBatch

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import EVALUATION, rollout
 from knotgym.play.page import Page, PlayConfig
 from knotgym.play.recorder import Recorder
