@@ -1,5 +1,6 @@
 """States from three sources: drawn, met by play, met by random walks; and their demonstrations."""
 
+import contextlib
 import json
 from collections import Counter
 from dataclasses import replace
@@ -76,10 +77,12 @@ def test_every_code_is_drawn(drawn: Path) -> None:
 
 
 @pytest.mark.parametrize("source", ["drawn", "played", "walked"])
-def test_a_folder_has_no_fault_and_every_row_replays_bit_for_bit(
+def test_every_row_is_recomputed_and_replays_bit_for_bit(
     source: str, request: pytest.FixtureRequest
 ) -> None:
-    assert list(folder_faults(request.getfixturevalue(source))) == []
+    folder = request.getfixturevalue(source)
+    assert list(state_faults(read_states(folder / "states.h5"))) == []
+    assert list(listed_faults(folder, read_manifest(folder)[0])) == []
 
 
 def test_a_folder_holds_states_gallery_card_and_manifest(played: Path) -> None:
@@ -116,16 +119,14 @@ def test_random_walks_need_no_actions_and_no_readability(walked: Path) -> None:
 
 
 @pytest.mark.parametrize("config", [DRAWN, WALKED])
-def test_a_recipe_gives_the_same_rows_again_from_shards(config: GenerateConfig) -> None:
+def test_shards_are_merged_to_the_rows_of_the_whole_run(config: GenerateConfig) -> None:
     source = drawn_rows if config.source == "drawing" else rows_of_ropes
-    whole, memory = compute(source(config, {})), Memory()
-    for number in (2, 1):
-        shard = Shard(number, 2) if number == 2 else Shard()
-        try:
-            rows = compute(source(config, {}), memory, shard=shard)
-        except Failed:
-            assert 0 < len(memory)  # its share
-    assert same(rows, whole)
+    memory = Memory()
+    for number in (1, 2):
+        with contextlib.suppress(Failed):  # results of the other are missing
+            compute(source(config, {}), memory, shard=Shard(number, 2))
+    assert len(memory)
+    assert same(compute(source(config, {}), memory), compute(source(config, {})))
 
 
 def test_demonstrations_end_in_the_codes_of_the_set(drawn: Path) -> None:
@@ -164,7 +165,7 @@ def test_a_run_that_gives_up_goes_on_with_more_attempts(tmp_path: Path) -> None:
 def test_the_filter_names_what_is_wrong(rope: Rope) -> None:
     coiled, loop = coil(rope), rope.loop()
     assert judge(loop, [LEGIBLE, UNTWISTED]).faults == []
-    assert "smallest_region" in judge(coiled, [LEGIBLE]).faults
+    assert "crossing_angle" in judge(coiled, [LEGIBLE]).faults
     assert judge(loop, [Limits(total_curvature=0.9)]).faults == ["total_curvature"]
     assert judge(loop, [], code=GaussCode.parse("1+a,1-a")).faults == ["code lost at rest"]
     assert judge(loop, [], knot="3_1").faults == ["not certified as 3_1"]

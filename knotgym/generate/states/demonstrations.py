@@ -23,7 +23,7 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.state_rows import Rows
+from knotgym.generate.states.state_rows import Rows, joined
 from knotgym.runs.run import Call, Recipe
 from knotgym.states.schema import STATE_SPLITS
 from knotgym.states.state_file import States, demonstrations_id
@@ -43,28 +43,41 @@ class Demonstrated(NamedTuple):
     episodes: Episodes
 
 
-def start_rows(config: GenerateConfig, rows: Rows) -> Recipe[Rows]:
+def start_rows(
+    config: GenerateConfig, rows: Rows, split: NDArray[np.str_]
+) -> Recipe[tuple[Rows, NDArray[np.str_]]]:
     """Draw the states that demonstrations start from, where the set itself has none.
 
-    The set that ships has plain loops, so nothing is drawn for an unknot of more crossings.
+    The set that ships has plain loops, so ties of the unknot need none.
+
+    Args:
+        config: of the run.
+        rows: the set.
+        split: str (n,), of the rows.
+
+    Returns:
+        The rows of the set and those to start from, with the splits of all.
     """
-    least = diagram_of(config.knot).nx
-    if least:
-        needed = least if any(nx > least for nx in config.nx) else None
-    else:
-        needed = 1 if 0 in config.nx else None
-    if needed is None or (rows["nx"] == needed).sum() >= _STARTS:
-        return {}
-    starts = replace(
-        config,
-        nx=(needed,),
-        count=_STARTS,
-        source="drawing",
-        every_code=0,
-        codes=(),
-        demonstrations=False,
-    )
-    return (yield from drawn_rows(starts, {}, "drawing starts"))
+    least, parts, splits = diagram_of(config.knot).nx, [rows], [split]
+    needed = {least} if max(config.nx) > least else set()
+    if 0 in config.nx:
+        needed.add(1)
+    for nx in sorted(needed):
+        there = set(split[rows["nx"] == nx].tolist())
+        if there == set(STATE_SPLITS) or (not nx and not there):
+            continue
+        starts = replace(
+            config,
+            nx=(nx,),
+            count=_STARTS,
+            source="drawing",
+            every_code=0,
+            codes=(),
+            demonstrations=False,
+        )
+        parts.append((yield from drawn_rows(starts, {}, f"drawing starts, {nx}")))
+        splits.append(np.resize(np.array(STATE_SPLITS), _STARTS))
+    return joined(parts), np.concatenate(splits)
 
 
 def demonstrated(

@@ -137,7 +137,9 @@ def drawn_rows(
         listed = ", ".join(f"{count} with nx = {nx}" for nx, count in missing.items() if count)
         raise Failed(f"missing states: {listed}; give --resume with more --attempts")
     rows = selection.rows()
-    return taken(rows, np.lexsort((rows["source/seed"][:, 3], _ranks(rows["nx"], config.nx))))
+    nx, which = rows["nx"].tolist(), rows["source/seed"][:, 3].tolist()
+    order = sorted(range(len(nx)), key=lambda row: (config.nx.index(nx[row]), which[row]))
+    return taken(rows, np.array(order))
 
 
 def draw(config: GenerateConfig, orders: Sequence[Order]) -> Rows:
@@ -253,8 +255,3 @@ def _parts(total: int, most: int) -> list[int]:
     [10, 10, 3]
     """
     return [min(most, total - done) for done in range(0, total, most)]
-
-
-def _ranks(values: NDArray[np.int64], order: Sequence[int]) -> NDArray[np.int64]:
-    """Return the position of each value in an order."""
-    return np.array([order.which(value) for value in values.tolist()], dtype=np.int64)

@@ -142,7 +142,9 @@ class _Living(Player):
             own = now == phase
             beads[own], forces[own] = self._phases[phase](ids[own])
         recorded = np.flatnonzero(steps < self._ends[-1])
-        some, newtons = ids[recorded], forces[recorded] * self._simulation.max_force
+        some = ids[recorded]
+        # in float64, or the actions would round otherwise than the pulls
+        newtons = forces[recorded].astype(np.float64) * self._simulation.max_force
         self._life.actions[self._batch.number[some], steps[recorded]] = self._simulation.actions(
             beads[recorded], newtons, some
         )

@@ -25,7 +25,7 @@ from knotgym.generate.states.demonstrations import (
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.play_source import ropes_of, rows_of_ropes, split_of
-from knotgym.generate.states.state_rows import Rows, joined, states_of
+from knotgym.generate.states.state_rows import Rows, states_of
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.identity import identity
 from knotgym.runs.progress import Progress
@@ -84,14 +84,13 @@ def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]
     }
     source = drawn_rows if config.source == DRAWING else rows_of_ropes
     rows = yield from source(config, report)
-    engine, facts, split = config.engine_used, as_json(config), _splits(config, rows)
+    engine, facts = config.engine_used, made_by["config"]
+    split = _splits(config, rows)
     place.mkdir(parents=True)
     located: dict[str, NDArray[Any]] = {}
     if config.demonstrations:
         # the set and what its demonstrations start from, in a file for the workers
-        both = joined([rows, (yield from start_rows(config, rows))])
-        more = np.resize(np.array(STATE_SPLITS), len(both["nx"]) - len(split))
-        playing = states_of(both, np.concatenate([split, more]), engine, facts)
+        playing = states_of(*(yield from start_rows(config, rows, split)), engine, facts)
         path = place.parent / "with-starts.h5"
         write_states(path, playing)
         sets = yield from demonstrated(config, playing, len(split), path)
