@@ -41,7 +41,8 @@ from knotgym.learn.clone_play import play
 from knotgym.learn.clone_policy import ClonePolicy, load_clone, save_clone
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.training import begin_training, draw_curve, keep_training, run_training
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, pass_straight
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import WaypointController, pass_straight
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import REFUSE_EXISTING, Existing
 from knotgym.states.state_file import ships

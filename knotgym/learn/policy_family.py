@@ -10,8 +10,9 @@ from typing import Any
 
 from knotgym.common.errors import InvalidPolicy, install_command
 from knotgym.control.pass_counts import EVERY_CODE, PASSES
-from knotgym.control.policies import PolicyConfig, PolicyFamily
+from knotgym.control.policies import PolicyFamily
 from knotgym.control.policy import Policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.transition_graph import TRANSITIONS
 
 

@@ -65,6 +65,7 @@ class PlayConfig:
         compared: policy whose next pulls are shown beside its; empty for none.
         host: host; any but the loopback asks for a token.
         port: port of the page.
+        player: who plays, in a few words; stored.
     """
 
     task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
@@ -73,6 +74,7 @@ class PlayConfig:
     compared: str = "scripted"
     host: str = "127.0.0.1"
     port: int = 8080
+    player: str = ""
 
 
 class Player:

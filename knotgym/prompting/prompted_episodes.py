@@ -56,6 +56,7 @@ class PromptConfig:
         tell_centre: tell the model the world coordinates of the picture's centre.
         prompt_price: price of a million prompt tokens.
         completion_price: price of a million completion tokens.
+        side_by_side: concurrent requests to the server.
         pictures: in mode read, the split of the pictures, then the SHA-256 of each.
     """
 
@@ -68,6 +69,7 @@ class PromptConfig:
     tell_centre: bool = False
     prompt_price: NonNegative | None = None
     completion_price: NonNegative | None = None
+    side_by_side: Count = 4
     pictures: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import as_json, differences
 from knotgym.common.errors import InvalidFile, InvalidPolicy
 from knotgym.common.streams import Stream, generator
-from knotgym.control.policies import PolicyConfig, PolicyFamily
+from knotgym.control.policies import PolicyFamily
 from knotgym.control.policy import Choice, Policy, UnplannedPolicy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.transcripts import read_transcripts, transcripts_at

@@ -39,7 +39,7 @@ from knotgym.generate.images.selection import _options
 from knotgym.loaders import images as load
 from knotgym.quality.difficulty import grade
 from knotgym.quality.measures import UNITS, Limits, measure
-from knotgym.rendering.appearance import VARIED, AppearanceConfig
+from knotgym.rendering.appearance_config import VARIED, AppearanceConfig
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
 from knotgym.runs.run_options import RunOptions
@@ -273,13 +273,13 @@ def test_without_pyarrow_one_line_names_the_extra(
         ["--count", "0"],
         ["--nx", "7"],
         ["--nx", "x"],
-        ["--test-nx", "0"],
+        ["--set", "test_nx=0"],
         ["--vary", "hue"],
         ["--size", "12"],
         ["--size", "big"],
         ["--seed", "-1"],
         ["--workers", "-1"],
-        ["--code-share", "0.9"],
+        ["--set", "code_share=0.9"],
         ["--archive", "nowhere.h5"],
         ["--archive", "a.h5", "--states", "b.h5"],
     ],

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidPolicy
 from knotgym.control.old_policies import make_policy
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig

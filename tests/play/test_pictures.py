@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from knotgym.control.old_policies import make_policy
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import EVALUATION, rollout
 from knotgym.play.page import Page, PlayConfig
 from knotgym.play.recorder import Recorder

@@ -8,7 +8,7 @@ import pytest
 
 from knotgym.common.errors import InvalidFile, InvalidPolicy, Occupied
 from knotgym.control.old_policies import make_policy
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import EVALUATION, rollout
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes

@@ -28,7 +28,7 @@ from knotgym.prompting.prompted_episodes import PromptConfig, play, read
 from knotgym.prompting.prompts import first
 from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.prompting.transcripts import read_transcripts
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rope.model import Rope
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
@@ -366,10 +366,38 @@ def test_a_run_is_resumed_shown_and_replayed_and_the_key_is_nowhere(
     server = ChatServer(answer)
     with server.serving():
         command = (
-            *("prompt", "--task", "unknot", "--nx", 2, "--states", states_path, "--actions", 4),
-            *("--image-size", 16, "--episodes", 3, "--model", "m", "--base-url", server.url),
-            *("--attempts", 2, "--backoff", 0, "--side-by-side", 1, "--seed", 5),
-            *("--prompt-price", 2, "--completion-price", 4, "--out", tmp_path / "run"),
+            *(
+                "prompt",
+                "--task",
+                "unknot",
+                "--nx",
+                2,
+                "--states",
+                states_path,
+                "--set",
+                "task.horizon=4",
+            ),
+            *(
+                "--set",
+                "task.image_size=16",
+                "--episodes",
+                3,
+                "--model",
+                "m",
+                "--base-url",
+                server.url,
+            ),
+            *(
+                "--set",
+                "attempts=2",
+                "--set",
+                "chat.backoff=0",
+                "--set",
+                "side_by_side=1",
+                "--seed",
+                5,
+            ),
+            *("--set", "prompt_price=2", "--set", "completion_price=4", "--out", tmp_path / "run"),
         )
         assert knotgym(*command) == 1
         assert not (tmp_path / "run").exists()
@@ -378,7 +406,7 @@ def test_a_run_is_resumed_shown_and_replayed_and_the_key_is_nowhere(
         replies.write_text(replies.read_text() + '[9, 9, "as a kill le')
         broken[0] = False
         before = len(server.requests)
-        assert knotgym(*command, "--window", 3, "--resume") == 2  # another run
+        assert knotgym(*command, "--set", "window=3", "--resume") == 2  # another run
         assert knotgym(*command, "--resume") == 0
         assert len(server.requests) == before + 6  # of three episodes of four actions
         assert knotgym(*command, "--resume") == 0 and knotgym(*command) == 2  # it is there
@@ -393,7 +421,7 @@ def test_a_run_is_resumed_shown_and_replayed_and_the_key_is_nowhere(
     assert "unknot nx 2" in capfd.readouterr().out.splitlines()[-5]
     replay = (
         *("evaluate", "--policy", f"prompt:{tmp_path / 'run'}", "--task", "unknot", "--nx", 2),
-        *("--states", states_path, "--horizon", 4, "--episodes", 3, "--workers", 1),
+        *("--states", states_path, "--set", "task.horizon=4", "--episodes", 3, "--workers", 1),
     )
     again = tmp_path / "again.json"
     assert knotgym(*replay, "--split", "train", "--seed", 5, "--out", again) == 0
@@ -431,9 +459,18 @@ def test_ctrl_c_leaves_what_is_whole(
     server = ChatServer(answer)
     with server.serving():
         status = knotgym(
-            *("prompt", "--task", "unknot", "--states", states_path, "--actions", 4),
-            *("--image-size", 16, "--episodes", 2, "--model", "m", "--base-url", server.url),
-            *("--side-by-side", 1, "--quiet", "--out", tmp_path / "run"),
+            *("prompt", "--task", "unknot", "--states", states_path, "--set", "task.horizon=4"),
+            *(
+                "--set",
+                "task.image_size=16",
+                "--episodes",
+                2,
+                "--model",
+                "m",
+                "--base-url",
+                server.url,
+            ),
+            *("--set", "side_by_side=1", "--quiet", "--out", tmp_path / "run"),
         )
     said = capfd.readouterr().err
     assert status == 130 and "--resume continues" in said and said.count("\n") == 1

@@ -10,7 +10,8 @@ import numpy as np
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import state_tables, table
 from knotgym.quality.limits import UNITS
-from knotgym.states.schema import DRAWING, PLAY, RANDOM_WALK, STATE_SPLITS
+from knotgym.states.schema import DRAWING, PLAY, RANDOM_WALK
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.spread import spread_of
 from knotgym.states.state_file import States
@@ -136,5 +137,5 @@ def _counts(states: States, nx: int) -> dict[str, Any]:
         "negative_crossings": signs.count(-1),
         "actions_to_reach": actions,
         "overlap": overlap(states, nx),
-        "spread": spread_of(states.points[rows]).as_json(),
+        "spread": spread_of(states.points[rows]),
     }

@@ -19,8 +19,8 @@ from knotgym.common.errors import InvalidInput
 from knotgym.control.expert import Expert
 from knotgym.control.old_policies import make_policy
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig
 from knotgym.control.policy import Effort
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.machine import machine

@@ -10,7 +10,8 @@ from typing import Any
 from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import differences
 from knotgym.common.errors import InvalidInput
-from knotgym.control.policies import PolicyConfig, policy_digests
+from knotgym.control.policies import policy_digests
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.task_states import SHIPPED, state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.runs.engine import whole_request

@@ -19,7 +19,8 @@ from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.configuration import Count, Seed, Whole, as_json, configuration, read_json
 from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.old_policies import make_policy
-from knotgym.control.policies import PolicyConfig, training_card
+from knotgym.control.policies import training_card
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.envs.task_states import state_origins

@@ -23,7 +23,7 @@ import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.configuration import Seed, configuration, read_json
 from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.envs.tasks import TaskConfig

@@ -11,7 +11,7 @@ from typing import Any
 
 from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidFile, one_line
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.generate.episodes.evaluate import EvaluateConfig

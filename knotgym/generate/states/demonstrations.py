@@ -25,7 +25,7 @@ from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows, joined
 from knotgym.runs.run import Call, Recipe
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import States, demonstrations_id
 from knotgym.topology.knot_table import diagram_of, type_of
 

@@ -1,6 +1,11 @@
-"""The configuration of `knotgym generate`, and whether a knot allows it."""
+"""The configuration of `knotgym generate`, and whether a knot allows it.
 
-from typing import Annotated, Literal
+The command line reads it first, so nothing here imports the simulator.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
@@ -14,16 +19,19 @@ from knotgym.common.configuration import (
     configuration,
 )
 from knotgym.common.errors import InvalidInput
-from knotgym.drawing.drawn_curve import DrawingConfig
+from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
 from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope.engines import CHAIN, MUJOCO
-from knotgym.rope.model import RopeConfig, rope_of
-from knotgym.states.schema import DRAWING, PLAY
 from knotgym.topology.diagrams import is_planar, not_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
 from knotgym.topology.knots import LISTED_NX, knot_type, shows
+
+if TYPE_CHECKING:
+    from knotgym.rope.model import RopeConfig
+
+_BEADS = 100  # of the rope that demonstrations are made with
 
 
 @configuration
@@ -138,7 +146,7 @@ class GenerateConfig:
     demonstration_attempts: Count = 8
     seed: Seed = 0
     engine: Literal["auto", "mujoco", "chain"] = "auto"
-    beads: Annotated[int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = 100
+    beads: Annotated[int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = _BEADS
     drawing: DrawnConfig = DrawnConfig()
     play: PlayConfig = PlayConfig()
     walk: PlayConfig = PUBLISHED
@@ -148,12 +156,12 @@ class GenerateConfig:
     def __post_init__(self) -> None:
         if max(self.nx) > (most := max_nx(self.beads)):
             raise InvalidInput(f"nx takes numbers of crossings from 0 to {most}, got {self.nx}")
-        if self.beads != RopeConfig().beads and self.demonstrations:
+        if self.beads != _BEADS and self.demonstrations:
             raise InvalidInput(
-                f"demonstrations are for a rope of {RopeConfig().beads} beads, got {self.beads};"
+                f"demonstrations are for a rope of {_BEADS} beads, got {self.beads};"
                 " leave them out: --no-demonstrations"
             )
-        if self.source != DRAWING:
+        if self.source != "drawing":
             self._require_ropes()
         if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
             raise InvalidInput(
@@ -171,7 +179,7 @@ class GenerateConfig:
 
     def _require_ropes(self) -> None:
         """Require what states taken from ropes allow."""
-        usual = {"every_code": 0, "split_by": "state", "knot": UNKNOT, "codes": (), "beads": 100}
+        usual = {"every_code": 0, "split_by": "state", "knot": UNKNOT, "codes": (), "beads": _BEADS}
         for name, value in usual.items():
             if getattr(self, name) != value:
                 dashed = name.replace("_", "-")
@@ -205,6 +213,8 @@ class GenerateConfig:
     @property
     def rope(self) -> RopeConfig:
         """The rope."""
+        from knotgym.rope.model import rope_of  # here, so that the command line has no simulator
+
         return rope_of(self.beads)
 
     @property
@@ -212,12 +222,12 @@ class GenerateConfig:
         """The engine that `engine` stands for."""
         if self.engine != "auto":
             return self.engine
-        return CHAIN if self.source == PLAY else MUJOCO
+        return CHAIN if self.source == "play" else MUJOCO
 
     @property
     def lives(self) -> PlayConfig:
         """The lives of the ropes of source play or random-walk."""
-        return self.play if self.source == PLAY else self.walk
+        return self.play if self.source == "play" else self.walk
 
     @property
     def parsed(self) -> list[GaussCode]:

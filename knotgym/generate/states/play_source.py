@@ -26,7 +26,8 @@ from knotgym.generate.states.state_rows import (
     without_report,
 )
 from knotgym.runs.run import Call, Recipe
-from knotgym.states.schema import PLAY, STATE_SPLITS
+from knotgym.states.schema import PLAY
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT

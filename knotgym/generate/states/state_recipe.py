@@ -31,7 +31,8 @@ from knotgym.runs.identity import identity
 from knotgym.runs.progress import Progress
 from knotgym.runs.run import Recipe, run
 from knotgym.runs.run_options import RunOptions
-from knotgym.states.schema import DRAWING, STATE_SPLITS
+from knotgym.states.schema import DRAWING
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import States, write_states
 from knotgym.topology.gauss import GaussCode
