@@ -12,7 +12,8 @@ import pytest
 
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.datasets.episode_dataset import open_episodes
-from knotgym.datasets.state_verification import folder_faults
+from knotgym.datasets.manifest_check import listed_faults, read_manifest
+from knotgym.datasets.state_verification import state_faults
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.states.play_source import ropes_of, rows_of_ropes

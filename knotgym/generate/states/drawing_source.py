@@ -135,7 +135,7 @@ def drawn_rows(
     missing = {nx: codes[nx].wanted - have[nx].total() for nx in config.nx}
     if any(missing.values()):
         listed = ", ".join(f"{count} with nx = {nx}" for nx, count in missing.items() if count)
-        raise Failed(f"missing states: {listed}; give --resume with more --attempts")
+        raise Failed(f"missing states: {listed}; give --resume with a larger --set attempts=N")
     rows = selection.rows()
     nx, which = rows["nx"].tolist(), rows["source/seed"][:, 3].tolist()
     order = sorted(range(len(nx)), key=lambda row: (config.nx.index(nx[row]), which[row]))

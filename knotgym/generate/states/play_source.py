@@ -62,8 +62,8 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
         if lived >= config.attempts * config.count:
             named = ", ".join(f"nx {nx} {split}" for nx, split in lacking)
             raise Failed(
-                f"states are missing for {named} after {lived} ropes; give --resume with more"
-                " --attempts"
+                f"states are missing for {named} after {lived} ropes; give --resume with a larger"
+                " --set attempts=N"
             )
         calls = [
             Call(f"pulling ropes {first}", play, (config, first, tuple(lacking)))
