@@ -20,8 +20,7 @@ from knotgym.datasets.finished_folders import finish_images
 from knotgym.datasets.image_table import points_of, read_table, shards, write_shards
 from knotgym.datasets.machine import distinct
 from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
-from knotgym.generate.episodes.collect import REPORT, CollectConfig, write_whole
-from knotgym.generate.episodes.tally import Tally
+from knotgym.generate.episodes.old_collect import REPORT, CollectConfig, Tally, write_whole
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard

@@ -24,9 +24,10 @@ from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import episode_faults, replay, verify_episodes
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect, distinct_id
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.generate.episodes.collect import collect, distinct_id
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.evaluate import run as evaluate
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.suite import SuiteConfig
 from knotgym.generate.episodes.suite_scores import read_scores
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, derived_seed
 from knotgym.common.tables import Table
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollouts
 from knotgym.datasets.episodes import EPISODES, STARTS, STEPS, Episodes, merged
 from knotgym.datasets.minari_form import MinariMetadata, publish

@@ -21,7 +21,8 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.generate_config import PlayConfig
 from knotgym.rope.actions import decode_actions, drawn_actions, quantized
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import WaypointController, propose
 from knotgym.rope.model import Array, Rope
 
 # A spreading pull flees from strands nearer than _REACH in the picture, metres, and at least _APART
