@@ -30,8 +30,8 @@ from knotgym.generate.episodes.evaluate import run as evaluate
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.suite import SuiteConfig
 from knotgym.generate.episodes.suite_scores import read_scores
-from knotgym.generate.states.random_walk import RandomWalkConfig
-from knotgym.generate.states.random_walk_recipe import walk_states
+from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
+from knotgym.generate.states.state_recipe import make_states
 from knotgym.rope.model import Rope
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
@@ -211,10 +211,11 @@ def test_results_of_two_engines_are_not_pooled(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    small = RandomWalkConfig(
-        nx=(1,), count=2, burn_in=12, every=2, longest=30, batch=3, wave=1, engine="chain"
+    walk = PlayConfig(settle=0, random=30, opening=0, rounds=0, first=12, every=2, ropes=3)
+    small = GenerateConfig(
+        nx=(1,), count=2, source="random-walk", walk=walk, engine="chain", demonstrations=False
     )
-    return walk_states(small, tmp_path_factory.mktemp("walked") / "walks", QUIET)
+    return make_states(small, tmp_path_factory.mktemp("walked") / "walks", QUIET)
 
 
 def test_states_of_random_walks_are_verified_with_their_engine(walked: Path) -> None:
@@ -241,16 +242,11 @@ def test_a_file_that_names_another_engine_has_faults(walked: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_demonstrations_of_play_are_verified_with_their_engine(tmp_path: Path) -> None:
+def test_demonstrations_are_verified_with_their_engine(tmp_path: Path) -> None:
     out = tmp_path / "nx1"
     words = ("generate", "--nx", "1", "--count", "2", "--engine", "chain", "--workers", "1")
     assert knotgym(*words, "--quiet", "--out", out) == 0
     assert list(folder_faults(out)) == [] and (out / "minari").is_dir()
-    again = knotgym(
-        *("generate", "--nx", "1", "--count", "1", "--workers", "1", "--quiet"),
-        *("--archive", out / "archive.h5", "--out", tmp_path / "other"),
-    )
-    assert again == 2 and not (tmp_path / "other").exists()
 
 
 def test_the_expert_plans_in_the_engine_of_the_environment() -> None:
