@@ -1,37 +1,72 @@
-"""The configuration of `knotgym train`, which can be read without torch."""
+"""The configurations of `knotgym train`, which can be read without torch."""
 
-from dataclasses import dataclass
+from typing import Literal
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Count, Crossings, Positive, Seed, Whole, configuration
 from knotgym.common.errors import InvalidInput
-from knotgym.rope.engines import MUJOCO, require_engine
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class TrainConfig:
-    """Settings of a training.
+    """Settings that all learners have.
 
     Attributes:
-        steps: training steps of the reader, the perception model.
-        batch: pictures per step.
-        places: start positions of episodes that are kept, at most.
+        steps: optimizer steps.
+        batch: examples per step.
         save_every: steps between checkpoints.
-        engine: engine that the episodes must be made with, mujoco or chain.
         seed: random seed; the same seed and data give the same weights.
     """
 
-    steps: int = 3000
-    batch: int = 48
-    places: int = 512
-    save_every: int = 200
-    engine: str = MUJOCO
-    seed: int = 0
+    steps: Count = 3000
+    batch: Count = 48
+    save_every: Count = 200
+    seed: Seed = 0
+
+
+@configuration
+class ReaderConfig(TrainConfig):
+    """Settings of the learner from pictures, that is of its reader.
+
+    Attributes:
+        positions: start positions of ropes that are kept, at most.
+    """
+
+    positions: Count = 512
+
+
+@configuration
+class CloneConfig(TrainConfig):
+    """Settings of a clone.
+
+    Attributes:
+        guided: whether the clone, when it acts, also chooses by the counted passes that ship, which
+            tell what leads nearer to the goal.
+        rate: peak learning rate; it falls by a cosine.
+        width: of the network.
+        layers: of attention.
+        demonstrations: episodes to make of each task and nx in the chain engine, beside those in
+            datasets.
+        policy: policy that plays them; noisy also makes random passes, which aren't imitated.
+        task: tasks of these demonstrations.
+        nx: numbers of crossings of these demonstrations.
+        split: split of their starts and goals.
+        states: state file of their starts and goals, or a name of a set that ships.
+    """
+
+    steps: Count = 4000
+    batch: Count = 128
+    save_every: Count = 250
+    guided: bool = False
+    rate: Positive = 1e-3
+    width: Count = 96
+    layers: Count = 2
+    demonstrations: Whole = 0
+    policy: Literal["expert", "noisy"] = "noisy"
+    task: tuple[Literal["tie", "convert", "unknot"], ...] = ("tie",)
+    nx: Crossings = (2,)
+    split: Literal["train", "train-code"] = "train"
+    states: str = "readable"
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("steps", "batch", "places", "save_every"),
-            whole=("seed",),
-            error=InvalidInput,
-        )
-        require_engine(self.engine)
+        if self.width % 4:
+            raise InvalidInput(f"width must be a multiple of 4 attention heads, got {self.width}")
