@@ -36,7 +36,8 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
-from knotgym.rope.chain.solver import SCHEDULE, STATE, advance
+from knotgym.rope.chain.layout import STATE
+from knotgym.rope.chain.solver import SCHEDULE, advance
 from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.rope.engines import simulation as simulation_of
 from knotgym.rope.model import Array

@@ -37,7 +37,33 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__, "__version__")
+    __getattr__, __dir__, __all__ = lazy_exports(
+        __name__,
+        {
+            "Failed": "knotgym.common.errors",
+            "GaussCode": "knotgym.topology.gauss",
+            "InvalidFile": "knotgym.common.errors",
+            "InvalidInput": "knotgym.common.errors",
+            "InvalidPolicy": "knotgym.common.errors",
+            "KnotEnv": "knotgym.envs.environment",
+            "KnotVectorEnv": "knotgym.envs.environment",
+            "KnotgymError": "knotgym.common.errors",
+            "MissingExtra": "knotgym.common.errors",
+            "MissingFile": "knotgym.common.errors",
+            "Occupied": "knotgym.common.errors",
+            "PictureConfig": "knotgym.rendering.picture",
+            "Rope": "knotgym.rope.model",
+            "RopeConfig": "knotgym.rope.model",
+            "States": "knotgym.states.state_file",
+            "TaskConfig": "knotgym.envs.tasks",
+            "draw": "knotgym.rendering.picture",
+            "label": "knotgym.topology.crossings",
+            "read_states": "knotgym.states.state_file",
+            "shipped": "knotgym.states.state_file",
+            "verify": "knotgym.datasets.verification",
+        },
+        "__version__",
+    )
 
 try:
     __version__ = version("knotgym")

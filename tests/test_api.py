@@ -105,7 +105,10 @@ def test_dir_lists_the_public_names_and_a_wrong_one_is_refused(name: str) -> Non
 
 @pytest.mark.parametrize("name", PACKAGES)
 def test_importing_a_package_imports_nothing_heavy(name: str) -> None:
-    heavy = {"cv2", "dask", "h5py", "minari", "mujoco", "numba", "pyarrow", "rich", "torch"}
+    heavy = {
+        *("cv2", "dask", "h5py", "minari", "mujoco", "numba", "polars", "pyarrow", "pydantic"),
+        *("rich", "torch"),
+    }
     assert modules_after(f"import {name}") & heavy == set()
 
 

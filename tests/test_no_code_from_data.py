@@ -10,7 +10,7 @@ UNPICKLING = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "
 
 # file -> why a module that it imports by a computed name isn't named by data
 IMPORTS = {
-    "common/lazy_exports.py": "the names that a package itself imports for type checkers",
+    "common/lazy_exports.py": "modules that a package lists",
     "control/learned_policies.py": "libraries of MODEL_FILES, names in the code",
     "control/own_policies.py": "module:name, which the user types; never from a file",
     "datasets/exports/forms.py": "FORMS, names in the code",

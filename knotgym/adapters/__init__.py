@@ -15,4 +15,12 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = lazy_exports(
+        __name__,
+        {
+            "GoalEnv": "knotgym.adapters.goal_environment",
+            "OGBenchEnv": "knotgym.adapters.ogbench_environment",
+            "goal_env": "knotgym.adapters.goal_environment",
+            "sb3_vec_env": "knotgym.adapters.sb3",
+        },
+    )

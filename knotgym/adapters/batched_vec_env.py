@@ -95,7 +95,7 @@ class BatchedVecEnv(VecEnv):
         return self.goals.reward(achieved_goal, desired_goal)
 
     def _begin(self, ids: NDArray[np.int64], options: dict[str, Any] | None = None) -> None:
-        self.episodes.begin_many(ids, [self._rngs[i] for i in ids], options)
+        self.episodes.begin(ids, [self._rngs[i] for i in ids], options)
         for index, info in zip(ids.tolist(), self.episodes.info_rows(ids), strict=True):
             if self.goals is not None:
                 self.goals.begin(index)

@@ -5,6 +5,7 @@ output its name. Both look at the path itself (lstat): a symbolic link counts as
 it points to, and it is the link that gets replaced, never its target.
 """
 
+import ctypes
 import errno
 import hashlib
 import io
@@ -21,17 +22,55 @@ import h5py
 
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, Occupied
 
+# what identifies a folder as an output of this package, so that --overwrite may replace it
+_OUTPUT_MARKS = (
+    "manifest.json",
+    "policy.json",
+    "suite.json",
+    "croissant.json",
+    "page.html",
+    "*.h5",
+    "*.tar",
+    "data/episodes.h5",
+    "data/main_data.hdf5",
+    "meta/info.json",
+    "*/namespace_metadata.json",
+    "*/*/data/main_data.hdf5",
+    "*/*/*/data/main_data.hdf5",
+)
+_AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2(2)
 
-def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: bool = False) -> None:
+
+def require_output(
+    path: str | os.PathLike[str],
+    *,
+    folder: bool,
+    overwrite: bool = False,
+    sources: Iterable[str | os.PathLike[str]] = (),
+) -> None:
     """Check, before hours of work, that an output can be written and replaces nothing unasked.
 
-    Neither a file nor a folder ever replaces the other.
+    Only a regular file, a link, an empty folder or a folder that is an output of this package is
+    ever replaced, and neither a file nor a folder replaces the other.
+
+    Args:
+        path: path of the output.
+        folder: whether it will be a folder.
+        overwrite: whether it may replace an older output.
+        sources: what the output is made from; it may not be, contain or be in any of these.
 
     Raises:
         Occupied: something exists at `path` that may not be replaced.
         InvalidInput: the path can't be written.
     """
-    _require_free(Path(path), folder, overwrite)
+    target = Path(path)
+    _put_back(target)
+    _require_free(target, folder, overwrite)
+    where = target.resolve()
+    for source in map(Path, sources):
+        found = source.resolve()
+        if where.is_relative_to(found) or found.is_relative_to(where):
+            raise Occupied(f"{target} is, contains or is in the source {source}; choose another")
     require_writable(path)
 
 
@@ -40,14 +79,24 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
         return
     if not overwrite:
         raise Occupied(f"{target} exists already; --overwrite replaces it, or choose another --out")
-    if target.exists() and target.is_dir() != folder:  # follows a link
+    if not target.exists():  # a broken link
+        return
+    if target.is_dir() != folder:
         found, wanted = ("file", "folder") if folder else ("folder", "file")
         raise Occupied(
             f"{target} is a {found}, and the output is a {wanted}, which never replaces a {found};"
             " choose another --out"
         )
+    if not folder and not target.is_file():
+        raise Occupied(f"{target} is a device or a pipe, which is never replaced")
     if folder and Path.cwd().is_relative_to(target.resolve()):
         raise Occupied(f"{target} contains the current folder; choose another --out")
+    if folder and any(target.iterdir()):
+        if not any(next(target.glob(mark), None) for mark in _OUTPUT_MARKS):
+            raise Occupied(
+                f"{target} isn't an output of this package, so it isn't replaced; choose another"
+                " --out"
+            )
 
 
 def require_writable(path: str | os.PathLike[str]) -> None:
@@ -79,7 +128,10 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     part = staged / target.name
     try:
         yield part
-        _sync(part)
+        for file in [part, *part.rglob("*")] if part.is_dir() else [part]:
+            if file.is_file():  # must be on the disk before it gets its name
+                with open(file, "rb+") as handle:
+                    os.fsync(handle.fileno())
         move_into_place(part, target, overwrite=overwrite)
     finally:
         shutil.rmtree(staged, ignore_errors=True)
@@ -89,50 +141,55 @@ def move_into_place(part: Path, target: Path, *, overwrite: bool) -> None:
     """Rename a finished file or folder to `target`, on the same file system.
 
     Without `overwrite` nothing is replaced, not even what another process has put there in the
-    meantime: that raises Occupied. With it, the old output is removed only once the new one is in
-    place.
+    meantime: that raises Occupied. With it, old and new change places at once where the system can
+    do that, and then the old output, now at `part`, is removed.
     """
     is_folder = stat.S_ISDIR(part.lstat().st_mode)  # raises if nothing was written
     _require_free(target, is_folder, overwrite)
     try:
-        if not is_folder:
-            # fails if `target` is a folder
-            (os.replace if overwrite else _rename_new)(part, target)
-        elif os.path.lexists(target):
-            _exchange(part, target)
+        if not overwrite or not os.path.lexists(target):
+            _rename(part, target, _NOREPLACE)
+        elif is_folder:
+            _rename(part, target, _EXCHANGE)
+            remove(part)
         else:
-            part.rename(target)  # fails if `target` is a file, a link or a folder with content
+            os.replace(part, target)  # fails if `target` is a folder
     except OSError as error:
         if error.errno not in (errno.EEXIST, errno.ENOTEMPTY, errno.EISDIR, errno.ENOTDIR):
             raise
         raise Occupied(f"{target} was made by another process in the meantime; kept it") from error
 
 
-def _exchange(part: Path, target: Path) -> None:
-    """Replace a folder or a link by a folder; restore the old one if that fails."""
-    aside = Path(tempfile.mkdtemp(prefix=f".part-{target.name[:32]}-", dir=target.parent))
-    old = target.rename(aside / "replaced")
-    try:
+def _rename(part: Path, target: Path, flag: int) -> None:
+    """Rename without replacing, or exchange two paths; in steps where there is no renameat2."""
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if call and not call(_AT_FDCWD, os.fsencode(part), _AT_FDCWD, os.fsencode(target), flag):
+        return
+    code = ctypes.get_errno() if call else errno.ENOSYS
+    if code not in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):
+        raise OSError(code, os.strerror(code), str(target))
+    if flag == _NOREPLACE and os.path.lexists(target):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+    if flag == _EXCHANGE:
+        target.rename(_aside(target))  # `_put_back` mends a kill between this line and the last
         part.rename(target)
-    except OSError:
-        old.rename(target)
-        aside.rmdir()
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
-
-
-def _rename_new(part: Path, target: Path) -> None:
-    """Rename a file to a free name; unlike a rename, making a hard link never replaces anything."""
-    try:
-        os.link(part, target)
-    except OSError as error:
-        if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS):
-            raise
-        # a file system without hard links: reserve the name, then replace the empty file
-        os.close(os.open(target, os.O_CREAT | os.O_EXCL))
-        part.replace(target)
+        _aside(target).rename(part)
     else:
-        part.unlink()
+        part.rename(target)
+
+
+def _aside(target: Path) -> Path:
+    return target.with_name(f".replaced-{target.name}")
+
+
+def _put_back(target: Path) -> None:
+    """Finish an exchange in steps that was interrupted."""
+    aside = _aside(target)
+    if os.path.lexists(aside):
+        if os.path.lexists(target):
+            remove(aside)
+        else:
+            aside.rename(target)
 
 
 def remove(path: Path) -> None:
@@ -193,18 +250,6 @@ def copy_file(source: Path, target: Path) -> None:
             shutil.copyfileobj(file, copy)
 
 
-def link_or_copy(source: str | os.PathLike[str], target: Path) -> None:
-    """Hard-link a file, or copy it where the disk has no hard links.
-
-    A hard link stores the bytes once. It is safe because our files are only ever replaced, never
-    modified in place. Symbolic links are resolved first, because hard links don't follow them.
-    """
-    try:
-        os.link(os.path.realpath(source), target)
-    except OSError:  # another disk, or one without links
-        shutil.copyfile(source, target)
-
-
 @contextmanager
 def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File]:
     """Yield a new HDF5 file; `options` are passed to h5py.File.
@@ -216,8 +261,7 @@ def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File
     Raises:
         OSError: something could not be written.
     """
-    with open(path, "w+b", buffering=0) as target:
-        sink = _Sink(target)
+    with _Sink(path, "w+") as sink:
         try:
             with h5py.File(sink, "w", **options) as file:
                 yield file
@@ -227,50 +271,25 @@ def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File
                 raise OSError(failure.errno, failure.strerror, str(path)) from failure
 
 
-class _Sink:
-    """A file object for h5py whose writes never fail; `failure` is the first error."""
+class _Sink(io.FileIO):
+    """A file for h5py whose writes never fail; `failure` is the first error."""
 
-    def __init__(self, file: io.FileIO) -> None:
-        self._file, self._at = file, 0
-        self.failure: OSError | None = None
+    failure: OSError | None = None
 
     def write(self, data: Any) -> int:
-        view = memoryview(data)
+        view, done = memoryview(data).cast("B"), 0
         try:
-            done = 0
             while self.failure is None and done < len(view):
-                done += os.pwrite(self._file.fileno(), view[done:], self._at + done)
+                done += super().write(view[done:]) or 0
         except OSError as error:
             self.failure = error
-        self._at += len(view)
         return len(view)
-
-    def read(self, size: int) -> bytes:
-        data = bytearray(size)
-        self.readinto(data)
-        return bytes(data)
 
     def readinto(self, buffer: Any) -> int:
-        view = memoryview(buffer)
-        present = os.pread(self._file.fileno(), len(view), self._at)
-        view[:] = present.ljust(len(view), b"\0")  # dropped data reads as zeros
-        self._at += len(view)
+        view = memoryview(buffer).cast("B")
+        found = super().readinto(view) or 0
+        view[found:] = bytes(len(view) - found)  # dropped data reads as zeros
         return len(view)
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        self._at = offset + (0, self._at, os.fstat(self._file.fileno()).st_size)[whence]
-        return self._at
-
-    def tell(self) -> int:
-        return self._at
-
-    def truncate(self, size: int) -> int:
-        if self.failure is None:
-            os.ftruncate(self._file.fileno(), size)
-        return size
-
-    def flush(self) -> None:
-        """Do nothing: writes aren't buffered."""
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
@@ -279,11 +298,3 @@ def sha256(path: str | os.PathLike[str]) -> str:
         raise OSError(f"{path} isn't a regular file")
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _sync(path: Path) -> None:
-    """Flush a file, or all files of a folder, to disk, so that the rename can't come first."""
-    for file in [path, *path.rglob("*")] if path.is_dir() else [path]:
-        if file.is_file():
-            with open(file, "rb+") as handle:
-                os.fsync(handle.fileno())

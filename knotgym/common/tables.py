@@ -305,7 +305,7 @@ def read(
             tables: list[Table] = []
             sizes: dict[str, int] = {}
             for schema in schemas:
-                own = schema.sized(**sizes, **dict(schema.sizes))
+                own = schema.sized(**{**sizes, **dict(schema.sizes)})
                 tables.append(Table(own, _read_columns(file, path, schema)))
                 sizes = dict(tables[-1].schema.sizes)
             return tables, attributes

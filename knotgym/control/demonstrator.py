@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Count, Whole, configuration
 from knotgym.control.expert import Expert
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
 from knotgym.control.pass_counts import DiagramValues, shipped_values, templates
@@ -46,7 +46,7 @@ _TOWING = 0.9  # share of the limit on towing that searches go to: engines diffe
 _CLOSE = 8  # fewest beads along the rope between the two of a random pass
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class DemonstratorConfig:
     """Settings of the demonstrator.
 
@@ -58,14 +58,11 @@ class DemonstratorConfig:
         macro_actions: settings of the passes.
     """
 
-    candidates: int = 12
-    budget: int = 2000
-    steps: int = 50
-    last_resort: int = 2000
+    candidates: Count = 12
+    budget: Count = 2000
+    steps: Count = 50
+    last_resort: Whole = 2000
     macro_actions: MacroActionConfig = MacroActionConfig()
-
-    def __post_init__(self) -> None:
-        check_numbers(self, counts=("candidates", "budget", "steps"), whole=("last_resort",))
 
 
 class Decision(NamedTuple):

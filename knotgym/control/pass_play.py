@@ -6,13 +6,13 @@ is a search of `MacroLanes`: a thousand run side by side.
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Count, NonNegative, Share, configuration
 from knotgym.common.streams import Stream, generator
 from knotgym.control.macro_lanes import Landing, Search, Trial
 from knotgym.control.pass_counts import COUNTED_NX, DiagramValues, PassChoice, PassCounts, templates
@@ -30,7 +30,7 @@ from knotgym.topology.knots import codes_of
 from knotgym.topology.symmetry import diagram_form
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class PassPlayConfig:
     """Settings of play.
 
@@ -43,19 +43,11 @@ class PassPlayConfig:
             the number of tries.
     """
 
-    passes: int = 14
-    steps: int = 50
-    explored: float = 0.25
-    greedy: float = 0.3
-    bonus: float = 0.15
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("passes", "steps"),
-            shares=("explored", "greedy"),
-            non_negative=("bonus",),
-        )
+    passes: Count = 14
+    steps: Count = 50
+    explored: Share = 0.25
+    greedy: Share = 0.3
+    bonus: NonNegative = 0.15
 
 
 class Starts(NamedTuple):

@@ -1,13 +1,11 @@
 """Settings of the planner."""
 
-from dataclasses import dataclass
-
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Count, NonNegative, Positive, Share, Whole, configuration
 from knotgym.control.transition_graph import TransitionGraphConfig
 from knotgym.rope.macro_actions import MacroActionConfig
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class PlannerConfig:
     """Settings of the planner, see `planner` for the search that they control.
 
@@ -35,29 +33,19 @@ class PlannerConfig:
         macro_actions: settings of the macro-actions.
     """
 
-    budget: int = 60000
-    batch_size: int = 8
-    guided: float = 0.8
-    longest: int = 10
-    kept: int = 6
-    greed: float = 4.0
-    stride: float = 6.0
-    least_stride: int = 2
-    unknown_hops: int = 2
-    patience: float = 10.0
-    weariness: float = 10.0
-    try_cost: float = 2.0
-    stuck: int = 24
-    template_noise: float = 0.1
+    budget: Whole = 60000
+    batch_size: Count = 8
+    guided: Share = 0.8
+    longest: Count = 10
+    kept: Count = 6
+    greed: NonNegative = 4.0
+    stride: NonNegative = 6.0
+    least_stride: Whole = 2
+    unknown_hops: Whole = 2
+    patience: Positive = 10.0
+    weariness: Positive = 10.0
+    try_cost: NonNegative = 2.0
+    stuck: Whole = 24
+    template_noise: NonNegative = 0.1
     graph: TransitionGraphConfig = TransitionGraphConfig()
     macro_actions: MacroActionConfig = MacroActionConfig()
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("batch_size", "longest", "kept"),
-            whole=("budget", "least_stride", "unknown_hops", "stuck"),
-            positive=("patience", "weariness"),
-            non_negative=("greed", "stride", "try_cost", "template_noise"),
-            shares=("guided",),
-        )

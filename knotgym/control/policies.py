@@ -34,8 +34,12 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import sha256
+from knotgym.common.configuration import Share, configuration
 from knotgym.common.errors import InvalidPolicy, one_line
-from knotgym.control.basic_policies import (
+from knotgym.control.demonstrator import Demonstrator, DemonstratorConfig
+from knotgym.control.expert import Expert
+from knotgym.control.learned_policies import MODEL_FILES, ModelPolicy, load_model
+from knotgym.control.old_basic_policies import (
     ConstantPolicy,
     MixedPolicy,
     NoisyPolicy,
@@ -43,9 +47,6 @@ from knotgym.control.basic_policies import (
     RandomPolicy,
     ScriptedPolicy,
 )
-from knotgym.control.demonstrator import Demonstrator, DemonstratorConfig
-from knotgym.control.expert import Expert
-from knotgym.control.learned_policies import MODEL_FILES, ModelPolicy, load_model
 from knotgym.control.own_policies import OwnPolicy, load_own, module_files
 from knotgym.control.pass_counts import PASSES
 from knotgym.control.planner_config import PlannerConfig
@@ -72,7 +73,7 @@ GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class PolicyConfig:
     """Which policy acts, and its settings.
 
@@ -89,14 +90,12 @@ class PolicyConfig:
     """
 
     policy: str = "random"
-    noise: float = 0.1
+    noise: Share = 0.1
     shares: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
     demonstrator: DemonstratorConfig = DemonstratorConfig()
     planner: PlannerConfig = PlannerConfig()
 
     def __post_init__(self) -> None:
-        if not 0 <= self.noise <= 1:
-            raise InvalidPolicy(f"noise must be in [0, 1], got {self.noise}")
         fit = len(self.shares) == len(MIXED) and all(0 <= one < inf for one in self.shares)
         if not fit or not 0 < sum(self.shares) < inf:
             raise InvalidPolicy(

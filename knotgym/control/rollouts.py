@@ -1,214 +1,408 @@
-"""Rollouts: let a policy act in episodes of the environment.
+"""The one loop that plays: any policy, either engine, hundreds of ropes side by side.
 
-Episode i of a run with seed s starts as after `env.reset(seed=episode_seed(s, i))`, whichever
-process plays it and whatever else is played beside it. Datasets and evaluations draw from different
-streams (`DATASET`, `EVALUATION`), so no seed makes an evaluation play the episodes of a dataset.
-Rollouts record the rope and no pictures; observations are rendered from it later.
+Each rope is in a *lane* of an `EpisodeBatch`. A lane whose episode is over takes the next seed at
+once. What happens in an episode depends on its own seed alone: not on its lane, nor on what is
+played beside it.
+
+A `Policy` is a description; its `player` acts in the lanes of one batch, so nothing is left over
+from an earlier run. A player may leave lanes out while it plans: the others go on without them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, derived_seed, generator
-from knotgym.control.expert import Expert
-from knotgym.control.policy import NO_MACRO, Effort, Policy
-from knotgym.datasets.trajectory import MACRO_INFOS, Episode
+from knotgym.common.tables import Schema, Table
+from knotgym.datasets.episodes import (
+    EPISODES,
+    MACROS,
+    RECORDED,
+    STEPS,
+    Episodes,
+    code_sizes,
+    fitted,
+)
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.reward import Outcome
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.model import Array
+from knotgym.rope.actions import encode_actions
+
+Ids = NDArray[np.int64]
+
+_STATES = frozenset({"observation", "visits", "signs", "crossings"})  # the last state has them too
+_CODES = ("visits", "signs")  # columns that widen with the longest code
+_OUTCOMES = ("reward", "terminated", "truncated", "share")
+
+LANES = 256  # ropes side by side, by default
+_BLOCK = 64  # starts that are drawn and laid together
+_MOST_BYTES = 2**28  # of the steps of episodes under way; more lanes than fit aren't used
 
 
-class EpisodeStreams(NamedTuple):
-    """The random streams of a run: for the environments' seeds, and for the policy."""
-
-    episode: Stream
-    policy: Stream
-
-
-DATASET = EpisodeStreams(Stream.EPISODE, Stream.POLICY)
-EVALUATION = EpisodeStreams(Stream.EVALUATION_EPISODE, Stream.EVALUATION_POLICY)
-
-
-@dataclass(frozen=True, eq=False)
-class Rollout:
-    """One complete episode.
+class Pulls(NamedTuple):
+    """One pull in each of n lanes.
 
     Attributes:
-        number: of the episode in its run.
-        episode: states, actions, rewards and infos.
-        effort: cost of planning, for the policy and the expert's advice together.
+        ids: int64 (n,), the lanes, in increasing order.
+        beads: int64 (n,), pulled at their centres.
+        forces: float32 (n, 3), in units of the largest force, in [-1, 1].
+        macros: int64 (n, 4), the macro-action that each pull is part of: whether it is the first
+            pull, then the bead, target and side; zeros where it is part of none. None if the policy
+            doesn't say.
     """
 
-    number: int
-    episode: Episode
-    effort: Effort
+    ids: Ids
+    beads: NDArray[np.int64]
+    forces: NDArray[np.float32]
+    macros: NDArray[np.int64] | None = None
+
+
+class Player(Protocol):
+    """A policy at work in the lanes of one batch.
+
+    A player may also have `names`, the name of the policy in each lane, if they differ.
+
+    Attributes:
+        planned: int64 (lanes,), pulls that it has simulated for the episode in a lane.
+    """
+
+    planned: NDArray[np.int64]
+
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
+        """Start new episodes in lanes; all random draws for each must come from its generator."""
+
+    def act(self, ids: Ids) -> Pulls:
+        """Choose pulls in some of the lanes `ids`, which are in increasing order.
+
+        Lanes that are left out wait while the policy plans; they are among the next `ids` again.
+        """
+
+
+class Policy(Protocol):
+    """A way to act, which any number of batches can use.
+
+    Attributes:
+        name: stored with its episodes.
+    """
 
     @property
-    def success(self) -> bool:
-        """Whether the episode reached the goal, where it ends unless the task is endless."""
-        return bool(self.episode.is_success.any())
+    def name(self) -> str: ...
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Return the task with the observation that this policy needs.
+
+        Raises:
+            InvalidPolicy: the task lacks something that the policy needs, such as a view.
+        """
+
+    def player(self, batch: EpisodeBatch) -> Player:
+        """Return a player for the lanes of a batch."""
 
 
-@dataclass(eq=False)
-class _Track:
-    """Record of one episode under way.
+def episode_seed(seed: int, number: int, stream: Stream = Stream.EPISODE) -> int:
+    """Return the seed of episode `number` of a run: 52 bits, which JSON numbers keep exactly.
 
-    `points` and `infos` have an entry per state, one more than the other lists, which have an entry
-    per action.
+    Datasets and evaluations draw from different streams, so no seed makes an evaluation play the
+    episodes of a dataset.
     """
-
-    start_qpos: Array
-    goal_points: Array
-    options: dict[str, int]
-    goal: str
-    points: list[Array] = field(default_factory=list)
-    infos: list[dict[str, object]] = field(default_factory=list)
-    actions: list[NDArray[np.float32]] = field(default_factory=list)
-    macros: list[tuple[int, ...]] = field(default_factory=list)  # empty, or one per action
-    expert_actions: list[NDArray[np.float32]] = field(default_factory=list)
-    advice: Effort = Effort()  # cost of the expert's actions
-    rewards: list[float] = field(default_factory=list)
-    terminations: list[bool] = field(default_factory=list)
-    truncations: list[bool] = field(default_factory=list)
-
-    def see(self, episodes: EpisodeBatch, index: int, move: str) -> None:
-        """Record the current state, and the reason for the action that led to it."""
-        self.points.append(episodes.simulation.points[index].copy())
-        self.infos.append({**episodes.info(index), "move": move})
-
-    def ask(
-        self, expert: Expert, episodes: EpisodeBatch, index: int, rng: np.random.Generator
-    ) -> None:
-        """Record what an expert would do in the current state."""
-        action, effort = expert.advise(episodes, index, rng)
-        self.expert_actions.append(action)
-        self.advice = self.advice.plus(effort)
+    return derived_seed(stream, seed, number)
 
 
-def episode_seed(seed: int, number: int, streams: EpisodeStreams = DATASET) -> int:
-    """The reset seed of episode `number` of a run; 52 bits, which JSON numbers keep exactly."""
-    return derived_seed(streams.episode, seed, number)
-
-
-def rollout(
-    task: TaskConfig,
+def rollouts(
     policy: Policy,
-    numbers: Sequence[int],
-    seed: int,
+    task: TaskConfig,
+    seeds: Sequence[int] | Table,
     *,
-    streams: EpisodeStreams = DATASET,
+    lanes: int = LANES,
+    keep: Schema | None = STEPS,
     attempt: int = 0,
-    labeller: Expert | None = None,
-) -> list[Rollout]:
-    """Play episodes side by side.
+    adviser: Policy | None = None,
+) -> Episodes:
+    """Play an episode for every seed, and return them in that order.
 
     Args:
-        task: the environment; the policy may replace its observation.
         policy: the policy that acts.
-        numbers: which episodes of the run, at least one.
-        seed: of the run.
-        streams: DATASET or EVALUATION.
-        attempt: changes the policy's random draws; the episodes start in the same states.
-        labeller: an expert whose action is recorded at every state, without being taken.
+        task: the environment; the policy may replace its observation.
+        seeds: of the episodes, each as after `env.reset(seed=...)`; or a table with the columns of
+            `episodes.STARTS`, to begin where those episodes did.
+        lanes: ropes side by side. Changes nothing but the time that it takes.
+        keep: columns of steps to keep; None for none.
+        attempt: changes the policy's random draws, not the starts.
+        adviser: policy whose pull is stored at every state as `expert_action`, and not made.
     """
-    episodes = EpisodeBatch(policy.suited(task), len(numbers))
-    tracks = []
-    seeds = [episode_seed(seed, number, streams) for number in numbers]
-    for index, number in enumerate(numbers):
-        episodes.begin(index, np.random.default_rng(seeds[index]))
-        policy.begin(episodes, index, generator(streams.policy, seed, number, attempt))
-        tracks.append(_begun(episodes, index))
-    under_way = np.arange(len(numbers))
-    moves: dict[int, str] = {}
-    while len(under_way):
-        if labeller is not None:
-            for index in under_way.tolist():
-                key = (seed, numbers[index], len(tracks[index].actions))
-                tracks[index].ask(labeller, episodes, index, generator(Stream.EXPERT_LABEL, *key))
-        deciding = under_way[~episodes.view.busy[under_way]]
-        if len(deciding):
-            choice = policy.act(episodes, deciding)
-            episodes.view.begin(choice.actions, deciding)
-            moves |= dict(zip(deciding.tolist(), choice.moves, strict=True))
-            if choice.macros is not None:
-                for index, macro in zip(deciding.tolist(), choice.macros.tolist(), strict=True):
-                    tracks[index].macros.append(tuple(macro))
-        # whatever the view, an episode is its pulls
-        pulls = episodes.view.next_pulls(under_way).astype(np.float32)
-        rewards, terminated, truncated = episodes.step(pulls, under_way)
-        for row, index in enumerate(under_way.tolist()):
-            track = tracks[index]
-            track.actions.append(np.clip(pulls[row], -1, 1))  # as the simulation read it
-            track.rewards.append(float(rewards[row]))
-            track.terminations.append(bool(terminated[row]))
-            track.truncations.append(bool(truncated[row]))
-            if task.action == "macro":
-                first = episodes.view.pulls[index] == 1
-                track.macros.append((first, *episodes.view.macros[index].tolist()))
-            track.see(episodes, index, moves[index])
-        under_way = under_way[~(terminated | truncated)]
-    return [
-        Rollout(
-            number,
-            _episode(track, policy.name(index), seeds[index]),
-            policy.effort(index).plus(track.advice),
-        )
-        for index, (number, track) in enumerate(zip(numbers, tracks, strict=True))
-    ]
+    task = policy.compatible_task(task)
+    todo = seeds.rows if isinstance(seeds, Table) else len(seeds)
+    if not todo:
+        seeds, todo = [0], 1  # a batch has at least one rope; its episode isn't returned
+        empty = rollouts(policy, task, seeds, keep=keep, attempt=attempt, adviser=adviser)
+        return empty.select([])
+    batch = EpisodeBatch(task, max(1, min(lanes, todo, _fitting(task))))
+    coming = _Coming(batch, seeds)
+    player = policy.player(batch)
+    record = _Record(batch, keep, todo, advised=adviser is not None)
+    advice = None if adviser is None else _Advice(adviser.player(batch), batch)
+    while True:
+        free = np.flatnonzero(batch.number < 0)
+        ids = coming.begin(free)
+        if len(ids):
+            draws = [generator(Stream.POLICY, max(0, s), attempt) for s in batch.seed[ids].tolist()]
+            player.begin(ids, draws)
+            record.begin(ids)
+            if advice is not None:
+                advice.begin(ids)
+        playing = np.flatnonzero(batch.number >= 0)
+        if not len(playing):
+            return record.whole()
+        if advice is not None:
+            record.advise(advice.given(playing))
+        pulls = player.act(playing)
+        if not len(pulls.ids):
+            continue
+        record.before(pulls)
+        outcome = batch.pull(pulls.ids, pulls.beads, pulls.forces)
+        record.after(pulls.ids, outcome)
+        over = pulls.ids[outcome.terminated | outcome.truncated]
+        for index in over.tolist():
+            planned = int(player.planned[index])
+            planned += int(advice.planned[index]) if advice is not None else 0
+            names = getattr(player, "names", None)
+            record.end(index, policy.name if names is None else str(names[index]), planned)
+        batch.number[over] = -1
 
 
-def _begun(episodes: EpisodeBatch, index: int) -> _Track:
-    """Start the record of an episode that has just been reset."""
-    info = episodes.info(index)
-    track = _Track(
-        start_qpos=episodes.start_qpos[index].copy(),
-        goal_points=episodes.goal_points(index),
-        options={name: int(info[name]) for name in ("start", "goal")},
-        goal=str(info["goal_gauss_code"]),
-    )
-    track.see(episodes, index, move="")
-    return track
+def _fitting(task: TaskConfig) -> int:
+    """How many episodes of a task fit into _MOST_BYTES, all steps kept."""
+    return _MOST_BYTES // ((task.horizon + 1) * (12 * task.beads + 256))
 
 
-def _episode(track: _Track, policy: str, seed: int) -> Episode:
-    def column(name: str, dtype: type) -> NDArray[Any]:
-        return np.array([info[name] for info in track.infos], dtype=dtype)
+class _Coming:
+    """Begins episodes in free lanes.
 
-    macros: dict[str, Any] = {}
-    if track.macros:
-        table = np.array([NO_MACRO, *track.macros], dtype=np.int64)
-        macros = dict(zip(MACRO_INFOS, table.T.copy(), strict=True))
-        macros["macro_start"] = macros["macro_start"].astype(bool)
-    return Episode(
-        start_qpos=track.start_qpos,
-        points=np.stack(track.points),
-        goal_points=track.goal_points,
-        actions=np.stack(track.actions),
-        rewards=np.array(track.rewards, dtype=np.float64),
-        terminations=np.array(track.terminations, dtype=bool),
-        truncations=np.array(track.truncations, dtype=bool),
-        gauss_code=column("gauss_code", np.str_),
-        gauss_code_chiral=column("gauss_code_chiral", np.str_),
-        crossings=column("crossings", np.int64),
-        bead=column("bead", np.int64),
-        force=column("force", np.float64),
-        applied_share=column("applied_share", np.float64),
-        is_success=column("is_success", np.bool_),
-        simulation_failed=column("simulation_failed", np.bool_),
-        move=column("move", np.str_),
-        **macros,
-        expert_action=(
-            # the last state has no action; a row of zeros keeps one row per state
-            np.stack([*track.expert_actions, np.zeros(6, dtype=np.float32)])
-            if track.expert_actions
-            else None
-        ),
-        goal_gauss_code=track.goal,
-        seed=seed,
-        options=track.options,
-        policy=policy,
-    )
+    The first ones begin together. Later ones are drawn and laid in blocks in a batch of their own,
+    because one start alone takes nearly as long as many.
+    """
+
+    def __init__(self, batch: EpisodeBatch, seeds: Sequence[int] | Table) -> None:
+        self._batch, self._seeds = batch, seeds
+        self._todo = seeds.rows if isinstance(seeds, Table) else len(seeds)
+        self._begun = self._laid = 0  # episodes begun in lanes; episodes laid
+        self._spare: EpisodeBatch | None = None
+        self._row = 0  # of the next episode in the spare batch
+
+    def begin(self, free: Ids) -> Ids:
+        """Begin the next episodes in free lanes; return those that were needed."""
+        ids = free[: self._todo - self._begun]
+        left = ids
+        if not self._begun:
+            self._lay(self._batch, ids)
+            left = ids[:0]
+        while len(left):
+            if self._laid == self._begun:
+                size = min(_BLOCK, self._todo - self._begun)
+                if self._spare is None:
+                    self._spare = EpisodeBatch(self._batch.task, size)
+                self._lay(self._spare, np.arange(size))
+                self._row = 0
+            assert self._spare is not None
+            some = left[: self._laid - self._begun]
+            self._batch.copy_from(self._spare, np.arange(self._row, self._row + len(some)), some)
+            self._number(some)
+            self._row += len(some)
+            left = left[len(some) :]
+        return ids
+
+    def _lay(self, batch: EpisodeBatch, ids: Ids) -> None:
+        some = slice(self._laid, self._laid + len(ids))
+        if isinstance(self._seeds, Table):
+            batch.restore(ids, self._seeds.take(some))
+        else:
+            batch.begin(ids, [*self._seeds[some]])
+        self._laid += len(ids)
+        if batch is self._batch:
+            self._number(ids)
+
+    def _number(self, ids: Ids) -> None:
+        self._batch.number[ids] = np.arange(self._begun, self._begun + len(ids))
+        self._begun += len(ids)
+
+
+class _Advice:
+    """What another policy would do in each state; it is asked once a state, without its past."""
+
+    def __init__(self, player: Player, batch: EpisodeBatch) -> None:
+        self._player, self._batch = player, batch
+        self._asked = np.full(batch.count, -1, dtype=np.int64)  # step that was last asked about
+        self.planned = np.zeros(batch.count, dtype=np.int64)
+
+    def begin(self, ids: Ids) -> None:
+        """Episodes begin in lanes."""
+        self._asked[ids], self.planned[ids] = -1, 0
+
+    def given(self, playing: Ids) -> Pulls:
+        """Return pulls for the lanes that moved since they were last asked about."""
+        steps = self._batch.steps
+        asked = playing[self._asked[playing] != steps[playing]]
+        beads = np.zeros(len(asked), dtype=np.int64)
+        forces = np.zeros((len(asked), 3), dtype=np.float32)
+        if len(asked):
+            keys = zip(self._batch.seed[asked].tolist(), steps[asked].tolist(), strict=True)
+            rngs = [generator(Stream.EXPERT_LABEL, max(0, seed), step) for seed, step in keys]
+            self._player.begin(asked, rngs)
+        waiting = asked
+        while len(waiting):
+            pulls = self._player.act(waiting)
+            rows = np.searchsorted(asked, pulls.ids)
+            beads[rows], forces[rows] = pulls.beads, pulls.forces
+            waiting = np.setdiff1d(waiting, pulls.ids, assume_unique=True)
+        self._asked[asked] = steps[asked]
+        self.planned[asked] += self._player.planned[asked]
+        return Pulls(asked, beads, forces)
+
+
+class _Record:
+    """What is kept of the episodes under way, in arrays (lanes, horizon + 1, ...)."""
+
+    def __init__(self, batch: EpisodeBatch, keep: Schema | None, todo: int, advised: bool) -> None:
+        self._batch = batch
+        names = [column.name for column in keep.columns] if keep is not None else []
+        if not advised:
+            names = [name for name in names if name != "expert_action"]
+        self._schema = self._sized((keep or STEPS).only(*names))
+        self._episodes = self._sized(EPISODES if "observation" in names else RECORDED)
+        length = batch.task.horizon + 1
+        self._steps = {
+            name: column.reshape(batch.count, length, *column.shape[1:])
+            for name, column in self._schema.empty(batch.count * length).items()
+        }
+        # results by episode, in the order of the seeds
+        self._rows: list[dict[str, Any]] = [{} for _ in range(todo)]
+        self._parts: list[dict[str, NDArray[Any]]] = [{} for _ in range(todo)]
+        self._totals = np.zeros(batch.count)
+        self._success = np.zeros(batch.count, dtype=bool)
+
+    def begin(self, ids: Ids) -> None:
+        """Episodes begin in lanes."""
+        self._totals[ids], self._success[ids] = 0.0, False
+        self._see(ids)
+
+    def advise(self, pulls: Pulls) -> None:
+        """Keep the pulls that an adviser would make."""
+        if len(pulls.ids):
+            self._put("expert_action", pulls.ids, self._actions(pulls))
+
+    def before(self, pulls: Pulls) -> None:
+        """Keep the pulls that will be made."""
+        self._put("bead", pulls.ids, pulls.beads)
+        self._put("force", pulls.ids, pulls.forces)
+        if "action" in self._steps:
+            self._put("action", pulls.ids, self._actions(pulls))
+        if pulls.macros is None:
+            # a player always says, or never does
+            for name in MACROS:
+                self._steps.pop(name, None)
+        else:
+            for name, values in zip(MACROS, pulls.macros.T, strict=True):
+                self._put(name, pulls.ids, values)
+
+    def after(self, ids: Ids, outcome: Outcome) -> None:
+        """Keep what came of the pulls, and the states that they led to."""
+        batch = self._batch
+        self._success[ids] |= batch.successes(ids)
+        self._totals[ids] += outcome.rewards
+        given = (*outcome, batch.applied_shares[ids])
+        for name, values in zip(_OUTCOMES, given, strict=True):
+            self._put(name, ids, values, -1)
+        self._see(ids)
+
+    def end(self, index: int, policy: str, planned: int) -> None:
+        """Copy the rows of the episode in a lane, which is over."""
+        batch, number = self._batch, int(self._batch.number[index])
+        length = int(batch.steps[index])
+        for name, kept in self._steps.items():
+            if name not in _STATES:
+                kept[index, length] = 0  # no pull is made in the last state
+        self._parts[number] = {
+            name: kept[index, : length + 1].copy() for name, kept in self._steps.items()
+        }
+        own = int(batch.hold[index])
+        row = {
+            "seed": batch.seed[index],
+            "start": batch.start_row[index],
+            "goal": batch.goal_row[index],
+            "start_qpos": batch.start_qpos[index].copy(),
+            "policy": policy,
+            "goal_visits": batch.wanted[index].copy(),
+            "hold": 0 if own == batch.task.hold else own,
+            "relabelled": batch.goal_row[index] < 0,
+            "length": length,
+            "success": self._success[index],
+            "failed": batch.failed[index],
+            "total": self._totals[index],
+            "planned": planned,
+        }
+        if "observation" in self._steps:
+            row["goal_points"] = batch.goal_points(index).astype(np.float32)
+        self._rows[number] = row
+
+    def whole(self) -> Episodes:
+        """Return all episodes."""
+        width = 2 * self._batch.signs.shape[1]
+        rows: dict[str, Any] = {}
+        for column in self._episodes.columns:
+            values = [row[column.name] for row in self._rows]
+            if column.name == "goal_visits":
+                values = [_padded(value, width) for value in values]
+            rows[column.name] = np.array(values, None if column.dtype == "text" else column.dtype)
+        schema = self._schema.only(*self._steps)
+        steps: dict[str, NDArray[Any]] = {}
+        for column in schema.columns:
+            parts = [part[column.name] for part in self._parts]
+            if column.name in _CODES:
+                full = self._steps[column.name].shape[2]
+                parts = [_padded(part, full) for part in parts]
+            steps[column.name] = np.concatenate(parts)
+        made = Episodes(Table(self._sized(self._episodes), rows), Table(self._sized(schema), steps))
+        return fitted([made])[0]
+
+    def _sized(self, schema: Schema) -> Schema:
+        batch = self._batch
+        sizes = code_sizes(batch.signs.shape[1])
+        return schema.sized(beads=batch.task.beads, nq=batch.start_qpos.shape[1], **sizes)
+
+    def _see(self, ids: Ids) -> None:
+        batch = self._batch
+        if "observation" in self._steps:
+            self._put("observation", ids, batch.simulation.points[ids])
+        for name in ("visits", "signs", "crossings"):
+            if name in self._steps:
+                values = getattr(batch, name)[ids]
+                if name != "crossings" and values.shape[1] > self._steps[name].shape[2]:
+                    self._steps[name] = _padded(self._steps[name], values.shape[1])
+                self._put(name, ids, values)
+
+    def _actions(self, pulls: Pulls) -> NDArray[np.float32]:
+        simulation = self._batch.simulation
+        newtons = pulls.forces.astype(np.float64) * simulation.max_force
+        points = simulation.points[pulls.ids]
+        return encode_actions(pulls.beads, newtons, points, simulation.rope.config)
+
+    def _put(self, name: str, ids: Ids, values: Any, back: int = 0) -> None:
+        if name in self._steps:
+            self._steps[name][ids, self._batch.steps[ids] + back] = values
+
+
+def _padded(array: NDArray[Any], width: int) -> NDArray[Any]:
+    """Lengthen the last axis with zeros."""
+    more = width - array.shape[-1]
+    return np.pad(array, [(0, 0)] * (array.ndim - 1) + [(0, more)]) if more else array
+
+
+from knotgym.control.old_rollouts import (  # noqa: E402, F401
+    DATASET,
+    EVALUATION,
+    EpisodeStreams,
+    Rollout,
+    rollout,
+)

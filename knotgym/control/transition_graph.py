@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import NonNegative, configuration
 from knotgym.control.diagram_moves import DOWN_COST, below, leading_to
 from knotgym.control.transition_counts import ELEMENTS, MacroTemplate, TransitionCounts
 from knotgym.topology.diagrams import chiralities
@@ -36,7 +36,7 @@ _FARTHEST_DOWN = 3  # moves down are tried from codes with at most this many cro
 _GOALS_KEPT = 128  # goals whose distances are cached; one or two megabytes each
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class TransitionGraphConfig:
     """How counts become distances.
 
@@ -46,11 +46,8 @@ class TransitionGraphConfig:
         strange: cost in macro-actions of each crossing too many or too few where no path is known.
     """
 
-    doubt: float = 30.0
-    strange: float = 30.0
-
-    def __post_init__(self) -> None:
-        check_numbers(self, non_negative=("doubt", "strange"))
+    doubt: NonNegative = 30.0
+    strange: NonNegative = 30.0
 
 
 class Step(NamedTuple):

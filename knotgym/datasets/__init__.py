@@ -38,4 +38,30 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = lazy_exports(
+        __name__,
+        {
+            "Episode": "knotgym.datasets.trajectory",
+            "EpisodeReader": "knotgym.datasets.episode_reader",
+            "EpisodeWriter": "knotgym.datasets.episode_writer",
+            "MinariMetadata": "knotgym.datasets.minari_dataset",
+            "States": "knotgym.states.state_file",
+            "compact": "knotgym.datasets.minari_dataset",
+            "delete": "knotgym.datasets.subsets",
+            "faults": "knotgym.datasets.verification",
+            "merge_states": "knotgym.states.state_file",
+            "publish": "knotgym.datasets.minari_dataset",
+            "read_rows": "knotgym.datasets.image_table",
+            "read_states": "knotgym.states.state_file",
+            "read_table": "knotgym.datasets.image_table",
+            "relabel_all": "knotgym.datasets.trajectory",
+            "relabelled": "knotgym.datasets.trajectory",
+            "select": "knotgym.datasets.subsets",
+            "shipped": "knotgym.states.state_file",
+            "show_episodes": "knotgym.datasets.episode_verification",
+            "split": "knotgym.datasets.subsets",
+            "verify": "knotgym.datasets.verification",
+            "verify_episodes": "knotgym.datasets.episode_verification",
+            "write_states": "knotgym.states.state_file",
+        },
+    )

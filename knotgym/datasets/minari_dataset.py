@@ -12,6 +12,7 @@ import copy
 import json
 import os
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
@@ -21,7 +22,7 @@ from typing import Any
 import gymnasium
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, link_or_copy, require_output, sha256
+from knotgym.common.atomic_files import atomic_write, require_output, sha256
 from knotgym.common.configuration import as_json
 from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import foreign_bytes_as
@@ -145,7 +146,7 @@ def publish(
         }
         merged.close()
         if states is not None:
-            link_or_copy(states, data / "states.h5")
+            shutil.copyfile(states, data / "states.h5")
         size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
         entries["dataset_size"] = round(size / 1e6, 1)
         text = json.dumps(entries, sort_keys=True, separators=(",", ":"))

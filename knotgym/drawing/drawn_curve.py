@@ -6,11 +6,9 @@ they cross, and the curve is cut into beads. The outer face, the relative sizes 
 position of the base bead and the rotation are random, so one code has many drawings.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import NonNegative, Positive, configuration
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.drawing.circle_packing import pack_circles
 from knotgym.drawing.layout_relaxation import Integers, LayoutRelaxationConfig, relax_layout
@@ -23,7 +21,7 @@ from knotgym.topology.gauss import GaussCode
 _LEAST_BEADS = 3  # per edge
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class DrawingConfig:
     """Settings of a drawing.
 
@@ -37,14 +35,11 @@ class DrawingConfig:
         easing: settings of the layout relaxation.
     """
 
-    uneven: float = 0.25
-    outer: float = 3.0
-    height: float = 0.014
-    base: float = 0.03
+    uneven: NonNegative = 0.25
+    outer: NonNegative = 3.0
+    height: Positive = 0.014
+    base: NonNegative = 0.03
     easing: LayoutRelaxationConfig = LayoutRelaxationConfig()  # state files store this name
-
-    def __post_init__(self) -> None:
-        check_numbers(self, positive=("height",), non_negative=("uneven", "outer", "base"))
 
 
 def drawn_curve(

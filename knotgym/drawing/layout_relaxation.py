@@ -18,19 +18,17 @@ Lengths are fractions of the rope's length: the drawing is rescaled to total len
 iteration.
 """
 
-from dataclasses import dataclass
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Count, NonNegative, Positive, configuration
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class LayoutRelaxationConfig:
     """Strengths of the forces, relative to the pressure of a face with share 1.
 
@@ -49,25 +47,17 @@ class LayoutRelaxationConfig:
         step: fraction of the Newton step that is taken.
     """
 
-    first: int = 300
-    later: int = 200
-    segments: int = 90
-    tension: float = 1.0
-    power: float = 1.0
-    bending: float = 0.0007
-    reach: float = 0.025
-    push: float = 80000.0
-    crossing: float = 2.0
-    most: float = 0.01
-    step: float = 0.4
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("first", "later", "segments"),
-            positive=("reach", "most", "step"),
-            non_negative=("tension", "power", "bending", "push", "crossing"),
-        )
+    first: Count = 300
+    later: Count = 200
+    segments: Count = 90
+    tension: NonNegative = 1.0
+    power: NonNegative = 1.0
+    bending: NonNegative = 0.0007
+    reach: Positive = 0.025
+    push: NonNegative = 80000.0
+    crossing: NonNegative = 2.0
+    most: Positive = 0.01
+    step: Positive = 0.4
 
 
 def relax_layout(

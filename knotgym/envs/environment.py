@@ -78,7 +78,7 @@ class KnotEnv(gym.Env[Any, NDArray[Any]]):
     ) -> tuple[Any, dict[str, Any]]:
         """Start a new episode; options `start` and `goal` choose rows of the state file."""
         super().reset(seed=seed)
-        self.episodes.begin(0, self.np_random, options)
+        self.episodes.begin(np.array([0]), [self.np_random], options)
         self._show()
         return self.episodes.observation(0), self.episodes.info(0)
 
@@ -246,7 +246,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         return tuple(self.episodes.rgb(i) for i in range(self.num_envs))
 
     def _begin(self, ids: NDArray[np.int64], options: dict[str, Any] | None = None) -> None:
-        self.episodes.begin_many(ids, [self._rngs[i] for i in ids], options)
+        self.episodes.begin(ids, [self._rngs[i] for i in ids], options)
 
     def _infos(self, ids: NDArray[np.int64]) -> dict[str, Any]:
         """Return the infos of the ropes `ids` as Gymnasium does: arrays over all ropes, and masks.

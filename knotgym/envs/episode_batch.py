@@ -1,10 +1,11 @@
-"""Batches of episodes of one task, shared by the single and the vector environment.
+"""The episode engine: many episodes of one task, one rope each, as arrays.
 
-Sampling of starts and goals, reset noise, stepping, Gauss codes, rewards and observations are
-implemented here; `environment` wraps them in Gymnasium's two interfaces.
+Starts and goals, reset noise, stepping, Gauss codes, rewards and observations are implemented here.
+`environment` wraps a batch in Gymnasium's two interfaces, `control.rollouts` plays policies in one.
+What happens in an episode depends on its seed and its pulls, not on the episodes beside it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -13,15 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.marked import join, mark
-from knotgym.envs.observations import (
-    SYMBOLS,
-    numbers,
-    picture_config,
-    pixels,
-    stacked,
-    state,
-    symbols,
-)
+from knotgym.envs.observations import SYMBOLS, cut, picture_config, pixels, stacked, state
+from knotgym.envs.old_names import OldNames
 from knotgym.envs.reward import Outcome
 from knotgym.envs.task_states import SHIPPED, task_sides
 from knotgym.envs.tasks import TaskConfig
@@ -29,60 +23,79 @@ from knotgym.rendering.picture import draw
 from knotgym.rope.action_views import ActionView
 from knotgym.rope.engines import simulation
 from knotgym.rope.model import Array, Rope
-from knotgym.rope.reset_noise import start_qpos
+from knotgym.rope.reset_noise import least_clearance, start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
-from knotgym.topology.crossings import label_many
+from knotgym.topology.code_arrays import CodeArrays, plain_code, read_codes, visits_of
 from knotgym.topology.gauss import GaussCode
 
+Ids = NDArray[np.int64]
+Seed = int | np.random.Generator
 
-class EpisodeBatch:
-    """A batch of `count` independent episodes.
+# Arrays with a row per rope that describe its episode; `copy_from` copies them.
+_STATE = (
+    *("seed", "start_row", "goal_row", "start_qpos", "hold", "steps", "held", "shown", "failed"),
+    *("visits", "signs", "crossings", "wanted", "towed", "centre", "beads", "forces"),
+    "applied_shares",
+)
+
+
+class EpisodeBatch(OldNames):
+    """A batch of `count` independent episodes; the arrays have one row per rope.
 
     Attributes:
-        config: settings of the task.
+        task: settings of the task.
         simulation: the ropes.
-        view: turns actions of the view `config.action` into pulls.
-        codes: the current Gauss code of each rope, with chirality.
-        goals: the goal code of each rope.
-        steps: int (count,), actions taken since the reset.
-        held: int (count,), consecutive steps for which the goal has been shown.
-        failed: bool (count,), whether the simulation blew up in the last step.
+        starts, goals: the states that starts and goals are sampled from.
+        number: int64 (count,), which episode of a run this is, for whoever plays; -1 for none.
+        seed: int64 (count,), the seed of each episode; -1 if it began from a generator.
+        start_row, goal_row: int64 (count,), rows of `starts` and `goals`; -1 until the first reset.
         start_qpos: float64 (count, nq), generalized positions that each rope was laid at.
-        origins: float64 (count, 3), each rope's centre at reset, metres.
-        beads: int (count,), bead pulled in the last step; -1 at reset.
+        hold: int64 (count,), consecutive steps for which the goal must be shown.
+        steps: int64 (count,), pulls since the reset.
+        held: int64 (count,), consecutive steps for which the goal has been shown.
+        visits, signs, crossings: the Gauss codes now, see `topology.code_arrays`.
+        wanted: int16 (count, 2 width), the visits of the goals' codes.
+        shown: bool (count,), whether a rope shows its goal's code.
+        failed: bool (count,), whether the simulation blew up in the last step.
+        towed: bool (count,), whether a rope's centre is beyond `tow_limit`.
+        centre: float64 (count, 3), of each rope at reset, metres.
+        beads: int64 (count,), bead pulled in the last step; -1 at reset.
         forces: float64 (count, 3), mean force applied to it in the last step, newtons.
         applied_shares: float64 (count,), as of `Simulation`.
     """
 
-    def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
+    def __init__(self, task: TaskConfig, count: int = 1, threads: int = 1) -> None:
         if count < 1:
             raise InvalidInput(f"num_envs must be at least 1, got {count}")
-        self.config = config
-        self.count = count
-        self.simulation = simulation(config.engine, count, Rope(config.rope), threads)
-        self.view = ActionView(config.action, self.simulation)
-        self._picture = picture_config(config)
-        starts, goals = task_sides(config)
-        self._starts, self._goals = starts.states, goals.states
+        self.task, self.count = task, count
+        self.simulation = simulation(task.engine, count, Rope(task.rope), threads)
+        self._view: ActionView | None = None
+        self._picture = picture_config(task)
+        starts, goals = task_sides(task)
+        self.starts: Any = starts.states
+        self.goals: Any = self.old_goals(goals.states)
         self._start_nx = starts.nx
         self._rows = {
-            "start": starts.states.rows(starts.nx, config.split),
-            "goal": goals.states.rows(goals.nx, config.split)[: config.max_goals],
+            "start": starts.states.rows(starts.nx, task.split),
+            "goal": goals.states.rows(goals.nx, task.split)[: task.max_goals],
         }
         self._came_from = {"start_states": starts.origin, "goal_states": goals.origin}
+        self._goal_rows: dict[str, NDArray[np.int64]] = {}
+        self._clearances: dict[int, float] = {}
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
-        self.codes = [GaussCode(())] * count
-        self.goals = [GaussCode(())] * count
-        self.start_row = np.zeros(count, dtype=np.int64)
-        self.goal_row = np.full(count, -1, dtype=np.int64)  # until the first reset
-        self.steps = np.zeros(count, dtype=np.int64)
-        self.held = np.zeros(count, dtype=np.int64)
-        self.failed = np.zeros(count, dtype=bool)
+        self.number, self.seed = np.full((2, count), -1, dtype=np.int64)
+        self.start_row, self.goal_row = np.full((2, count), -1, dtype=np.int64)
         self.start_qpos = np.zeros((count, self.simulation.rope.nq))
-        self.origins = np.zeros((count, 3))
+        self.hold = np.full(count, task.hold, dtype=np.int64)
+        self.steps, self.held = np.zeros((2, count), dtype=np.int64)
+        self.visits, self.signs, self.crossings = read_codes(self.simulation.points)
+        self.wanted = np.zeros_like(self.visits)
+        self.shown, self.failed, self.towed = np.zeros((3, count), dtype=bool)
+        self.centre, self.forces = np.zeros((2, count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
-        self.forces = np.zeros((count, 3))
         self.applied_shares = np.ones(count)
+
+    # beginning
 
     def rows(self, side: str) -> NDArray[np.int64]:
         """Return the rows of the state file from which the "start" or the "goal" is sampled."""
@@ -94,169 +107,218 @@ class EpisodeBatch:
         Goals that show the start's code already are left out.
         """
         rows = self._rows["goal"]
-        if self._start_nx != self.config.goal_nx:
+        if self._start_nx != self.task.goal_nx:
             return rows
-        return rows[self._goals.gauss_code[rows] != self._starts.gauss_code[start]]
+        code = str(self.starts.gauss_code[start])
+        if code not in self._goal_rows:
+            self._goal_rows[code] = rows[self.goals.gauss_code[rows] != code]
+        return self._goal_rows[code]
 
     def side_codes(self, side: str) -> list[GaussCode]:
         """Return the distinct codes of the "start" or "goal" states, without chirality, sorted."""
-        states = self._starts if side == "start" else self._goals
+        states = self.starts if side == "start" else self.goals
         codes = {*states.gauss_code[self._rows[side]].tolist()}
         return [_parsed(str(code)) for code in sorted(codes)]
 
     def begin(
-        self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
+        self, ids: Ids, seeds: Sequence[Seed], options: Mapping[str, Any] | None = None
     ) -> None:
-        """Restart episode `index`; see `begin_many`."""
-        self.begin_many(np.array([index]), [rng], options)
+        """Begin episodes as `env.reset(seed=...)` does: sample starts and goals, lay the ropes.
 
-    def begin_many(
-        self,
-        ids: NDArray[np.int64],
-        rngs: Sequence[np.random.Generator],
-        options: dict[str, Any] | None = None,
-    ) -> None:
-        """Restart the episodes `ids`: sample starts and goals, and lay the ropes.
+        Many at once take a fraction of the time of as many one by one, and start the same.
 
         Args:
-            ids: which episodes.
-            rngs: one for each of them, the source of its draws.
-            options: `start` and `goal` choose rows of the respective state files.
+            ids: which ropes, in increasing order.
+            seeds: one for each of them: its draws come from `np.random.default_rng(seed)`, or from
+                a generator that is given.
+            options: `start` and `goal` choose rows of the state files.
 
         Raises:
             InvalidInput: an option is unknown, or a row doesn't belong to the task.
         """
+        if isinstance(ids, int):
+            ids, seeds = np.array([ids]), [seeds]
         if not len(ids):
             return
         given = dict(options or {})
         own_start, own_goal = given.pop("start", None), given.pop("goal", None)
         if given:
             raise InvalidInput(f"no reset option {', '.join(map(repr, given))}; use start or goal")
-        rows = []
-        for rng in rngs:
+        rngs = [np.random.default_rng(seed) for seed in seeds]
+        rows = np.empty((2, len(ids)), dtype=np.int64)
+        for row, rng in enumerate(rngs):
             start = self._choose(own_start, self.rows("start"), "start", rng)
-            rows.append((start, self._choose(own_goal, self.goal_rows(start), "goal", rng)))
-        starts, goals = np.array(rows).T
-        self.start_row[ids], self.goal_row[ids] = starts, goals
-        self.start_qpos[ids] = start_qpos(
+            rows[:, row] = start, self._choose(own_goal, self.goal_rows(start), "goal", rng)
+        starts = rows[0]
+        for row in set(starts.tolist()) - self._clearances.keys():
+            points = np.require(self.starts.points[row], np.float64, ["C", "W"])
+            self._clearances[row] = least_clearance(points, self.simulation.rope)
+        qpos = start_qpos(
             self.simulation.rope,
-            self._starts.qpos[starts],
-            self._starts.points[starts],
-            [_parsed(str(text)) for text in self._starts.gauss_code_chiral[starts]],
-            self.config.reset_noise,
+            self.starts.qpos[starts],
+            self.starts.points[starts],
+            [_parsed(str(text)) for text in self.starts.gauss_code_chiral[starts]],
+            self.task.reset_noise,
             rngs,
+            [self._clearances[row] for row in starts.tolist()],
         )
-        self.simulation.lay(self.start_qpos[ids], ids)
-        self.origins[ids] = centres(self.simulation.points[ids])
-        # the chain engine closes the gaps of a state without noise, so it is read again
-        codes = label_many(self.simulation.points[ids])
-        for index, code, goal in zip(ids.tolist(), codes, goals.tolist(), strict=True):
-            self.codes[index] = code
-            self.goals[index] = _parsed(str(self._goals.gauss_code[goal]))
-        self.view.reset(ids)
-        self.steps[ids] = self.held[ids] = 0
-        self.failed[ids] = False
-        self.beads[ids], self.forces[ids], self.applied_shares[ids] = -1, 0.0, 1.0
+        known = [-1 if isinstance(seed, np.random.Generator) else seed for seed in seeds]
+        # a seed of the caller's own may be larger than any that is stored
+        fitting = [seed if seed < 2**63 else -1 for seed in known]
+        columns = {"seed": fitting, "start": starts, "goal": rows[1], "start_qpos": qpos}
+        self.restore(ids, columns)
 
-    def act(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
-        """Carry out one action of the view `config.action` in each episode of `ids`.
+    def restore(self, ids: Ids, rows: Mapping[str, ArrayLike]) -> None:
+        """Begin episodes where others began.
+
+        Args:
+            ids: which ropes, in increasing order.
+            rows: the columns `seed`, `start`, `goal` and `start_qpos` of `datasets.episodes`, and
+                `goal_visits` and `hold` where an episode has a goal of its own.
+        """
+        self.seed[ids], self.start_row[ids] = rows["seed"], rows["start"]
+        self.goal_row[ids], self.start_qpos[ids] = rows["goal"], rows["start_qpos"]
+        hold = np.asarray(rows.get("hold", 0))
+        self.hold[ids] = np.where(hold, hold, self.task.hold)
+        self.simulation.lay(self.start_qpos[ids], ids)
+        self.centre[ids] = centres(self.simulation.points[ids])
+        self.steps[ids] = self.held[ids] = 0
+        self.failed[ids] = self.towed[ids] = False
+        self.beads[ids], self.forces[ids], self.applied_shares[ids] = -1, 0.0, 1.0
+        if "goal_visits" in rows:
+            goals = [plain_code(row) for row in np.asarray(rows["goal_visits"], dtype=np.int16)]
+        else:
+            goals = [_parsed(str(code)) for code in self.goals.gauss_code[self.goal_row[ids]]]
+        self.seek(ids, goals)
+        if self._view is not None:
+            self._view.reset(ids)
+
+    def seek(self, ids: Ids, goals: Sequence[GaussCode]) -> None:
+        """Replace the goals' codes of ropes; `goal_row` and the goals' pictures stay."""
+        visits = visits_of(goals, self.wanted.shape[1] // 2)
+        self._widen(visits.shape[1])
+        self.wanted[ids] = visits
+        self._read(ids)
+
+    def copy_from(self, other: "EpisodeBatch", rows: Ids, ids: Ids) -> None:
+        """Go on with episodes of another batch of the same task, in ropes `ids` of this one."""
+        self.simulation.restore(other.simulation.states(rows), ids)
+        width = max(self.visits.shape[1], other.visits.shape[1])
+        self._widen(width)
+        other._widen(width)
+        for name in _STATE:
+            getattr(self, name)[ids] = getattr(other, name)[rows]
+        if self._view is not None:
+            self._view.reset(ids)
+
+    # acting
+
+    def pull(self, ids: Ids, beads: NDArray[np.int64], forces: NDArray[np.floating]) -> Outcome:
+        """Pull a bead of each rope; if a simulation blows up, its rope stays as it was.
+
+        Args:
+            ids: which ropes, in increasing order.
+            beads: int64 (n,), pulled at their centres.
+            forces: (n, 3), in units of the largest force, each component in [-1, 1].
+
+        Returns:
+            Rewards, and which episodes end; see `reward`.
+        """
+        newtons = forces.astype(np.float64) * self.simulation.max_force
+        failed = ~self.simulation.step(beads, newtons, ids)
+        shares = self.simulation.applied_shares[ids]
+        self.failed[ids], self.beads[ids], self.applied_shares[ids] = failed, beads, shares
+        self.forces[ids] = shares[:, None] * newtons
+        self._read(ids)
+        towed = np.zeros(len(ids), dtype=bool)
+        if self.task.tow_limit is not None:
+            moved = distances_towed(self.simulation.points[ids], self.centre[ids])
+            towed = moved > self.task.tow_limit
+        self.towed[ids] = towed
+        self.steps[ids] += 1
+        self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
+        return self.task.reward_rule.outcome(self._counted(ids), self.steps[ids], failed, towed)
+
+    def successes(self, ids: Ids) -> NDArray[np.bool_]:
+        """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
+        return self.task.reward_rule.reached(self._counted(ids), self.failed[ids])
+
+    def _counted(self, ids: Ids) -> NDArray[np.int64]:
+        """Steps held, shifted so that episodes with a `hold` of their own meet the task's rule."""
+        return self.held[ids] + (self.task.hold - self.hold[ids])
+
+    def act(self, actions: ArrayLike, ids: Ids) -> Outcome:
+        """Take one action of the task's view in each episode of `ids`, with all of its pulls.
 
         Raises:
             InvalidInput: an action is invalid; no rope has moved.
         """
-        if self.config.action == "pull":
-            return self.step(actions, ids)
+        if self.task.action == "pull":
+            beads, _ = self.simulation.read_actions(actions, ids)
+            forces = np.clip(np.asarray(actions, dtype=np.float64)[:, 3:], -1.0, 1.0)
+            return self.pull(ids, beads, forces)
         self.view.begin(actions, ids)
-        total = Outcome(
-            np.zeros(len(ids)), np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
-        )
+        total = Outcome(np.zeros(len(ids)), *np.zeros((2, len(ids)), dtype=bool))
         rows = np.arange(len(ids))
         while len(rows):
-            outcome = self.step(self.view.next_pulls(ids[rows]), ids[rows])
+            outcome = self.pull(ids[rows], *self.view.pulls_of(ids[rows]))
+            self.view.pulled(ids[rows], outcome.terminated | outcome.truncated)
             for whole, part in zip(total, outcome, strict=True):
                 whole[rows] = part  # rewards before the last pull are 0
             rows = rows[self.view.busy[ids[rows]]]
         return total
 
-    def step(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
-        """Make one pull (n, 6) in each episode of `ids`; see `reward` for the outcome.
+    @property
+    def view(self) -> ActionView:
+        """Turns actions of the task's view into pulls."""
+        if self._view is None:
+            self._view = ActionView(self.task.action, self.simulation)
+        return self._view
 
-        If a simulation blows up, its rope doesn't move, its episode is truncated and `failed` set.
-        """
-        simulation = self.simulation
-        self.beads[ids], requested = simulation.read_actions(actions, ids)
-        self.failed[ids] = ~simulation.step(self.beads[ids], requested, ids)
-        self.applied_shares[ids] = simulation.applied_shares[ids]
-        self.forces[ids] = self.applied_shares[ids, None] * requested
-        reached = np.zeros(len(ids), dtype=bool)
-        labelled = label_many(simulation.points[ids])
-        for row, (index, code) in enumerate(zip(ids.tolist(), labelled, strict=True)):
-            self.codes[index] = code
-            reached[row] = code.visits == self.goals[index].visits
-        towed = np.zeros(len(ids), dtype=bool)
-        if self.config.tow_limit is not None:
-            towed = (
-                distances_towed(simulation.points[ids], self.origins[ids]) > self.config.tow_limit
-            )
-        self.steps[ids] += 1
-        self.held[ids] = np.where(reached & ~towed, self.held[ids] + 1, 0)
-        outcome = self.config.reward_rule.outcome(
-            self.held[ids], self.steps[ids], self.failed[ids], towed
-        )
-        self.view.pulled(ids, outcome.terminated | outcome.truncated)
-        return outcome
+    def tow_bound(self, index: int, share: float = 1.0) -> TowBound | None:
+        """Return where rope `index` must stay, at a share of the `tow_limit`; None without one."""
+        limit = self.task.tow_limit
+        return None if limit is None else TowBound(self.centre[index].copy(), share * limit)
 
-    def tow_bound(self, index: int) -> TowBound | None:
-        """Return the bound on towing of rope `index`; None without a `tow_limit`."""
-        if self.config.tow_limit is None:
-            return None
-        return TowBound(self.origins[index].copy(), self.config.tow_limit)
+    # seeing
 
-    def picture(self, index: int) -> NDArray[np.uint8]:
-        """Draw the rope on the left and its goal on the right: (views * size, 2 size, 3 or 4)."""
-        drawn: NDArray[np.uint8] = self._pictures(np.array([index]))[0]
-        return drawn
+    def codes_of(self, ids: Ids) -> list[GaussCode]:
+        """Return the Gauss codes of ropes, with chirality."""
+        return CodeArrays(self.visits[ids], self.signs[ids], self.crossings[ids]).objects()
 
-    def rgb(self, index: int) -> NDArray[np.uint8]:
-        """Return the picture without depth: uint8 (views * size, 2 size, 3)."""
-        return np.ascontiguousarray(self.picture(index)[..., :3])
-
-    def state(self, index: int) -> NDArray[np.float32]:
-        """Return the vertices of the rope, then of its goal: float32 (6 beads,), metres."""
-        seen: NDArray[np.float32] = self._states(np.array([index]))[0]
-        return seen
-
-    def symbols(self, index: int) -> NDArray[np.int16]:
-        """Return the encoded Gauss codes of the rope and of its goal: int16 (2, SYMBOLS)."""
-        encoded: NDArray[np.int16] = symbols([self.codes[index]], [self.goals[index]])[0]
-        return encoded
+    def goals_of(self, ids: Ids) -> list[GaussCode]:
+        """Return the goals' codes, without chirality."""
+        return [plain_code(row) for row in self.wanted[ids]]
 
     def goal_points(self, index: int) -> Array:
         """Return a copy of the goal configuration, float64 (beads, 3), metres."""
-        return self._goals.points[self.goal_row[index]].copy()
+        return self.goals.points[self.goal_row[index]].copy()
+
+    def rgb(self, index: int) -> NDArray[np.uint8]:
+        """Draw the rope on the left and its goal on the right: uint8 (views * size, 2 size, 3)."""
+        return np.ascontiguousarray(self._pictures(np.array([index]))[0, ..., :3])
 
     def observation(self, index: int) -> Any:
-        """Return the observation of episode `index`, of the kind `config.observation`."""
+        """Return the observation of episode `index`, of the kind `task.observation`."""
         seen = self.observations(np.array([index]))
         if isinstance(seen, dict):
             return {name: array[0] for name, array in seen.items()}
         return seen[0]
 
-    def observations(self, ids: NDArray[np.int64]) -> Any:
+    def observations(self, ids: Ids) -> Any:
         """Return the observations of the episodes `ids`: an array (n, ...), or a dict of such."""
-        if self.config.observation == "symbolic":
-            every = ids.tolist()
-            return symbols([self.codes[i] for i in every], [self.goals[i] for i in every])
-        if self.config.observation == "marked":
-            goals = [self.goals[index] for index in ids.tolist()]
-            return join(mark(self.simulation.points[ids], goals))
+        kind, points = self.task.observation, self.simulation.points[ids]
+        if kind == "symbolic":
+            return cut(np.stack([self.visits[ids], self.wanted[ids]], axis=1))
+        if kind == "marked":
+            return join(mark(points, self.goals_of(ids)))
         seen: dict[str, NDArray[Any]] = {}
-        if self.config.observation != "state":
+        if kind != "state":
             pictures = self._pictures(ids)
-            seen["pixels"] = stacked(pictures) if self.config.layout == "stacked" else pictures
-        if self.config.observation != "pixels":
-            seen["state"] = self._states(ids)
-        return seen if self.config.observation == "both" else seen[self.config.observation]
+            seen["pixels"] = stacked(pictures) if self.task.layout == "stacked" else pictures
+        if kind != "pixels":
+            seen["state"] = state(points, self.goals.points[self.goal_row[ids]])
+        return seen if kind == "both" else seen[kind]
 
     def info(self, index: int) -> dict[str, Any]:
         """Return the `info` of episode `index`, the same keys at every step; arrays are copies.
@@ -267,10 +329,10 @@ class EpisodeBatch:
         """
         return self.info_rows(np.array([index]))[0]
 
-    def info_rows(self, ids: NDArray[np.int64]) -> list[dict[str, Any]]:
+    def info_rows(self, ids: Ids) -> list[dict[str, Any]]:
         """Return the `info` of each of the episodes `ids`."""
         columns = self.infos(ids)
-        if self.config.numeric_infos:
+        if self.task.numeric_infos:
             values = [list(map(np.asarray, column)) for column in columns.values()]
         else:
             values = [
@@ -278,29 +340,29 @@ class EpisodeBatch:
             ]
         return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
 
-    def infos(self, ids: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def infos(self, ids: Ids) -> dict[str, NDArray[Any]]:
         """Return the `info` of the episodes `ids` as arrays (n, ...), which are copies."""
-        every = ids.tolist()
-        codes, goals = [self.codes[i] for i in every], [self.goals[i] for i in every]
-        if self.config.numeric_infos:
+        shown: list[NDArray[Any]]
+        if self.task.numeric_infos:
             shown = [
-                np.array([numbers(code.visits) for code in codes]),
-                np.array([numbers(code.signs, SYMBOLS // 2) for code in codes]),
-                np.array([numbers(goal.visits) for goal in goals]),
+                cut(self.visits[ids]),
+                cut(self.signs[ids], SYMBOLS // 2),
+                cut(self.wanted[ids]),
             ]
             origins = [np.full(len(ids), one == SHIPPED) for one in self._came_from.values()]
         else:
+            codes = self.codes_of(ids)
             shown = [
                 np.array([_text(code) for code in codes], dtype=object),
                 np.array([_text(code, chiral=True) for code in codes], dtype=object),
-                np.array([_text(goal) for goal in goals], dtype=object),
+                np.array([_text(goal) for goal in self.goals_of(ids)], dtype=object),
             ]
             origins = [np.full(len(ids), one, dtype=object) for one in self._came_from.values()]
         failed = self.failed[ids]
         infos = {
             **dict(zip(("gauss_code", "gauss_code_chiral", "goal_gauss_code"), shown, strict=True)),
-            "crossings": np.array([code.nx for code in codes]),
-            "is_success": self.config.reward_rule.reached(self.held[ids], failed),
+            "crossings": self.crossings[ids],
+            "is_success": self.successes(ids),
             "simulation_failed": failed,
             "start": self.start_row[ids],
             "goal": self.goal_row[ids],
@@ -309,17 +371,29 @@ class EpisodeBatch:
             "force": self.forces[ids],
             "applied_share": self.applied_shares[ids],
         }
-        if self.config.action == "macro":
+        if self.task.action == "macro":
             infos["macro_pulls"] = self.view.pulls[ids]
         return infos
 
-    def _states(self, ids: NDArray[np.int64]) -> NDArray[np.float32]:
-        return state(self.simulation.points[ids], self._goals.points[self.goal_row[ids]])
+    def _read(self, ids: Ids) -> None:
+        """Read the codes of ropes after they moved, or of their goals."""
+        codes = read_codes(self.simulation.points[ids], self.visits.shape[1] // 2)
+        self._widen(codes.visits.shape[1])
+        self.visits[ids], self.signs[ids], self.crossings[ids] = codes
+        self.shown[ids] = (codes.visits == self.wanted[ids]).all(axis=1)
 
-    def _pictures(self, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
+    def _widen(self, columns: int) -> None:
+        """Make room for codes of so many visits."""
+        more = columns - self.visits.shape[1]
+        if more > 0:
+            self.visits = np.pad(self.visits, ((0, 0), (0, more)))
+            self.wanted = np.pad(self.wanted, ((0, 0), (0, more)))
+            self.signs = np.pad(self.signs, ((0, 0), (0, more // 2)))
+
+    def _pictures(self, ids: Ids) -> NDArray[np.uint8]:
         goals = self.goal_row[ids].tolist()
         for goal in set(goals) - self._goal_images.keys():
-            self._goal_images[goal] = draw(self._goals.points[goal], self._picture)
+            self._goal_images[goal] = draw(self.goals.points[goal], self._picture)
         return pixels(
             self.simulation.points[ids], [self._goal_images[goal] for goal in goals], self._picture
         )
@@ -327,7 +401,7 @@ class EpisodeBatch:
     def _choose(
         self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator
     ) -> int:
-        nx = self._start_nx if name == "start" else self.config.goal_nx
+        nx = self._start_nx if name == "start" else self.task.goal_nx
         # drawn even if unused, so that the noise that follows doesn't depend on options
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:
@@ -335,10 +409,10 @@ class EpisodeBatch:
         if isinstance(row, np.ndarray) and not row.ndim:  # from numeric infos
             row = row.item()
         if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
-            few = self.config.max_goals if name == "goal" else None
+            few = self.task.max_goals if name == "goal" else None
             first = "" if few is None else f", of the first {few}"
             raise InvalidInput(
-                f"{name} must be a row with nx = {nx} of the {self.config.split} split{first}:"
+                f"{name} must be a row with nx = {nx} of the {self.task.split} split{first}:"
                 f" {_few(rows)}; got {row!r}"
             )
         return int(row)

@@ -93,6 +93,14 @@ def numbers(code: Iterable[int], length: int = SYMBOLS) -> NDArray[np.int16]:
     return padded
 
 
+def cut(codes: NDArray[np.integer], length: int = SYMBOLS) -> NDArray[np.int16]:
+    """Cut or pad codes (..., visits or signs) with 0 to `length`: int16 (..., length)."""
+    padded = np.zeros((*codes.shape[:-1], length), dtype=np.int16)
+    shared = min(length, codes.shape[-1])
+    padded[..., :shared] = codes[..., :shared]
+    return padded
+
+
 def observe(
     points: ArrayLike,
     goal_points: ArrayLike,

@@ -13,11 +13,12 @@ Codes are compared without chirality (`GaussCode.matches`). A step in which the 
 never succeeds, and its reward is 0 even at the horizon.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from knotgym.common.configuration import Count, Real, configuration
 
 SUCCESS_REWARD = 5.0
 FAILURE_REWARD = -5.0
@@ -31,7 +32,7 @@ class Outcome(NamedTuple):
     truncated: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class RewardRule:
     """Parameters of the reward; for those of a task see `TaskConfig.reward_rule`.
 
@@ -43,10 +44,10 @@ class RewardRule:
         endless: go on after success.
     """
 
-    hold: int = 1
-    horizon: int = 50
-    success_reward: float = SUCCESS_REWARD
-    failure_reward: float = FAILURE_REWARD
+    hold: Count = 1
+    horizon: Count = 50
+    success_reward: Real = SUCCESS_REWARD
+    failure_reward: Real = FAILURE_REWARD
     endless: bool = False
 
     def outcome(

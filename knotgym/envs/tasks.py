@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
 
+from pydantic import Field
+
+from knotgym.common.configuration import Count, Int, Positive, Real, choice, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
 from knotgym.quality.limits import RESET_NOISE
-from knotgym.rendering.views import check_depth, checked_views
-from knotgym.rope.engines import ENGINES, MUJOCO
+from knotgym.rendering.views import Views, require_depth
+from knotgym.rope.engines import MUJOCO, EngineName
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
@@ -37,12 +40,12 @@ class UnknownKeyword(InvalidInput, TypeError):
     """
 
 
-def max_nx(beads: Any) -> int:
+def max_nx(beads: int) -> int:
     """Return the largest number of crossings for which a rope of so many beads has room."""
-    return MAX_NX * beads // 100 if isinstance(beads, int) else MAX_NX
+    return MAX_NX * beads // 100
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class TaskConfig:
     """Settings of an environment.
 
@@ -86,62 +89,38 @@ class TaskConfig:
         numeric_infos: whether `info` holds numbers instead of text, see `EpisodeBatch.info`.
     """
 
-    task: str
-    nx: int = 2
-    split: str = "train"
+    task: Annotated[str, choice(*TASKS)]
+    nx: Count = 2
+    split: Annotated[str, choice(*STATE_SPLITS, *CODE_SPLITS)] = "train"
     states: str | None = None
-    engine: str = MUJOCO
-    beads: int = 100
-    observation: str = "pixels"
-    action: str = "pull"
-    max_goals: int | None = None
-    horizon: int = 50
-    hold: int = 1
+    engine: EngineName = MUJOCO
+    beads: Annotated[Int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = 100
+    observation: Annotated[str, choice(*OBSERVATIONS)] = "pixels"
+    action: Annotated[str, choice(*ACTIONS)] = "pull"
+    max_goals: Count | None = None
+    horizon: Count = 50
+    hold: Count = 1
     endless: bool = False
-    tow_limit: float | None = None
-    reset_noise: float = RESET_NOISE
-    image_size: int = 128
-    views: tuple[str, ...] = ("top",)
+    tow_limit: Positive | None = None
+    reset_noise: Annotated[Real, Field(ge=0, lt=1)] = RESET_NOISE
+    image_size: Annotated[Int, Field(ge=16, le=2048)] = 128
+    views: Views = ("top",)
     depth: bool = False
-    layout: str = "beside"
-    camera: str = "orthographic"
-    renderer: str = "auto"
-    integrator_steps: int = 24
-    success_reward: float = SUCCESS_REWARD
-    failure_reward: float = FAILURE_REWARD
+    layout: Annotated[str, choice(*LAYOUTS)] = "beside"
+    camera: Annotated[str, choice("orthographic", "perspective")] = "orthographic"
+    renderer: Annotated[str, choice("auto", "opencv", "mujoco")] = "auto"
+    # an action takes 0.192 s; with fewer steps, ropes under large forces blow up
+    integrator_steps: Annotated[Int, Field(ge=20, le=96)] = 24
+    success_reward: Real = SUCCESS_REWARD
+    failure_reward: Real = FAILURE_REWARD
     numeric_infos: bool = False
 
     def __post_init__(self) -> None:
-        for name, known in {
-            "task": tuple(TASKS),
-            "split": (*STATE_SPLITS, *CODE_SPLITS),
-            "engine": ENGINES,
-            "observation": OBSERVATIONS,
-            "action": ACTIONS,
-            "layout": LAYOUTS,
-            "camera": ("orthographic", "perspective"),
-            "renderer": ("auto", "opencv", "mujoco"),
-        }.items():
-            if getattr(self, name) not in known:
-                raise InvalidInput(
-                    f"no {name} {getattr(self, name)!r}; there is {', '.join(known)}"
-                )
-        object.__setattr__(self, "views", checked_views(self.views, InvalidInput))
-        check_depth(self.depth, self.renderer, InvalidInput)
-        for name, least, most in (
-            ("beads", MIN_BEADS, MAX_BEADS),
-            ("nx", 1, max_nx(self.beads)),
-            ("horizon", 1, None),
-            ("hold", 1, None),
-            ("image_size", 16, 2048),
-            # an action takes 0.192 s; with fewer steps, ropes under large forces blow up
-            ("integrator_steps", 20, 96),
-        ):
-            value = getattr(self, name)
-            whole = isinstance(value, int) and not isinstance(value, bool)
-            if not whole or value < least or (most is not None and value > most):
-                right = f"from {least} to {most}" if most else f"of at least {least}"
-                raise InvalidInput(f"{name} must be a whole number {right}, got {value!r}")
+        require_depth(self.depth, self.renderer)
+        if self.nx > max_nx(self.beads):
+            raise InvalidInput(
+                f"nx must be from 1 to {max_nx(self.beads)} on {self.beads} beads, got {self.nx}"
+            )
         if self.split in CODE_SPLITS and self.nx < 2:
             raise InvalidInput(
                 f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
@@ -157,24 +136,6 @@ class TaskConfig:
                 f"hold {self.hold} is longer than the horizon of {self.horizon} steps: no episode"
                 f" could succeed; at most {self.horizon}"
             )
-        goals = self.max_goals
-        if goals is not None and (not isinstance(goals, int) or goals is True or goals < 1):
-            raise InvalidInput(
-                f"max_goals must be a whole number of at least 1, or None, got {goals!r}"
-            )
-        for name in ("endless", "numeric_infos"):
-            if not isinstance(getattr(self, name), bool):
-                raise InvalidInput(f"{name} must be True or False, got {getattr(self, name)!r}")
-        if self.states is not None and not isinstance(self.states, str):
-            raise InvalidInput(
-                f"states must be the path of a state file as a string, got {self.states!r}"
-            )
-        if self.tow_limit is not None and not self.tow_limit > 0:
-            raise InvalidInput(
-                f"tow_limit must be a number of metres above 0, or None, got {self.tow_limit!r}"
-            )
-        if not 0 <= self.reset_noise < 1:
-            raise InvalidInput(f"reset_noise must be in [0, 1), got {self.reset_noise!r}")
 
     @property
     def start_nx(self) -> int:

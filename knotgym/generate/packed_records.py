@@ -13,7 +13,6 @@ from zipfile import BadZipFile
 import numpy as np
 
 from knotgym.common.atomic_files import atomic_write, sha256
-from knotgym.common.configuration import from_json
 from knotgym.common.errors import InvalidFile, one_line
 from knotgym.topology.gauss import GaussCode
 
@@ -85,7 +84,16 @@ def read_records(path: Path, group: str, kind: type[Record]) -> list[Record]:
     for row in values:
         if "code" in row:
             row["code"] = GaussCode.parse(row["code"])
-    return [from_json(kind, row) for row in values]
+    return [_made(kind, row) for row in values]
+
+
+def _made(kind: Any, value: Any) -> Any:
+    """Turn objects of JSON into dataclasses and lists into tuples, by the type of their field."""
+    one = next((each for each in (kind, *get_args(kind)) if is_dataclass(each)), None)
+    if isinstance(value, dict) and one is not None:
+        hints = get_type_hints(one)
+        return one(**{name: _made(hints[name], inner) for name, inner in value.items()})  # type: ignore[operator]
+    return tuple(_made(None, inner) for inner in value) if isinstance(value, list) else value
 
 
 def _plain(value: Any) -> Any:

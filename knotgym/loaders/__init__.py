@@ -45,4 +45,17 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = lazy_exports(
+        __name__,
+        {
+            "FrameCache": "knotgym.loaders.frame_cache",
+            "GoalSampling": "knotgym.loaders.windows",
+            "Transitions": "knotgym.loaders.transitions",
+            "Window": "knotgym.loaders.windows",
+            "arrays": "knotgym.loaders.rows",
+            "images": "knotgym.loaders.perception",
+            "to_d3rlpy": "knotgym.loaders.converters",
+            "to_tensordict": "knotgym.loaders.converters",
+            "torch_dataset": "knotgym.loaders.converters",
+        },
+    )

@@ -1,14 +1,12 @@
 """Margins that make the Gauss code of a configuration unambiguous and its picture true."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import NonNegative, configuration
 from knotgym.topology.crossings import Crossings, visit_spacing
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class LabelLimits:
     """Smallest distances from a configuration with another Gauss code.
 
@@ -21,12 +19,9 @@ class LabelLimits:
             painted in the right order (see `rendering.rasterizer`).
     """
 
-    visits: float = 0.25
-    base: float = 0.25
-    clearance: float = 7.0
-
-    def __post_init__(self) -> None:
-        check_numbers(self, non_negative=("visits", "base", "clearance"))
+    visits: NonNegative = 0.25
+    base: NonNegative = 0.25
+    clearance: NonNegative = 7.0
 
 
 LABEL_LIMITS = LabelLimits()

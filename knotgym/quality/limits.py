@@ -6,6 +6,8 @@ Lengths are in pixels of the 128 x 128 picture, 5.2 mm each; the rope is two pix
 
 from dataclasses import dataclass, field, fields
 
+from knotgym.common.configuration import NonNegative, Real, Share, configuration
+
 # Area of a face whose region, inside the drawn rope, shows some background, square pixels. The
 # region's own area is 0 when no background shows, and so gives a search no direction; the face's
 # area, between the axes, does.
@@ -66,7 +68,7 @@ class Quality:
 UNITS = {measure.name: str(measure.metadata["unit"]) for measure in fields(Quality)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class Limits:
     """Limits that an accepted state must meet, in the units of `Quality`.
 
@@ -89,16 +91,16 @@ class Limits:
         noise_survival: minimum.
     """
 
-    crossing_angle: float = 25.0
-    crossing_spacing: float = 6.0
-    base_spacing: float = 3.0
-    strand_spacing: float = 3.0
-    smallest_region: float = 9.0
-    margin: float = 3.0
-    clearance: float = 8.0
-    excess_crossing_number: float = 2.5
-    total_curvature: float = 2.0
-    noise_survival: float = 0.95
+    crossing_angle: NonNegative = 25.0
+    crossing_spacing: NonNegative = 6.0
+    base_spacing: NonNegative = 3.0
+    strand_spacing: NonNegative = 3.0
+    smallest_region: NonNegative = 9.0
+    margin: Real = 3.0
+    clearance: NonNegative = 8.0
+    excess_crossing_number: NonNegative = 2.5
+    total_curvature: NonNegative = 2.0
+    noise_survival: Share = 0.95
 
     def faults(self, quality: Quality, nx: int) -> list[str]:
         """Return the measures that fail their limit; an unmeasured noise_survival passes."""

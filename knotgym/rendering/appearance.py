@@ -12,11 +12,22 @@ base point and in both directions.
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from knotgym.common.configuration import (
+    Distinct,
+    Int,
+    NonNegative,
+    Ordered,
+    Positive,
+    choice,
+    configuration,
+)
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.rendering.diagram import draw_lines
@@ -84,7 +95,7 @@ class Appearance:
         return colours
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class AppearanceConfig:
     """Distribution of appearances; everything that doesn't vary is as published.
 
@@ -102,17 +113,15 @@ class AppearanceConfig:
             scaled with the size.
     """
 
-    style: str = "published"
+    style: Annotated[str, choice(*STYLES)] = "published"
     vary: tuple[str, ...] = ()
-    sizes: tuple[int, ...] = (128,)
-    width: tuple[float, float] = (0.7, 1.4)
-    zoom: tuple[float, float] = (0.8, 1.5)
-    noise: float = 8.0
-    blur: float = 0.6
+    sizes: Annotated[tuple[Annotated[Int, Field(ge=SIZES[0], le=SIZES[1])], ...], Distinct] = (128,)
+    width: Annotated[tuple[Positive, Positive], Ordered] = (0.7, 1.4)
+    zoom: Annotated[tuple[Positive, Positive], Ordered] = (0.8, 1.5)
+    noise: NonNegative = 8.0
+    blur: NonNegative = 0.6
 
     def __post_init__(self) -> None:
-        if self.style not in STYLES:
-            raise InvalidInput(f"no style {self.style!r}; there is {', '.join(STYLES)}")
         if self.style == "knotbench":
             if fixed := {"colours", "background", "zoom"} & set(self.vary):
                 raise InvalidInput(
@@ -127,22 +136,6 @@ class AppearanceConfig:
                     f"{name!r} can't be varied; choose from {', '.join(VARIED)}, or all, or none"
                 )
         object.__setattr__(self, "vary", tuple(name for name in VARIED if name in self.vary))
-        if not self.sizes or any(
-            type(size) is not int or not SIZES[0] <= size <= SIZES[1] for size in self.sizes
-        ):
-            raise InvalidInput(
-                f"sizes must be whole pixels from {SIZES[0]} to {SIZES[1]}, got"
-                f" {', '.join(map(str, self.sizes)) or 'none'}"
-            )
-        for name in ("width", "zoom"):
-            low, high = getattr(self, name)
-            if not 0 < low <= high < math.inf:
-                raise InvalidInput(f"{name} must be a range (low, high) above 0, got {(low, high)}")
-        for name in ("noise", "blur"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise InvalidInput(
-                    f"{name} must be at least 0 and finite, got {getattr(self, name)}"
-                )
 
 
 def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator) -> Appearance:

@@ -14,16 +14,19 @@ Source: arXiv 2505.18028 (camera of the top view, colours).
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
+from knotgym.common.configuration import Int, ListToo, Positive, Real, configuration
 from knotgym.common.errors import InvalidInput
-from knotgym.rendering.views import check_depth, checked_views
+from knotgym.rendering.views import Views, require_depth
 
 RGB = tuple[int, int, int]
+Level = Annotated[Int, Field(ge=0, le=255)]
+Colour = Annotated[tuple[Level, Level, Level], ListToo]  # an RGB in a configuration
 
 # view -> world axes that point right, up and towards the camera, and their signs
 _AXES = {
@@ -41,21 +44,7 @@ def require(met: bool, rule: str, given: object) -> None:
         raise InvalidInput(f"{rule}, got {given!r}")
 
 
-def _is_int(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _rgb(name: str, value: Any) -> RGB:
-    levels = tuple(value) if isinstance(value, tuple | list) else ()
-    require(
-        len(levels) == 3 and all(_is_int(level) and 0 <= level <= 255 for level in levels),
-        f"{name} must be three levels from 0 to 255",
-        value,
-    )
-    return levels[0], levels[1], levels[2]
-
-
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class PictureConfig:
     """Settings of a picture; with the points they determine every byte of it.
 
@@ -86,56 +75,24 @@ class PictureConfig:
         InvalidInput: a value is out of range.
     """
 
-    size: int = 128
-    views: tuple[str, ...] = ("top",)
+    size: Annotated[Int, Field(ge=16, le=4096)] = 128
+    views: Views = ("top",)
     depth: bool = False
-    view: float = 0.66
+    view: Positive = 0.66
     camera: Literal["orthographic", "perspective"] = "orthographic"
-    camera_height: float = 0.8
-    fovy: float = 45.0
-    turn: float = 0.0
-    zoom: float = 1.0
-    rope_radius: float = 0.005
-    width: float = 1.0
-    colours: Literal["published"] | RGB = "published"
-    background: RGB = (0, 0, 0)
+    camera_height: Positive = 0.8
+    fovy: Annotated[Real, Field(gt=0, lt=180)] = 45.0
+    turn: Real = 0.0
+    zoom: Positive = 1.0
+    rope_radius: Positive = 0.005
+    width: Positive = 1.0
+    colours: Literal["published"] | Colour = "published"
+    background: Colour = (0, 0, 0)
     renderer: Literal["auto", "opencv", "mujoco"] = "auto"
-    supersampling: int = 4
+    supersampling: Annotated[Int, Field(ge=1, le=8)] = 4
 
     def __post_init__(self) -> None:
-        require(
-            _is_int(self.size) and 16 <= self.size <= 4096,
-            "size must be a whole number of pixels from 16 to 4096",
-            self.size,
-        )
-        require(
-            _is_int(self.supersampling) and 1 <= self.supersampling <= 8,
-            "supersampling must be a whole number from 1 to 8",
-            self.supersampling,
-        )
-        for name in ("view", "camera_height", "zoom", "rope_radius", "width"):
-            require(
-                0.0 < getattr(self, name) < math.inf,
-                f"{name} must be positive and finite",
-                getattr(self, name),
-            )
-        require(0.0 < self.fovy < 180.0, "fovy must be between 0 and 180 degrees", self.fovy)
-        require(math.isfinite(self.turn), "turn must be finite", self.turn)
-        require(
-            self.camera in ("orthographic", "perspective"),
-            "camera must be 'orthographic' or 'perspective'",
-            self.camera,
-        )
-        require(
-            self.renderer in ("auto", "opencv", "mujoco"),
-            "renderer must be 'auto', 'opencv' or 'mujoco'",
-            self.renderer,
-        )
-        object.__setattr__(self, "views", checked_views(self.views, InvalidInput))
-        check_depth(self.depth, self.renderer, InvalidInput)
-        object.__setattr__(self, "background", _rgb("background", self.background))
-        if self.colours != "published":
-            object.__setattr__(self, "colours", _rgb("colours", self.colours))
+        require_depth(self.depth, self.renderer)
 
     @property
     def pixels_per_metre(self) -> float:

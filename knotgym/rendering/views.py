@@ -1,26 +1,25 @@
-"""Validation of the settings `views` and `depth`, shared by pictures and tasks."""
+"""Types of the settings `views` and `depth`, shared by pictures and tasks."""
 
-from collections.abc import Sequence
+from typing import Annotated
 
-from knotgym.common.errors import KnotgymError
+from pydantic import AfterValidator
+
+from knotgym.common.configuration import ListToo
+from knotgym.common.errors import InvalidInput
 
 VIEWS = ("top", "left", "front")  # see `rendering.camera`
 
 
-def checked_views(views: Sequence[str], error: type[KnotgymError]) -> tuple[str, ...]:
-    """Return views as a tuple (JSON has lists); raise error unless they are unique VIEWS."""
-    named = tuple(views) if isinstance(views, (tuple, list)) else ()
-    if not named or any(view not in VIEWS for view in named) or len({*named}) < len(named):
-        raise error(
-            f"views must be a list of {', '.join(VIEWS)}, at least one, each at most once; got"
-            f" {views!r}"
-        )
-    return named
+def _known(views: tuple[str, ...]) -> tuple[str, ...]:
+    if not views or not set(views) <= set(VIEWS) or len(set(views)) < len(views):
+        raise ValueError(f"must be a list of {', '.join(VIEWS)}, at least one, each at most once")
+    return views
 
 
-def check_depth(depth: object, renderer: str, error: type[KnotgymError]) -> None:
-    """Raise error unless depth is a bool and the renderer supports it."""
-    if not isinstance(depth, bool):
-        raise error(f"depth must be true or false, got {depth!r}")
+Views = Annotated[tuple[str, ...], ListToo, AfterValidator(_known)]
+
+
+def require_depth(depth: bool, renderer: str) -> None:
+    """Raise InvalidInput if the renderer can't draw depth and should."""
     if depth and renderer == "mujoco":
-        raise error("depth needs renderer 'opencv' or 'auto'; 'mujoco' doesn't draw it")
+        raise InvalidInput("depth needs renderer 'opencv' or 'auto'; 'mujoco' doesn't draw it")

@@ -85,17 +85,24 @@ class ActionView:
             macro_action = pass_straight(points, int(bead), int(target), int(side), self._config)
             self._controller.begin(index, macro_action)
 
+    def pulls_of(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Return the next pull of each of the ropes `ids`, which are busy.
+
+        Returns:
+            beads int64 (n,); forces float32 (n, 3), in units of the largest force.
+        """
+        if self._view == "bead":
+            forces = chosen_forces(self._actions[ids, 1:4])
+            return self._actions[ids, 0].astype(np.int64), forces.astype(np.float32)
+        self._controller.advance(self._simulation.points)
+        forces = self._controller.forces(self._simulation.points)[ids]
+        return self._controller.beads[ids], forces.astype(np.float32)
+
     def next_pulls(self, ids: NDArray[np.int64]) -> NDArray[np.floating]:
         """Return the next pull, (n, 6), of each of the ropes `ids`, which are busy."""
         if self._view == "pull":
             return self._actions[ids]
-        if self._view == "bead":
-            beads = self._actions[ids, 0].astype(np.int64)
-            forces = chosen_forces(self._actions[ids, 1:4])
-        else:
-            self._controller.advance(self._simulation.points)
-            beads = self._controller.beads[ids]
-            forces = self._controller.forces(self._simulation.points)[ids]
+        beads, forces = self.pulls_of(ids)
         return self._simulation.actions(beads, self._simulation.max_force * forces, ids)
 
     def pulled(self, ids: NDArray[np.int64], ended: NDArray[np.bool_]) -> None:

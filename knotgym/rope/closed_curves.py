@@ -8,29 +8,55 @@ Array = NDArray[np.float64]
 
 
 def closed_directions(along: Array) -> Array:
-    """Change unit vectors (n, 3) as little as possible so that they sum to zero.
+    """Change unit vectors (n, 3) as little as possible so that they sum to zero; a new array.
 
     A chain of equal chords in these directions is closed.
     """
+    closed = np.array(along, dtype=np.float64, order="C")[None]
+    close_loops(closed)
+    return closed[0]
+
+
+@numba.njit(cache=True, nogil=True)
+def close_loops(along: Array) -> None:
+    """Change the unit vectors of many chains (n, beads, 3), in place; see `closed_directions`."""
     # The unit vectors u_i with sum 0 that minimize sum |u_i - a_i|^2 are the normalized a_i - s,
     # where s is the Lagrange multiplier of the constraint. Newton's method on s:
     #     f(s) = sum_i (a_i - s) / |a_i - s| = 0,
     # with the Jacobian df/ds = -sum_i (I - u_i u_i^T) / |a_i - s|, u_i the normalized vectors.
-    shift = np.zeros(3)
-    for _ in range(50):
-        moved = along - shift
-        norm = np.linalg.norm(moved, axis=1, keepdims=True)
-        unit = moved / norm
-        total = unit.sum(axis=0)
-        if np.abs(total).max() < 1e-13 * len(along):
-            break
-        slope = ((np.eye(3) - unit[:, :, None] * unit[:, None, :]) / norm[:, :, None]).sum(axis=0)
-        shift += solved(slope.tolist(), total.tolist())
-    return unit
+    # Sums run bead by bead, so that the result is the same on every machine.
+    beads = along.shape[1]
+    norm, unit, moved = np.empty(beads), np.empty((beads, 3)), np.empty((beads, 3))
+    m, total = np.empty((3, 4)), np.empty(3)  # m: the Jacobian, and the right side beside it
+    for chain in range(len(along)):
+        shift = np.zeros(3)
+        for _ in range(50):
+            total[:] = 0.0
+            m[:] = 0.0
+            for i in range(beads):
+                for c in range(3):
+                    moved[i, c] = along[chain, i, c] - shift[c]
+                x, y, z = moved[i, 0], moved[i, 1], moved[i, 2]
+                norm[i] = np.sqrt(x * x + y * y + z * z)
+                for c in range(3):
+                    unit[i, c] = moved[i, c] / norm[i]
+                    total[c] += unit[i, c]
+                for r in range(3):
+                    for c in range(3):
+                        one = 1.0 if r == c else 0.0
+                        m[r, c] += (one - unit[i, r] * unit[i, c]) / norm[i]
+            if np.abs(total).max() < 1e-13 * beads:
+                break
+            m[:, 3] = total
+            _add_solution(m, shift)
+        for i in range(beads):
+            for c in range(3):
+                along[chain, i, c] = unit[i, c]
 
 
-def solved(matrix: list[list[float]], vector: list[float]) -> list[float]:
-    """Solve three linear equations, with the same bits on every machine.
+@numba.njit(cache=True, nogil=True)
+def _add_solution(m: Array, shift: Array) -> None:
+    """Add the solution of three linear equations (3, 4) to `shift`; `m` is overwritten.
 
     `np.linalg.solve` rounds differently from one processor to the next, because BLAS has other
     kernels for each, and what is laid here starts episodes that are replayed bit by bit. This is
@@ -38,10 +64,13 @@ def solved(matrix: list[list[float]], vector: list[float]) -> list[float]:
     columns are multiplied by the pivot's reciprocal, and the last pivot subtracts its two products
     at once.
     """
-    rows = [[*row, right] for row, right in zip(matrix, vector, strict=True)]
-    first = max(range(3), key=lambda row: abs(rows[row][0]))
-    rows[0], rows[first] = rows[first], rows[0]
-    a, b, c = rows
+    first = 0
+    for row in range(1, 3):
+        if abs(m[row, 0]) > abs(m[first, 0]):
+            first = row
+    order = np.array([0, 1, 2])
+    order[0], order[first] = first, 0
+    a, b, c = m[order[0]], m[order[1]], m[order[2]]
     for row in (b, c):
         row[0] *= 1 / a[0]
         row[1] -= row[0] * a[1]
@@ -54,8 +83,9 @@ def solved(matrix: list[list[float]], vector: list[float]) -> list[float]:
     c[3] = c[3] - c[0] * a[3] - c[1] * b[3]
     z = c[3] / c[2]
     y = (b[3] - b[2] * z) / b[1]
-    x = (a[3] - a[2] * z - a[1] * y) / a[0]
-    return [x, y, z]
+    shift[0] += (a[3] - a[2] * z - a[1] * y) / a[0]
+    shift[1] += y
+    shift[2] += z
 
 
 def equal_chords(curve: Array, count: int) -> Array:
@@ -119,6 +149,33 @@ def clearance(points: Array) -> float:
                 continue
             best = min(best, _segment_distance(a, b, c, d))
     return best
+
+
+@numba.njit(cache=True, nogil=True)
+def keeps_apart(points: Array, least: float) -> bool:
+    """Return whether `clearance(points) >= least`, in a tenth of its time.
+
+    Nearly all pairs of beads are too far apart even if they pointed at each other.
+    """
+    beads = len(points)
+    middle, longest = np.empty((beads, 3)), 0.0
+    for i in range(beads):
+        square = 0.0
+        for c in range(3):
+            end = points[i + 1 if i + 1 < beads else 0, c]
+            middle[i, c] = 0.5 * (points[i, c] + end)
+            square += (end - points[i, c]) ** 2
+        longest = max(longest, square)
+    reach = (least + np.sqrt(longest)) ** 2
+    for i in range(beads):
+        for j in range(i + 2, beads if i > 0 else beads - 1):
+            x, y = middle[i, 0] - middle[j, 0], middle[i, 1] - middle[j, 1]
+            z = middle[i, 2] - middle[j, 2]
+            if x * x + y * y + z * z < reach:
+                a, b = points[i], points[(i + 1) % beads]
+                if _segment_distance(a, b, points[j], points[(j + 1) % beads]) < least:
+                    return False
+    return True
 
 
 @numba.njit(cache=True, nogil=True)

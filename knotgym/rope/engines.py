@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from knotgym.common.configuration import choice
 from knotgym.common.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
 
 MUJOCO, CHAIN = "mujoco", "chain"
 ENGINES = (MUJOCO, CHAIN)  # the reference, and the fast solver of `rope.chain`
+
+EngineName = Annotated[str, choice(*ENGINES)]  # type of a configuration's field
 
 _log = logging.getLogger("knotgym")
 _warned: set[str] = set()  # engines

@@ -113,6 +113,24 @@ def backward(
             _multiply(back, world[bead], qpos[a : a + 4])
 
 
+@numba.njit(cache=True, nogil=True)
+def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
+    """Find the vertex of each rope (n, beads, 3) nearest to its position (n, 3): int64 (n,).
+
+    The first one if several are equally near, as in `actions.decode_actions`.
+    """
+    nearest = np.zeros(len(points), np.int64)
+    for rope in range(len(points)):
+        best = np.inf
+        for bead in range(points.shape[1]):
+            square = 0.0
+            for c in range(3):
+                square += (points[rope, bead, c] - positions[rope, c]) ** 2
+            if square < best:
+                best, nearest[rope] = square, bead
+    return nearest
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # 0 / 0 is NaN instead of an exception
 def _unit(q: Array, unit: Array) -> None:
     size = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)

@@ -11,12 +11,20 @@ and codes, and undoes tangles in which every small change makes things worse.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import (
+    Count,
+    Interval,
+    NonNegative,
+    Ordered,
+    Positive,
+    Whole,
+    configuration,
+)
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.actions import quantized
 from knotgym.rope.model import Array
@@ -28,7 +36,7 @@ _HAUL_RISE = -0.2, 0.6  # range of the upward force, in units of the largest for
 _HAUL_STEPS = 4, 20  # range of its length for 100 beads; the upper end is excluded
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class MacroActionConfig:
     """How macro-actions are drawn and carried out.
 
@@ -53,35 +61,21 @@ class MacroActionConfig:
     """
 
     shares: tuple[float, float, float, float] = (0.4, 0.25, 0.1, 0.25)
-    arrived: float = 0.012
-    stride: float = 0.045
-    lift: float = 0.03
-    rise: float = 0.03
-    distance: tuple[float, float] = (0.03, 0.2)
-    spread_angle: float = 0.5
-    pass_angle: float = 0.3
-    beyond: tuple[float, float] = (0.02, 0.09)
-    straight_lift: float = 0.06
-    straight_beyond: float = 0.1
-    farthest: float = 0.3
-    pass_apart: int = 12
-    curl_apart: tuple[int, int] = (6, 24)
+    arrived: Positive = 0.012
+    stride: Positive = 0.045
+    lift: NonNegative = 0.03
+    rise: NonNegative = 0.03
+    distance: Interval = (0.03, 0.2)
+    spread_angle: NonNegative = 0.5
+    pass_angle: NonNegative = 0.3
+    beyond: Interval = (0.02, 0.09)
+    straight_lift: NonNegative = 0.06
+    straight_beyond: NonNegative = 0.1
+    farthest: Positive = 0.3
+    pass_apart: Count = 12
+    curl_apart: Annotated[tuple[Whole, Whole], Ordered] = (6, 24)
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("pass_apart",),
-            positive=("arrived", "stride", "farthest"),
-            non_negative=(
-                "lift",
-                "rise",
-                "spread_angle",
-                "pass_angle",
-                "straight_lift",
-                "straight_beyond",
-            ),
-            ranges=("distance", "beyond", "curl_apart"),
-        )
         if len(self.shares) != len(KINDS) or min(self.shares) < 0 or not sum(self.shares) > 0:
             raise InvalidInput(
                 f"shares must be {len(KINDS)} numbers of at least 0, not all 0, for"

@@ -10,14 +10,15 @@ lengths vary.
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.configuration import Count, NonNegative, Positive, Real, choice, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.closed_curves import clearance, equal_chords
 from knotgym.rope.kinematics import backward, forward
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 ROPE_FORMAT = 1  # increase whenever the same configuration would move differently
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class RopeConfig:
     """Geometry and physics of the rope.
 
@@ -51,34 +52,22 @@ class RopeConfig:
         reach: position that an action's coordinate of 1 stands for, metres.
     """
 
-    beads: int = 100
-    length: float = 1.33
-    radius: float = 0.005
-    density: float = 1000.0
-    medium_density: float = 10000.0
-    joint_damping: float = 0.01
-    sub_chains: int = 7
-    rooted: str = "middle"
-    closure_solref: tuple[float, float] = (0.02, 1.0)
-    closure_solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
-    timestep: float = 0.008
-    frame_skip: int = 24
-    max_force: float = 0.2
-    reach: float = 2.0
+    beads: Count = 100
+    length: Positive = 1.33
+    radius: Positive = 0.005
+    density: Positive = 1000.0
+    medium_density: Positive = 10000.0
+    joint_damping: NonNegative = 0.01
+    sub_chains: Count = 7
+    rooted: Annotated[str, choice("middle", "start")] = "middle"
+    closure_solref: tuple[Real, Real] = (0.02, 1.0)
+    closure_solimp: tuple[Real, Real, Real, Real, Real] = (0.9, 0.95, 0.001, 0.5, 2.0)
+    timestep: Positive = 0.008
+    frame_skip: Count = 24
+    max_force: Positive = 0.2
+    reach: Positive = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("beads", "sub_chains", "frame_skip"):
-            if type(getattr(self, name)) is not int:
-                raise InvalidInput(f"{name} must be a whole number, got {getattr(self, name)!r}")
-        positive = ("length", "radius", "density", "medium_density", "timestep")
-        for name in (*positive, "max_force", "reach"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise InvalidInput(f"{name} must be above 0 and finite, got {getattr(self, name)}")
-        for name, size in (("closure_solref", 2), ("closure_solimp", 5)):
-            values = tuple(getattr(self, name))  # JSON has lists
-            if len(values) != size or not np.isfinite(values).all():
-                raise InvalidInput(f"{name} must be {size} finite numbers, got {values}")
-            object.__setattr__(self, name, values)
         if self.sub_chains < 2 or self.beads < 3 * self.sub_chains:
             raise InvalidInput(
                 f"a rope needs 2 sub-chains of 3 beads each at least, got {self.beads} beads in"
@@ -88,14 +77,6 @@ class RopeConfig:
             raise InvalidInput(
                 f"a bead must be longer than wide, got length {self.bead_length:.3g} and radius"
                 f" {self.radius:.3g}"
-            )
-        if self.frame_skip < 1:
-            raise InvalidInput(f"frame_skip must be at least 1 step, got {self.frame_skip}")
-        if self.rooted not in ("middle", "start"):
-            raise InvalidInput(f'rooted must be "middle" or "start", got {self.rooted!r}')
-        if not 0 <= self.joint_damping < np.inf:
-            raise InvalidInput(
-                f"joint_damping must be at least 0 and finite, got {self.joint_damping}"
             )
 
     @property

@@ -11,18 +11,18 @@ lead to it, at a thousandth of the cost of simulation. Each iteration
 Source of step 4: position-based dynamics, Müller et al., 2007.
 """
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 
 import numba
 import numpy as np
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Count, NonNegative, Positive, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class RelaxationConfig:
     """Settings of one round of relaxation.
 
@@ -42,24 +42,16 @@ class RelaxationConfig:
         passes: projection sweeps over the beads per iteration.
     """
 
-    iterations: int = 20
-    reach: float = 0.045
-    apart: int = 5
-    push: float = 0.012
-    bending: float = 0.03
-    crossing: float = 1.5
-    height: float = 0.0125
-    lifting: float = 0.25
-    most: float = 0.15
-    passes: int = 8
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("iterations", "apart", "passes"),
-            positive=("reach", "most"),
-            non_negative=("push", "bending", "crossing", "height", "lifting"),
-        )
+    iterations: Count = 20
+    reach: Positive = 0.045
+    apart: Count = 5
+    push: NonNegative = 0.012
+    bending: NonNegative = 0.03
+    crossing: NonNegative = 1.5
+    height: NonNegative = 0.0125
+    lifting: NonNegative = 0.25
+    most: Positive = 0.15
+    passes: Count = 8
 
 
 def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) -> Array | None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.rope.closed_curves import clearance, closed_directions
+from knotgym.rope.closed_curves import clearance, close_loops, keeps_apart
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
@@ -24,6 +24,7 @@ def start_qpos(
     codes: Sequence[GaussCode],
     scale: float,
     rngs: Sequence[np.random.Generator],
+    least: ArrayLike | None = None,
 ) -> Array:
     """Perturb the generalized positions of n ropes while keeping their Gauss codes and chirality.
 
@@ -38,6 +39,7 @@ def start_qpos(
         codes: the Gauss codes of points.
         scale: scale of the noise, see `noised`.
         rngs: one for each rope, the source of its draws; not used if the scale is 0.
+        least: (n,), `least_clearance` of each rope, if it is known.
 
     Returns:
         float64 (n, nq), a new array.
@@ -45,11 +47,11 @@ def start_qpos(
     started = np.array(qpos, dtype=np.float64)
     if scale == 0:
         return started
-    # a writable array, because numba would compile `clearance` again for a read-only one
+    # a writable array, because numba would compile kernels again for a read-only one
     writable = np.require(points, np.float64, ["C", "W"])
-    # Beads at rest may touch or overlap already, so the bound is relative to where they are now;
-    # beads that are apart may come to touch.
-    least = [min(clearance(one), 2 * rope.config.radius) - 0.001 for one in writable]
+    if least is None:
+        least = [least_clearance(one, rope) for one in writable]
+    bound = np.asarray(least, dtype=np.float64)
     left = list(range(len(writable)))
     for draw in range(FULL_DRAWS + SMALLER_DRAWS):
         if not left:
@@ -58,12 +60,21 @@ def start_qpos(
         moved = noised(writable[left], reduced, [rngs[row] for row in left])
         refused = []
         for row, one, code in zip(left, moved, label_many(moved), strict=True):
-            if code == codes[row] and clearance(one) >= least[row]:
+            if code == codes[row] and keeps_apart(one, bound[row]):
                 started[row] = rope.qpos(one)
             else:
                 refused.append(row)
         left = refused
     return started
+
+
+def least_clearance(points: Array, rope: Rope) -> float:
+    """Return how near noise may bring the beads of a rope, float64 (beads, 3), metres.
+
+    Beads at rest may touch or overlap already, so the bound is relative to where they are now;
+    beads that are apart may come to touch.
+    """
+    return float(min(clearance(points), 2 * rope.config.radius) - 0.001)
 
 
 def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator]) -> Array:
@@ -72,7 +83,7 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     Each joint turns by a rotation vector drawn uniformly from [-scale, scale]^3 radians; their sum
     round the loop is subtracted evenly, so that the directions match where the loop closes. The
     whole rope turns by one more such vector and shifts by a vector from [-scale, scale]^3 metres.
-    The smallest correction of the bead directions then closes the rope (`closed_directions`).
+    The smallest correction of the bead directions then closes the rope (`close_loops`).
 
     Args:
         points: float64 (n, beads, 3), metres; not modified.
@@ -96,7 +107,8 @@ def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator])
     turns -= ((np.arange(beads) + 1) / beads)[:, None] * turns[:, -1:]
     # The mean rotation is the whole rope's; take it out, so that `turn` alone decides it.
     turns += turn - turns.mean(axis=1, keepdims=True)
-    along = np.array([closed_directions(one) for one in _rotate(chord / lengths, turns)])
+    along = np.ascontiguousarray(_rotate(chord / lengths, turns))
+    close_loops(along)
     moved = np.zeros_like(p)
     np.cumsum(along[:, :-1], axis=1, out=moved[:, 1:])
     moved *= np.median(lengths, axis=1, keepdims=True)

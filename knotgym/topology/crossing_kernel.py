@@ -99,6 +99,34 @@ def scan_many(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @njit(cache=True, nogil=True)
+def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts: np.ndarray) -> int:
+    """Find the crossings of many ropes, one row a rope.
+
+    Args:
+        points: float64 (ropes, beads, 3), contiguous.
+        visits: int16 (ropes, 2 width); gets the visits, padded with 0. Left as it is where a rope
+            has more than `width` crossings.
+        signs: int8 (ropes, width); gets +1 or -1 per crossing, padded with 0; likewise.
+        counts: int64 (ropes,); gets the number of crossings, -1 if a coordinate isn't finite.
+
+    Returns:
+        The largest number of crossings.
+    """
+    most, width = 0, signs.shape[1]
+    for rope in range(points.shape[0]):
+        finite, walked, table = scan(points[rope])
+        nx = len(table)
+        counts[rope] = nx if finite else -1
+        most = max(most, nx)
+        if nx <= width:
+            for k in range(2 * width):
+                visits[rope, k] = walked[k] if k < 2 * nx else 0
+            for k in range(width):
+                signs[rope, k] = 0 if k >= nx else 1 if table[k, SIGN] > 0 else -1
+    return most
+
+
+@njit(cache=True, nogil=True)
 def _grown(array: np.ndarray, capacity: int) -> np.ndarray:
     larger = np.empty(capacity, np.int64)
     for k in range(len(array)):

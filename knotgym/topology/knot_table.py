@@ -106,14 +106,14 @@ def table_type(code: GaussCode) -> str | None:
     return _by_diagram().get(min(one.visits for one in based_diagrams(code)))
 
 
-def type_from_polynomials(code: GaussCode) -> str | None:
-    """Identify the type by both polynomials and the crossing number; None if that proves nothing.
+def types_from_polynomials(code: GaussCode) -> list[str]:
+    """List the types of the table that both polynomials and the crossing number leave possible.
 
     Args:
         code: a code with chirality of one summand, as returned by `reidemeister.simplify`.
     """
     if code.nx > TABLED:
-        return None
+        return []
     types = [
         name
         for name in types_by_polynomials().get(_polynomials(code), ())
@@ -123,7 +123,7 @@ def type_from_polynomials(code: GaussCode) -> str | None:
         # A reduced alternating diagram is minimal (Kauffman, Murasugi, Thistlethwaite, 1987), and
         # it is visibly composite if its knot is (Menasco, 1984).
         types = [name for name in types if "#" not in name and _rank(name)[0] == code.nx]
-    return types[0] if len(types) == 1 else None
+    return types
 
 
 @lru_cache(maxsize=1)

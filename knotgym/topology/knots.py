@@ -23,8 +23,8 @@ from knotgym.topology.knot_table import (
     composite_type,
     diagram_of,
     table_type,
-    type_from_polynomials,
     type_of,
+    types_from_polynomials,
 )
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial
 from knotgym.topology.reidemeister import simplify, without_bigons
@@ -100,6 +100,15 @@ def knot_type(code: GaussCode) -> str:
     return composite_type(names)
 
 
+def possible_types(code: GaussCode) -> list[str]:
+    """List the types that a prime diagram of unknown type may have; empty if nothing is known.
+
+    Knots such as 5_1 and 10_132 share both polynomials, so some diagrams can't be told apart.
+    """
+    parts = summands(simplify(without_bigons(with_chirality(code))))
+    return types_from_polynomials(parts[0]) if len(parts) == 1 else []
+
+
 def shows(code: GaussCode, knot: str) -> bool:
     """Return whether the code is of this knot and, if it has chirality, of this handedness.
 
@@ -156,6 +165,7 @@ def _name(summand: GaussCode) -> str:
     if summand.nx <= _TABLED:
         return _TYPES[alexander_polynomial(summand)]
     try:
-        return UNKNOT if _is_trivial(summand) else type_from_polynomials(summand) or UNKNOWN
+        types = [UNKNOT] if _is_trivial(summand) else types_from_polynomials(summand)
     except Failed:
         return UNKNOWN
+    return types[0] if len(types) == 1 else UNKNOWN

@@ -40,6 +40,11 @@ _CROSSING = re.compile(r"[\[(](\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})[\])]")
 _PD = re.compile(rf"(?:PD)?[\[(](?:,?X?{_CROSSING.pattern})+,?[\])]|(?:,?X{_CROSSING.pattern})+")
 _DT = re.compile(r"(?:DT(?:Code)?:?)?[\[(]*-?\d{1,9}(?:,-?\d{1,9})*,?[\])]*")
 _LETTERS = re.compile(r"DT(?::|\[)([a-zA-Z]{4,})\]?")
+_DIGITS = r"\d{1,9}"
+# a crossing of a PD code on a line of its own, with or without brackets
+_ROW = re.compile(rf"X?[\[(]?\s*{_DIGITS}(?:\s*[,\s]\s*{_DIGITS}){{3}}\s*[\])]?,?")
+_OVER_UNDER = re.compile(r"([OoUu])(\d{1,9})([+-]?)")
+_KNOTINFO = re.compile(r"KnotInfo:?\[?((?:-?\d{1,9},?)+)\]?", re.IGNORECASE)
 
 
 def pd_code(code: GaussCode) -> list[list[int]]:
@@ -184,10 +189,12 @@ def from_dt(partners: Sequence[int]) -> GaussCode:
 def parse_code(text: str) -> GaussCode:
     """Read a Gauss, PD or DT code, whichever the text is.
 
-    Gauss codes may also be written with signed numbers, + over, as by Regina and KnotInfo
-    (1 -2 3 -1 2 -3); PD codes as by KnotInfo, KnotTheory (PD[X[1,5,2,4],...]) or Python (tuples);
-    DT codes as by KnotInfo (bare numbers too), KnotTheory (DTCode[4,6,2]) or SnapPy
-    (DT:[(4,6,2)]), or with letters (DT[cacbca]).
+    Gauss codes may also be written with signed numbers, + over, as by Regina and Knoto-ID
+    (1 -2 3 -1 2 -3); with O and U, and each crossing's sign after every visit or none
+    (O1-U2-O3-U1-O2-U3-, O1U2O3U1O2U3); or, by the name KnotInfo:{-1,2,-3,1,-2,3}, as KnotInfo's
+    table, where + is under. PD codes as by KnotInfo, KnotTheory (PD[X[1,5,2,4],...]), Knoto-ID
+    (one crossing a line, or by ;) or Python (tuples); DT codes as by KnotInfo (bare numbers too),
+    KnotTheory (DTCode[4,6,2]) or SnapPy (DT:[(4,6,2)]), or with letters (DT[cacbca]).
 
     Raises:
         InvalidInput: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
@@ -197,11 +204,20 @@ def parse_code(text: str) -> GaussCode:
     """
     if len(text) > _MOST_CHARACTERS:
         raise _invalid(f"{len(text)} characters are too long", text, "Gauss, PD or DT", _SIZE)
-    tight = text.strip().translate({ord("{"): "[", ord("}"): "]"})  # as KnotInfo writes lists
+    text = text.strip().removeprefix("\ufeff")  # a byte-order mark of whoever wrote the file
+    tight = text.translate({ord("{"): "[", ord("}"): "]"})  # as KnotInfo writes lists
+    rows = [row.strip() for row in re.split(r"[;\n]", tight) if row.strip()]
+    if len(rows) > 1 and all(_ROW.fullmatch(row) for row in rows):  # as Knoto-ID writes PD codes
+        tight = ",".join(f"[{','.join(re.findall(_DIGITS, row))}]" for row in rows)
+        return from_pd([[*map(int, corners)] for corners in _CROSSING.findall(tight)])
     tight = re.sub(r"\s*([\[\](),:])\s*", r"\1", tight)
     tight = re.sub(r"\s+", ",", tight)
     if tight in _LOOPS:
         return GaussCode()
+    if theirs := _KNOTINFO.fullmatch(tight):
+        return _from_signed([-int(number) for number in re.findall(r"-?\d+", theirs[1])])
+    if tight[:1].upper() in ("O", "U"):
+        return _from_over_under(text)
     if _PD.fullmatch(tight):
         crossings = [[*map(int, corners)] for corners in _CROSSING.findall(tight)]
         # four different numbers are a DT code as SnapPy writes it: [(4,6,8,2)]
@@ -211,6 +227,13 @@ def parse_code(text: str) -> GaussCode:
         numbers = [int(number) for number in re.findall(r"-?\d+", tight)]
         # each label occurs with both signs in a Gauss code, with one in a DT code
         if len(numbers) > 1 and sorted(numbers) == sorted(-number for number in numbers):
+            if "{" in text:
+                raise _invalid(
+                    "whose signs they are isn't said",
+                    text,
+                    "Gauss",
+                    "write KnotInfo:{...} for KnotInfo's, where + is under, or [...] for + over",
+                )
             return _from_signed(numbers)
         return from_dt(numbers)
     if lettered := _LETTERS.fullmatch(tight):
@@ -228,6 +251,35 @@ def _from_signed(numbers: list[int]) -> GaussCode:
     _require_size(code.nx)
     if not is_planar(code):
         raise _invalid("no planar diagram has it", numbers, "Gauss", _PLANAR)
+    return code
+
+
+def _from_over_under(text: str) -> GaussCode:
+    """Return the Gauss code of visits such as O1 or U2-; "-" between visits may only part them."""
+    visits = _OVER_UNDER.findall(text)
+    if re.sub(r"[\s,;-]", "", _OVER_UNDER.sub("", text)):
+        raise _invalid("it can't be read", text, "Gauss", "expected such as O1-U2-O3-U1-O2-U3-")
+    _require_size(len(visits) // 2)
+    signs = [sign for _, _, sign in visits]
+    # O1-U2-O3 parts visits by "-"; only where the last visit has a sign, too, are they signs
+    signed = bool(visits) and all(signs)
+    if "+" in signs and not signed:
+        raise _invalid(
+            "only some visits have a sign", text, "Gauss", "give every visit its crossing's sign"
+        )
+    letters: dict[int, str] = {}
+    for (_, number, sign), _ in zip(visits, signs, strict=True) if signed else ():
+        letter = POSITIVE if sign == "+" else NEGATIVE
+        if letters.setdefault(int(number), letter) != letter:
+            raise _invalid(
+                f"crossing {number} has two signs", text, "Gauss", "both visits have the same sign"
+            )
+    code = GaussCode.relabelled(
+        [int(number) if over in "Oo" else -int(number) for over, number, _ in visits],
+        letters or None,
+    )
+    if not is_planar(code):
+        raise _invalid("no planar diagram has it", text, "Gauss", _PLANAR)
     return code
 
 

@@ -73,8 +73,8 @@ def test_a_policy_that_is_typed_replaces_those_of_the_file(
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("epochs = 3", "EvaluateConfig: no field 'epochs'; there is policies, tasks"),
-        ("[task]\nhorizon = 'x'", "task.horizon must be int, got 'x'"),
+        ("epochs = 3", "EvaluateConfig has no field 'epochs'; it has policies, tasks"),
+        ("[task]\nhorizon = 'x'", "task.horizon must be a whole number, got 'x'"),
         ("task = 3", "task must be an object, got 3"),
         ("= 3", "can't be read as TOML"),
     ],

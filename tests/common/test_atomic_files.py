@@ -4,11 +4,13 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
-from knotgym.common.atomic_files import atomic_write, sha256
+from knotgym.common.atomic_files import atomic_write, copy_file, require_output, sha256
+from knotgym.common.errors import Occupied
 
 
 class Interrupted(Exception):
@@ -51,7 +53,7 @@ def test_a_file_is_replaced(tmp_path: Path) -> None:
 
 def test_a_folder_is_replaced_whole(tmp_path: Path) -> None:
     (tmp_path / "set" / "sub").mkdir(parents=True)
-    (tmp_path / "set" / "sub" / "old.txt").write_text("old")
+    (tmp_path / "set" / "manifest.json").write_text("{}")
     with atomic_write(tmp_path / "set") as temporary:
         (temporary / "sub").mkdir(parents=True)
         (temporary / "sub" / "new.txt").write_text("new")
@@ -114,3 +116,88 @@ def test_what_is_no_file_has_no_checksum(tmp_path: Path) -> None:
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
         with pytest.raises(OSError, match="isn't a regular file"):
             sha256(path)
+
+
+@pytest.fixture(params=[True, False], ids=["renameat2", "in steps"])
+def renames(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With and without the system's exchange of two paths."""
+    if not request.param:
+        monkeypatch.setattr("ctypes.CDLL", lambda *_, **__: None)
+
+
+@pytest.mark.usefixtures("renames")
+def test_an_output_is_replaced_only_if_asked(tmp_path: Path) -> None:
+    for folder in (True, False):
+        target = tmp_path / str(folder)
+        for text in ("old", "kept", "new"):
+            refused = pytest.raises(Occupied) if text == "kept" else nullcontext()
+            with refused, atomic_write(target, overwrite=text == "new") as part:
+                if folder:
+                    part.mkdir()
+                (part / "manifest.json" if folder else part).write_text(text)
+        assert (target / "manifest.json" if folder else target).read_text() == "new"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.usefixtures("renames")
+def test_what_another_process_made_meanwhile_is_kept(tmp_path: Path) -> None:
+    with pytest.raises(Occupied), atomic_write(tmp_path / "a", overwrite=False) as part:
+        part.mkdir()
+        (tmp_path / "a").mkdir()
+    assert (tmp_path / "a").is_dir()
+
+
+def test_an_exchange_that_was_killed_is_put_back(tmp_path: Path) -> None:
+    (tmp_path / ".replaced-set").mkdir()
+    (tmp_path / ".replaced-set" / "manifest.json").write_text("old")
+    with pytest.raises(Occupied):
+        require_output(tmp_path / "set", folder=True)
+    assert (tmp_path / "set" / "manifest.json").read_text() == "old"
+
+
+def make(kind: str, target: Path) -> None:
+    if kind == "pipe":
+        os.mkfifo(target)
+    elif kind == "file":
+        target.touch()
+    else:
+        (target / kind).mkdir(parents=True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "folder", "message"),
+    [
+        ("pipe", False, "device or a pipe"),
+        ("file", True, "never replaces a file"),
+        ("unrelated", False, "never replaces a folder"),
+        ("unrelated", True, "isn't an output of this package"),
+    ],
+)
+def test_nothing_but_an_output_is_replaced(
+    tmp_path: Path, kind: str, folder: bool, message: str
+) -> None:
+    make(kind, tmp_path / "out")
+    with pytest.raises(Occupied, match=message):
+        require_output(tmp_path / "out", folder=folder, overwrite=True)
+
+
+@pytest.mark.parametrize("source", [".", "out", "out/part.h5", "linked"])
+def test_an_output_is_apart_from_its_sources(tmp_path: Path, source: str) -> None:
+    (tmp_path / "linked").symlink_to(tmp_path / "out")
+    with pytest.raises(Occupied, match="is, contains or is in the source"):
+        require_output(tmp_path / "out", folder=True, sources=[tmp_path / source])
+
+
+def test_a_link_is_replaced_and_not_its_target(tmp_path: Path) -> None:
+    (tmp_path / "target").write_text("kept")
+    (tmp_path / "a").symlink_to(tmp_path / "target")
+    with atomic_write(tmp_path / "a") as part:
+        part.write_text("new")
+    assert (tmp_path / "target").read_text() == "kept" and not (tmp_path / "a").is_symlink()
+
+
+def test_a_link_is_not_copied(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("private")
+    (tmp_path / "a").symlink_to(tmp_path / "secret")
+    with pytest.raises(OSError):
+        copy_file(tmp_path / "a", tmp_path / "copy")

@@ -1,53 +1,80 @@
-"""Configurations reject invalid values and survive a round trip through JSON."""
+"""Configurations refuse invalid values in one line and survive a round trip through JSON."""
 
 import json
-from dataclasses import asdict, fields, replace
-from typing import Any
+import pickle
+from dataclasses import fields, replace
+from typing import Any, Literal
 
+import numpy as np
 import pytest
 
-from knotgym.common.configuration import check_numbers, from_json
+from knotgym.common.configuration import (
+    Count,
+    Crossings,
+    Interval,
+    Seed,
+    as_json,
+    choice,
+    configuration,
+    from_json,
+    updated,
+)
 from knotgym.common.errors import InvalidInput, KnotgymError
-from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig
-from knotgym.control.transition_graph import TransitionGraphConfig
+from knotgym.drawing.drawn_curve import DrawingConfig
+from knotgym.drawing.layout_relaxation import LayoutRelaxationConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig
-from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.generate.images.selection import SelectionConfig
-from knotgym.generate.images.walks import WalkConfig
-from knotgym.generate.states.archive import ArchiveConfig
-from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.search import SearchSettings
-from knotgym.generate.states.state_recipe import StateRecipe
 from knotgym.quality.label_limits import LabelLimits
+from knotgym.quality.limits import Limits
+from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.camera import PictureConfig
 from knotgym.rope.macro_actions import MacroActionConfig
+from knotgym.rope.model import RopeConfig
 from knotgym.rope.relaxation import RelaxationConfig
 
-TUNED = (
-    ArchiveConfig,
+CONFIGURATIONS = (
+    AppearanceConfig,
+    DrawingConfig,
     LabelLimits,
+    LayoutRelaxationConfig,
+    Limits,
     MacroActionConfig,
-    PlannerConfig,
+    PictureConfig,
     RelaxationConfig,
-    SearchSettings,
-    SelectionConfig,
-    TransitionGraphConfig,
-    WalkConfig,
+    RopeConfig,
 )
+
+
+@configuration
+class Inner:
+    size: Count = 3
+    range: Interval = (0.0, 1.0)
+
+
+@configuration
+class Outer:
+    nx: Crossings = (3,)
+    seed: Seed = 0
+    kind: Literal["a", "b"] = "a"
+    colour: Literal["published"] | tuple[int, int] = "published"
+    inner: Inner = Inner(size=7)
+    other: Inner | None = None
+
+    def __post_init__(self) -> None:
+        if self.inner.size == 99:
+            raise InvalidInput("99 is taken")
 
 
 def numbers(kind: type) -> list[str]:
     """The fields of a configuration that hold a number."""
-    return [field.name for field in fields(kind) if isinstance(field.default, (int, float))]
+    return [one.name for one in fields(kind) if type(one.default) in (int, float)]
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"), [(kind, name) for kind in TUNED for name in numbers(kind)]
+    ("kind", "name"), [(kind, name) for kind in CONFIGURATIONS for name in numbers(kind)]
 )
-@pytest.mark.parametrize("nonsense", [float("nan"), float("inf"), -1])
+@pytest.mark.parametrize("nonsense", [float("nan"), float("inf"), "1"])
 def test_every_number_of_every_configuration_refuses_nonsense(
-    kind: type, name: str, nonsense: float
+    kind: type, name: str, nonsense: Any
 ) -> None:
     with pytest.raises(KnotgymError, match=name) as refused:
         kind(**{name: nonsense})
@@ -55,54 +82,61 @@ def test_every_number_of_every_configuration_refuses_nonsense(
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [{"relaxations": ((0, 3),)}, {"relaxations": ((5, 3),)}, {"gentle": 1.5}],
-)
-def test_walks_that_make_no_sense_are_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(InvalidInput):
-        WalkConfig(**settings)
-
-
-def test_a_search_must_have_room_to_set_out() -> None:
-    with pytest.raises(InvalidInput, match="longest must be at least room"):
-        SearchSettings(longest=3)
-
-
-def test_the_error_raised_is_the_one_asked_for() -> None:
-    class InvalidThing(KnotgymError):
-        pass
-
-    with pytest.raises(InvalidThing, match="kept must be"):
-        check_numbers(ArchiveConfig(kept=5), ranges=(), shares=("kept",), error=InvalidThing)
-
-
-@pytest.mark.parametrize(
-    "config",
+    ("values", "message"),
     [
-        GenerateConfig(nx=(2, 3), search=SearchSettings(archive=ArchiveConfig(kept=3))),
-        ImagesConfig(nx=(0, 1), walk=WalkConfig(relaxations=((1, 2),))),
-        CollectConfig(
-            task=TaskConfig(task="tie"),
-            policy=PolicyConfig(
-                policy="expert",
-                planner=PlannerConfig(macro_actions=MacroActionConfig(distance=(0.1, 0.2))),
-            ),
-        ),
+        ({"seed": -1}, "seed must be at least 0, got -1"),
+        ({"seed": True}, "seed must be a whole number, got True"),
+        ({"seed": "7"}, "seed must be a whole number, got '7'"),
+        ({"nx": [2, 2]}, r"nx must be at least one number, each once, got \[2, 2\]"),
+        ({"kind": "c"}, "kind must be 'a' or 'b', got 'c'"),
+        ({"inner": {"size": 0}}, "inner.size must be at least 1, got 0"),
+        ({"inner": {"range": [2, 1]}}, "inner.range must have the smaller number first"),
+        ({"inner": {"mood": 1}}, "Inner has no field 'inner.mood'; it has size, range"),
+        ({"inner": {"size": 99}}, "^99 is taken$"),
+        ({"mood": 1}, "Outer has no field 'mood'; it has nx, seed"),
+        ({"colour": [1]}, "colour must be 'published' or"),
+        ({"seed": object()}, "Outer is made of JSON values"),
     ],
-    ids=lambda config: type(config).__name__,
 )
-def test_a_configuration_comes_back_from_json(config: Any) -> None:
-    assert from_json(type(config), json.loads(json.dumps(asdict(config)))) == config
+def test_a_value_that_does_not_fit_is_named_with_its_path(
+    values: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        from_json(Outer, values)
 
 
-def test_a_value_without_a_field_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="ArchiveConfig: no field 'mood'; there is kept, fair"):
-        from_json(ArchiveConfig, {"kept": 2, "mood": 1})
+def test_a_missing_field_is_named() -> None:
+    with pytest.raises(InvalidInput, match="TaskConfig needs the field 'task'"):
+        from_json(TaskConfig, {})
 
 
-def test_the_search_of_a_run_has_every_setting_of_its_configuration() -> None:
-    settings = SearchSettings(batch_size=8, steps=7, longest=30, jitter=0.1)
-    config = replace(GenerateConfig(seed=5), search=settings)
-    search = StateRecipe(config).search
-    assert {name: getattr(search, name) for name in vars(settings)} == vars(settings)
-    assert search.seed == 5 and search.max_nx == 3
+def test_values_left_out_have_the_defaults_of_their_place() -> None:
+    assert from_json(Outer, {"inner": {"range": [1, 2]}}).inner == Inner(size=7, range=(1, 2))
+    assert from_json(Outer, {"other": {}}).other == Inner(size=3)
+
+
+def test_an_update_keeps_what_it_does_not_name() -> None:
+    config = updated(Outer(seed=4), {"inner": {"size": 2}})
+    assert config == Outer(seed=4, inner=Inner(size=2))
+
+
+@pytest.mark.parametrize("kind", CONFIGURATIONS)
+def test_a_configuration_comes_back_from_json(kind: Any) -> None:
+    assert from_json(kind, json.loads(json.dumps(as_json(kind())))) == kind()
+
+
+def test_numbers_of_numpy_are_plain_ones() -> None:
+    config = Outer(seed=np.int32(5), inner=Inner(range=(np.float32(0.5), np.float64(1))))  # type: ignore[arg-type]
+    assert type(config.seed) is int and type(config.inner.range[0]) is float
+
+
+def test_a_configuration_is_frozen_hashable_and_pickles() -> None:
+    config = replace(Outer(), seed=3)
+    assert pickle.loads(pickle.dumps(config)) == config and hash(config) == hash(replace(config))
+    with pytest.raises(AttributeError):
+        config.seed = 4  # type: ignore[misc]
+
+
+def test_a_choice_lists_what_there_is() -> None:
+    with pytest.raises(ValueError, match="must be one of left, right"):
+        choice("left", "right").func("up")  # type: ignore[call-arg]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from knotgym.cli.main import main
 from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import InvalidPolicy
+from knotgym.common.errors import InvalidPolicy, KnotgymError
 from knotgym.control import policies
-from knotgym.control.basic_policies import RandomPolicy
+from knotgym.control.old_basic_policies import RandomPolicy
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import (
     MIXED,
@@ -259,7 +259,7 @@ def test_a_policy_that_is_not_there_is_refused_in_one_line(policy: str, says: st
     [{"noise": 1.5}, {"noise": float("nan")}, {"shares": (1.0,)}, {"shares": (0.0, 0.0, 0.0, 0.0)}],
 )
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(InvalidPolicy):
+    with pytest.raises(KnotgymError, match="noise|shares"):
         PolicyConfig(**settings)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from knotgym.common.errors import InvalidPolicy
 from knotgym.control import policies
-from knotgym.control.basic_policies import ConstantPolicy
+from knotgym.control.old_basic_policies import ConstantPolicy
 from knotgym.control.policies import (
     PolicyConfig,
     PolicyFamily,

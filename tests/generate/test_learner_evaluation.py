@@ -9,7 +9,7 @@ import pytest
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidPolicy
 from knotgym.control import policies
-from knotgym.control.basic_policies import RandomPolicy
+from knotgym.control.old_basic_policies import RandomPolicy
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import EVALUATION, evaluate_learner
 from knotgym.generate.episodes.suite_scores import read_scores

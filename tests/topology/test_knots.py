@@ -12,7 +12,8 @@ from knotgym.common.errors import InvalidInput
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import chiralities, faces, is_planar, planar_codes, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import is_unknot, knot_type, shows
+from knotgym.topology.knot_table import diagram_of
+from knotgym.topology.knots import is_unknot, knot_type, possible_types, shows
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
 from knotgym.topology.reidemeister import simplify, without_bigons
 
@@ -202,6 +203,11 @@ def test_sums_are_named_by_their_summands(one: str, other: str, name: str) -> No
 def test_curves_given_by_formula_are_named_from_every_side(points: np.ndarray, name: str) -> None:
     rng = np.random.default_rng(0)
     assert {knot_type(label(points @ rotation(rng).T)) for _ in range(5)} == {name}
+
+
+@pytest.mark.parametrize("pair", [["5_1", "10_132"], ["8_8", "10_129"], ["10_25", "10_56"]])
+def test_knots_that_share_their_polynomials_are_named_together(pair: list[str]) -> None:
+    assert possible_types(diagram_of(pair[1])) == pair
 
 
 def test_knots_past_the_table_are_unknown() -> None:

@@ -217,6 +217,8 @@ def test_the_249_knots_are_those_of_knotinfo() -> None:
         table_dt = parse_code(info[name]["dt_notation"])
         assert dt_text(table_dt) == info[name]["dt_notation"]
         assert knot_type(table_dt) in (name, "unknown")
+        gauss = parse_code(f"KnotInfo:{info[name]['gauss_notation']}")
+        assert diagram_form(gauss) == diagram_form(code.plain)
         require_same_abroad(code, name)
 
 
@@ -235,7 +237,7 @@ def test_snappy_sees_one_manifold_in_our_codes_and_in_knotinfos_name() -> None:
 
 def test_gauss_codes_may_be_signed_numbers() -> None:
     trefoil = GaussCode.parse("1-,2+,3-,1+,2-,3+")
-    for text in ("-1 2 -3 1 -2 3", "{-1, 2, -3, 1, -2, 3}", "[-7,2,-3,7,-2,3]"):
+    for text in ("-1 2 -3 1 -2 3", "[-7,2,-3,7,-2,3]"):
         assert parse_code(text) == trefoil
     assert parse_code("4 6 2") == from_dt([4, 6, 2])  # one sign for each number: a DT code
     with pytest.raises(InvalidInput, match="no planar diagram has it"):
@@ -270,3 +272,36 @@ def test_snappy_certifies_every_hard_unknot() -> None:
             if smaller.crossings:  # a knot whose group is infinite cyclic is the unknot (Dehn)
                 group = link.exterior().fundamental_group()
                 assert (group.num_generators(), group.num_relators()) == (1, 0), name
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "O1-U2-O3-U1-O2-U3-",
+        "o1- u2- o3- u1- o2- u3-",
+        "1,5,2,4;5,3,6,2;3,1,4,6",
+        "X[1,5,2,4]\nX[5,3,6,2]\nX[3,1,4,6]\n",
+        "1 5 2 4\n5 3 6 2\n3 1 4 6",
+        "\ufeff[[1,5,2,4],[5,3,6,2],[3,1,4,6]]",
+    ],
+)
+def test_other_programs_write_the_left_handed_trefoil(text: str) -> None:
+    assert knot_type(parse_code(text)) == "3_1" and parse_code(text).chirality is not None
+
+
+def test_signs_between_visits_may_part_them_or_be_the_crossings() -> None:
+    parted, signed = parse_code("O1-U2-O3-U1-O2-U3"), parse_code("O1+U2+O3+U1+O2+U3+")
+    assert parted == signed.plain and signed.signs == (1, 1, 1)
+
+
+def test_knotinfo_is_read_by_its_name_because_its_plus_is_under() -> None:
+    assert parse_code("KnotInfo:{-1,2,-3,1,-2,3}") == parse_code("1 -2 3 -1 2 -3")
+    with pytest.raises(InvalidInput, match="KnotInfo:"):
+        parse_code("{-1,2,-3,1,-2,3}")
+
+
+@pytest.mark.parametrize("text", ["O1+U1-", "O1+U2O2+U1", "O1xU1", "O1", "KnotInfo:{1,2}"])
+def test_a_malformed_code_of_others_is_one_line(text: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        parse_code(text)
+    assert "\n" not in str(caught.value)

@@ -16,13 +16,14 @@ pictures. Without the policy it is the id of the environment, see `adapters.ogbe
 
 import os
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import atomic_write, link_or_copy, require_output
+from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_reader import Count, EpisodeReader, goal_axis, uncounted
 from knotgym.datasets.minari_dataset import metadata_of
@@ -70,7 +71,7 @@ def to_ogbench(
                 with temporary.open("wb") as file:
                     np.savez_compressed(file, **arrays)
         with atomic_write(folder / f"{name}.npz", overwrite=overwrite) as temporary:
-            link_or_copy(folder / f"{name}-train.npz", temporary)
+            shutil.copyfile(folder / f"{name}-train.npz", temporary)
     reader.close()
 
 

@@ -8,13 +8,13 @@ on the processes. A resumed run keeps the files that are finished.
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import reduce
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from knotgym.common.atomic_files import require_output, sha256
-from knotgym.common.configuration import as_json, check_numbers, differences
+from knotgym.common.configuration import Count, Seed, as_json, choice, configuration, differences
 from knotgym.common.errors import InvalidInput
 from knotgym.control.expert import Expert
 from knotgym.control.policies import Effort, PolicyConfig, make_policy
@@ -39,7 +39,7 @@ REPORT = "collection.json"
 OBSERVATION = "both"  # stored by `knotgym collect` by default
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class CollectConfig:
     """Which episodes to collect.
 
@@ -65,13 +65,13 @@ class CollectConfig:
 
     task: TaskConfig = TaskConfig(task="tie", observation=OBSERVATION)
     policy: PolicyConfig = PolicyConfig(policy="expert")
-    episodes: int = 200
-    seed: int = 0
+    episodes: Count = 200
+    seed: Seed = 0
     keep_failed: bool = True
-    attempts: int = 1
-    labels: str = ""
-    episodes_per_file: int = 4
-    seen: str = ""
+    attempts: Count = 1
+    labels: Annotated[str, choice("", "expert")] = ""
+    episodes_per_file: Count = 4
+    seen: Annotated[str, choice("", *OBSERVATIONS)] = ""
     dataset_id: str = ""
     author: tuple[str, ...] = ()
     author_email: tuple[str, ...] = ()
@@ -83,12 +83,6 @@ class CollectConfig:
                 "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
                 f" {self.policy.policy}"
             )
-        if self.labels not in ("", "expert"):
-            raise InvalidInput(f"labels must be expert or empty, got {self.labels!r}")
-        counts = ("episodes", "episodes_per_file", "attempts")
-        check_numbers(self, counts=counts, whole=("seed",))
-        if self.seen not in ("", *OBSERVATIONS):
-            raise InvalidInput(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
         if not self.dataset_id:
             marks = collection_marks(self.attempts, self.labels)
             object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy, *marks))

@@ -7,7 +7,7 @@ splits, the results are a generalization matrix for policies trained on one of t
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.configuration import as_json, check_numbers, read_json
+from knotgym.common.configuration import Count, Seed, Whole, as_json, configuration, read_json
 from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.policies import PolicyConfig, make_policy, training_card
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
@@ -40,7 +40,7 @@ SIDE_BY_SIDE = 8  # episodes per piece of work
 _PLANNED = 4  # those of policies that plan: one may take minutes, and finished pieces are kept
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class EvaluateConfig:
     """What to evaluate.
 
@@ -60,13 +60,12 @@ class EvaluateConfig:
     tasks: tuple[str, ...] = ("tie",)
     nx: tuple[int, ...] = (2,)
     splits: tuple[str, ...] = ("test",)
-    episodes: int = 256
-    seed: int = 0
+    episodes: Count = 256
+    seed: Seed = 0
     task: TaskConfig = TaskConfig(task="tie", observation="state")
-    filmed: int = 0
+    filmed: Whole = 0
 
     def __post_init__(self) -> None:
-        check_numbers(self, counts=("episodes",), whole=("seed", "filmed"))
         if not all((self.policies, self.tasks, self.nx, self.splits)):
             raise InvalidInput("give at least one policy, task, number of crossings and split")
         list(self.setups())  # raises if an environment can't be made

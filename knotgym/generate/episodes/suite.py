@@ -14,14 +14,14 @@ import json
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.configuration import read_json
+from knotgym.common.configuration import Seed, configuration, read_json
 from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
@@ -56,7 +56,7 @@ _PLAY = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class SuiteConfig:
     """Which part of the benchmark to make; all of it by default, see `data/suite.toml`.
 
@@ -86,7 +86,7 @@ class SuiteConfig:
     episodes: Mapping[str, int] = field(default_factory=dict)
     engine: str = MUJOCO
     observation: str = SUITE["observation"]
-    seed: int = SUITE["seed"]
+    seed: Seed = SUITE["seed"]
     recorded: bool = False
 
     def __post_init__(self) -> None:

@@ -1,19 +1,21 @@
 """The configuration of `knotgym images`, with its quotas and held-out codes."""
 
-from dataclasses import dataclass
+from typing import Annotated
 
-from knotgym.common.configuration import check_numbers, check_nx
+from pydantic import Field
+
+from knotgym.common.configuration import Count, Distinct, Seed, Share, Whole, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
 from knotgym.rendering.appearance import AppearanceConfig
-from knotgym.rope.engines import MUJOCO, require_engine
+from knotgym.rope.engines import MUJOCO, EngineName
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class ImagesConfig:
     """Which pictures to make.
 
@@ -38,31 +40,23 @@ class ImagesConfig:
         idle: the run gives up after this many waves without a new picture.
     """
 
-    nx: tuple[int, ...] = (0, 1, 2, 3, 4)
-    count: int = 20_000
-    test_nx: tuple[int, ...] | None = None
-    test_share: float = 0.15
-    code_share: float = 0.15
-    seed: int = 0
-    engine: str = MUJOCO
-    steps: int = 12
-    stride: int = 2
-    rows_per_file: int = 500
+    nx: Annotated[tuple[Annotated[Whole, Field(le=LISTED_NX)], ...], Distinct] = (0, 1, 2, 3, 4)
+    count: Count = 20_000
+    test_nx: tuple[Whole, ...] | None = None
+    test_share: Share = 0.15
+    code_share: Share = 0.15
+    seed: Seed = 0
+    engine: EngineName = MUJOCO
+    steps: Count = 12
+    stride: Count = 2
+    rows_per_file: Count = 500
     walk: WalkConfig = WalkConfig()
     selection: SelectionConfig = SelectionConfig()
     appearance: AppearanceConfig = AppearanceConfig()
-    wave: int = 32
-    idle: int = 6
+    wave: Count = 32
+    idle: Count = 6
 
     def __post_init__(self) -> None:
-        require_engine(self.engine)
-        check_numbers(
-            self,
-            counts=("count", "steps", "stride", "rows_per_file", "wave", "idle"),
-            whole=("seed",),
-            shares=("test_share", "code_share"),
-        )
-        check_nx(self.nx, LISTED_NX)
         if self.test_nx is None:
             object.__setattr__(self, "test_nx", (max(self.nx),) if len(self.nx) > 1 else ())
         rest = self.trained

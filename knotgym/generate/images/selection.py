@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Share, configuration
 from knotgym.quality.difficulty import grade_of
 from knotgym.quality.label_limits import LabelLimits, at_base
 from knotgym.rope.model import Array
@@ -28,7 +28,7 @@ from knotgym.topology.symmetry import Symmetry
 _BLOCK = 2048  # initial capacity for the spectra of chosen configurations
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class SelectionConfig:
     """Settings of the selection.
 
@@ -37,10 +37,7 @@ class SelectionConfig:
             `difficulty`).
     """
 
-    extreme: float = 0.3
-
-    def __post_init__(self) -> None:
-        check_numbers(self, shares=("extreme",))
+    extreme: Share = 0.3
 
 
 class ChosenFrame(NamedTuple):

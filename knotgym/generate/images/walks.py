@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Share, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.control.action_sequence import step_ropes
@@ -35,7 +35,7 @@ from knotgym.topology.reference_labeller import pyknotid_code
 WALKS = 32  # per unit
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class WalkConfig:
     """How walks are made and which frames are kept.
 
@@ -49,15 +49,14 @@ class WalkConfig:
         macro_actions: how macro-actions are drawn and executed.
     """
 
-    gentle: float = 0.7
-    spread: float = 0.6
+    gentle: Share = 0.7
+    spread: Share = 0.6
     relaxations: tuple[tuple[int, int], ...] = ((2, 7), (12, 30), (30, 80))
     limits: LabelLimits = LabelLimits()
     relaxation: RelaxationConfig = RelaxationConfig()
     macro_actions: MacroActionConfig = MacroActionConfig()
 
     def __post_init__(self) -> None:
-        check_numbers(self, shares=("gentle", "spread"))
         if not all(1 <= least <= most for least, most in self.relaxations):
             raise InvalidInput(
                 "relaxations must be pairs of at least 1 round, the smaller number first; got"

@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 
 from knotgym.common.atomic_files import atomic_write, new_hdf5
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Count, Positive, configuration
 from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import Column, member, opened_hdf5, read_column
 from knotgym.control.action_sequence import ActionSequence
@@ -43,7 +43,7 @@ _COLUMNS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class ArchiveConfig:
     """Which elites are kept.
 
@@ -53,11 +53,8 @@ class ArchiveConfig:
         fair: when legibility is compared, this many actions count as much as 1 of objective.
     """
 
-    kept: int = 2
-    fair: float = 50.0
-
-    def __post_init__(self) -> None:
-        check_numbers(self, counts=("kept",), positive=("fair",))
+    kept: Count = 2
+    fair: Positive = 50.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,15 +1,27 @@
 """The configuration of `knotgym generate`, and whether a knot allows it."""
 
-from dataclasses import dataclass
+from typing import Annotated
 
-from knotgym.common.configuration import check_numbers, check_nx
+from pydantic import Field
+
+from knotgym.common.configuration import (
+    Count,
+    Crossings,
+    Int,
+    Interval,
+    Seed,
+    Share,
+    Whole,
+    choice,
+    configuration,
+)
 from knotgym.common.errors import InvalidInput
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.drawing.drawn_curve import DrawingConfig
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
 from knotgym.generate.states.search import SearchSettings
 from knotgym.quality.measures import Limits
-from knotgym.rope.engines import MUJOCO, require_engine
+from knotgym.rope.engines import MUJOCO, EngineName
 from knotgym.rope.model import RopeConfig, rope_of
 from knotgym.topology.diagrams import is_planar, not_planar
 from knotgym.topology.gauss import GaussCode
@@ -17,7 +29,7 @@ from knotgym.topology.knot_table import diagram_of, type_of
 from knotgym.topology.knots import LISTED_NX, knot_type, shows
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class GenerateConfig:
     """Which states to make, and how.
 
@@ -59,41 +71,34 @@ class GenerateConfig:
         limits: quality limits of accepted states.
     """
 
-    nx: tuple[int, ...] = (3,)
+    nx: Crossings = (3,)
     codes: tuple[str, ...] = ()
-    count: int = 40
-    every_code: int = 0
-    split_by: str = "state"
-    train_share: float = 0.5
+    count: Count = 40
+    every_code: Whole = 0
+    split_by: Annotated[str, choice("state", "code")] = "state"
+    train_share: Share = 0.5
     knot: str = "0_1"
-    engine: str = MUJOCO
-    beads: int = 100
+    engine: EngineName = MUJOCO
+    beads: Annotated[Int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = 100
     demonstrations: bool = True
-    seed: int = 0
-    attempts: int = 100
-    searches: int = 8
-    cycles: int = 0
-    wave: int = 64
-    planned: int = 8
-    batch: int = 10
-    stalled: int = 3
+    seed: Seed = 0
+    attempts: Count = 100
+    searches: Count = 8
+    cycles: Whole = 0
+    wave: Count = 64
+    planned: Count = 8
+    batch: Count = 10
+    stalled: Whole = 3
     search: SearchSettings = SearchSettings()
     planner: PlannerConfig = PlannerConfig(budget=400)
     drawing: DrawingConfig = DrawingConfig()
-    stir: int = 2
-    loop_stir: int = 32
-    force: tuple[float, float] = (0.05, 0.3)
-    rest: int = 3
+    stir: Whole = 2
+    loop_stir: Whole = 32
+    force: Interval = (0.05, 0.3)
+    rest: Count = 3
     limits: Limits = Limits()
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("count", "beads", "attempts", "searches", "wave", "planned", "batch", "rest"),
-            whole=("every_code", "seed", "cycles", "stalled", "stir", "loop_stir"),
-            shares=("train_share",),
-            ranges=("force",),
-        )
         if not MIN_BEADS <= self.beads <= MAX_BEADS:
             raise InvalidInput(f"beads must be from {MIN_BEADS} to {MAX_BEADS}, got {self.beads}")
         if self.beads != RopeConfig().beads and self.demonstrations:
@@ -101,10 +106,10 @@ class GenerateConfig:
                 f"demonstrations are for a rope of {RopeConfig().beads} beads, got {self.beads};"
                 " leave them out: --no-demonstrations"
             )
-        check_nx(self.nx, max_nx(self.beads))
-        require_engine(self.engine)
-        if self.split_by not in ("state", "code"):
-            raise InvalidInput(f'split_by must be "state" or "code", got {self.split_by!r}')
+        if max(self.nx) > max_nx(self.beads):
+            raise InvalidInput(
+                f"nx takes numbers of crossings from 0 to {max_nx(self.beads)}, got {max(self.nx)}"
+            )
         if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
             raise InvalidInput(
                 f"there are too many codes with {max(self.nx)} crossings to list, so every_code"

@@ -8,17 +8,27 @@ more legible. Only positions are kept, at rest: an episode starts without the ve
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from knotgym.common.configuration import check_numbers, check_nx
+from knotgym.common.configuration import (
+    Count,
+    Distinct,
+    Positive,
+    Seed,
+    Share,
+    Whole,
+    choice,
+    configuration,
+)
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator, key
 from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
-from knotgym.rope.engines import MUJOCO, require_engine, simulation_of
+from knotgym.rope.engines import MUJOCO, EngineName, simulation_of
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.states.schema import STATE_SPLITS
 from knotgym.topology.crossings import find_crossings
@@ -29,7 +39,7 @@ from knotgym.topology.reference_labeller import pyknotid_code
 RESET_NOISE = 0.015  # default of the environments
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class TwistLimits:
     """Limits of accepted states of a random walk; legibility is not required.
 
@@ -41,16 +51,9 @@ class TwistLimits:
             all draws lose the code in only 3 of 1,000 resets.
     """
 
-    excess_crossing_number: float = 4.0
-    total_curvature: float = 5.0
-    noise_survival: float = 0.25
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            positive=("excess_crossing_number", "total_curvature"),
-            shares=("noise_survival",),
-        )
+    excess_crossing_number: Positive = 4.0
+    total_curvature: Positive = 5.0
+    noise_survival: Share = 0.25
 
     def faults(self, quality: Quality) -> list[str]:
         """Names of the measures that miss their limit; an unmeasured noise_survival passes."""
@@ -62,7 +65,7 @@ class TwistLimits:
         return [name for name, short in missed.items() if short]
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class RandomWalkConfig:
     """Which states of random walks to make.
 
@@ -84,32 +87,22 @@ class RandomWalkConfig:
         limits: limits of accepted states.
     """
 
-    nx: tuple[int, ...] = (3,)
-    count: int = 40
-    loops: int = 0
-    train_share: float = 0.5
-    seed: int = 0
-    engine: str = MUJOCO
-    start: str = "coil"
-    burn_in: int = 300
-    every: int = 25
-    longest: int = 900
-    attempts: int = 100
-    batch: int = 16
-    wave: int = 2
+    nx: Annotated[tuple[Annotated[Whole, Field(le=LISTED_NX)], ...], Distinct] = (3,)
+    count: Count = 40
+    loops: Whole = 0
+    train_share: Share = 0.5
+    seed: Seed = 0
+    engine: EngineName = MUJOCO
+    start: Annotated[str, choice("coil", "circle")] = "coil"
+    burn_in: Whole = 300
+    every: Count = 25
+    longest: Count = 900
+    attempts: Count = 100
+    batch: Count = 16
+    wave: Count = 2
     limits: TwistLimits = TwistLimits()
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("count", "every", "longest", "attempts", "batch", "wave"),
-            whole=("loops", "seed", "burn_in"),
-            shares=("train_share",),
-        )
-        check_nx(self.nx, LISTED_NX)
-        require_engine(self.engine)
-        if self.start not in STARTS:
-            raise InvalidInput(f"no start {self.start!r}; there is {', '.join(STARTS)}")
         if self.longest < self.burn_in + 1:
             raise InvalidInput(f"longest must be above burn_in, {self.burn_in}, got {self.longest}")
 

@@ -7,20 +7,20 @@ round and the rope's index, so the result doesn't depend on the workers.
 """
 
 from collections.abc import Container, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import Count, NonNegative, Seed, Share, Whole, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_ropes
 from knotgym.control.transition_counts import TransitionCounts, TransitionRecorder
 from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
 from knotgym.quality.measures import Limits, base_spacing, measure
-from knotgym.rope.engines import MUJOCO, require_engine, simulation, simulation_of
+from knotgym.rope.engines import MUJOCO, EngineName, simulation, simulation_of
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
 from knotgym.runs.engine import Batch
@@ -29,7 +29,7 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, mirror_images, shifted_base
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class SearchSettings:
     """Settings of play.
 
@@ -48,24 +48,17 @@ class SearchSettings:
         macro_actions: how macro-actions are drawn and executed.
     """
 
-    batch_size: int = 32
-    steps: int = 12
-    longest: int = 48
-    room: int = 4
-    replay_share: float = 0.5
-    jitter: float = 0.04
-    most_templates: int = 6
+    batch_size: Count = 32
+    steps: Count = 12
+    longest: Whole = 48
+    room: Whole = 4
+    replay_share: Share = 0.5
+    jitter: NonNegative = 0.04
+    most_templates: Whole = 6
     archive: ArchiveConfig = ArchiveConfig()
     macro_actions: MacroActionConfig = MacroActionConfig()
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("batch_size", "steps"),
-            whole=("longest", "room", "most_templates"),
-            non_negative=("jitter",),
-            shares=("replay_share",),
-        )
         if self.longest < self.room:
             raise InvalidInput(
                 f"longest must be at least room ({self.room}), or no round can start; got"
@@ -73,7 +66,7 @@ class SearchSettings:
             )
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class SearchConfig(SearchSettings):
     """Settings of play in one run.
 
@@ -84,15 +77,13 @@ class SearchConfig(SearchSettings):
         engine: the engine that moves it, see `knotgym.rope.engines`.
     """
 
-    max_nx: int = 4
-    seed: int = 0
+    max_nx: Whole = 4
+    seed: Seed = 0
     rope: RopeConfig = RopeConfig()
-    engine: str = MUJOCO
+    engine: EngineName = MUJOCO
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_numbers(self, whole=("max_nx", "seed"))
-        require_engine(self.engine)
 
 
 class SearchUnit(NamedTuple):

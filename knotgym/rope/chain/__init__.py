@@ -5,7 +5,8 @@
 | `chain_simulation` | many ropes stepped at once; to and from MuJoCo's qpos |
 | `solver` | the loop over substeps: their lengths, acceptance and rejection |
 | `dynamics` | the equations of motion of one substep |
-| `banded` | their linear system: layout, factorization, substitution |
+| `layout` | what stands where in every packed array, with units and a drawing |
+| `banded` | their linear system: factorization, substitution |
 | `contact` | pairs of edges that touch, contact forces, the proof that no strands passed |
 | `simd` | several float64 as one value in compiled code |
 """

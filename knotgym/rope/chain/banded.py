@@ -4,14 +4,7 @@ The unknowns of a rope of n vertices are grouped in n blocks of four, block k ho
 of vertex k (x, y, z) and the spin of bead k, which begins there. A joint couples three vertices, so
 block k is coupled with blocks k + 1 and k + 2, round the loop. The loop is cut at vertex 0, whose
 joint must not be damped: the velocity of vertex 0 leaves block 0 and becomes the last unknown, the
-*corner*; what couples it with the others is the *arrow*.
-
-    | D0                      .  |    diag[k]    D_k, lower triangle of 4 x 4 by rows, 10 numbers
-    | N0 D1                   .  |    near[k]    N_k, 4 x 4: rows of block k + 1, columns of k
-    | F0 N1 D2                .  |    far[k]     F_k, 3 x 4: velocity of block k + 2 (a spin is
-    |    F1 N2 D3             .  |               never coupled two blocks back), columns of k
-    |       .  .  .           .  |    arrow[k]   A_k, 3 x 4: rows of the corner, columns of k
-    | A0 A1 A2 .  .        corner|    corner     lower triangle of 3 x 3 by rows, 6 numbers
+*corner*; what couples it with the others is the *arrow*: the drawing is in `layout`.
 
 The factorization is A = L D L^T without pivoting, which is stable as A is positive definite. No
 block is filled in but the arrow. `factor` replaces diag[k] by the inverse pivots and the unit lower

@@ -14,26 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.rope.chain.contact import DAMPING as CONTACT_DAMPING
-from knotgym.rope.chain.contact import FLOOR, RADIUS, STIFFNESS
-from knotgym.rope.chain.dynamics import (
-    ACROSS,
-    ALONG,
-    LENGTH,
-    MASS,
-    ROLL,
-    SPIN,
-    STRETCH,
-    TUMBLE,
-    TURN,
-    set_all_lengths,
-)
+from knotgym.rope.chain import layout
+from knotgym.rope.chain.dynamics import set_all_lengths
 from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
-from knotgym.rope.chain.solver import LOST, SCHEDULE, STATE, TICKS, advance
+from knotgym.rope.chain.solver import SCHEDULE, TICKS, advance
 from knotgym.rope.model import Array, Rope, RopeConfig, sub_chains
 from knotgym.rope.simulation import Ids, Simulation
 
+POSITION, VELOCITY = slice(layout.X, layout.V), slice(layout.V, layout.SIDE)
+SIDE = slice(layout.SIDE, layout.SPUN)
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
 _FLOOR = 0.25  # distance that contact keeps at any force, in diameters
 _TICKS = TICKS * sum(SCHEDULE)  # of an action
@@ -82,7 +72,7 @@ class ChainSimulation(Simulation):
         workers = min(threads or cpu_count() or 1, -(-count // LANES))
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
         self._workers = workers
-        self._states: Array = np.empty((count, self.rope.config.beads, STATE))
+        self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
         self.points = np.empty((count, self.rope.config.beads, 3))
         self.lay(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
 
@@ -97,7 +87,7 @@ class ChainSimulation(Simulation):
 
     def qpos(self, ids: Ids = None) -> Array:
         states = self._states[self._all(ids)]
-        return to_qpos(self.rope, states[:, :, :3], states[:, :, 6:9])
+        return to_qpos(self.rope, states[:, :, POSITION], states[:, :, SIDE])
 
     def states(self, ids: Ids = None) -> Array:
         where = self._all(ids)
@@ -106,13 +96,13 @@ class ChainSimulation(Simulation):
     def restore(self, states: Array, ids: Ids = None) -> None:
         where = self._all(ids)
         self._states[where] = np.reshape(states, (len(where), *self._states.shape[1:]))
-        self.points[where] = self._states[where, :, :3]
+        self.points[where] = self._states[where, :, POSITION]
 
     def at_rest(self, ids: Ids = None) -> Array:
-        """Copy of the states without their velocities: float64 (len(ids), beads * STATE)."""
+        """Copy of the states without their velocities: float64 (len(ids), beads * layout.STATE)."""
         states = self._states[self._all(ids)]
         # velocities of vertices and spins; positions and sides stay
-        states[:, :, 3:6] = states[:, :, 9:] = 0.0
+        states[:, :, VELOCITY] = states[:, :, layout.SPUN] = 0.0
         return states.reshape(len(states), -1)
 
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
@@ -123,8 +113,8 @@ class ChainSimulation(Simulation):
         where = self._all(ids)
         rows = np.broadcast_to(qpos, (len(where), self.rope.nq))
         states = np.zeros((len(where), *self._states.shape[1:]))
-        states[:, :, :3] = self._with_lengths(self.rope.points(rows))
-        states[:, :, 6:9] = _sides(self.rope, rows, states[:, :, :3])
+        states[:, :, POSITION] = self._with_lengths(self.rope.points(rows))
+        states[:, :, SIDE] = _sides(self.rope, rows, states[:, :, POSITION])
         self.restore(states, where)
 
     def lay_points(self, points: Array, velocities: Array, ids: Ids = None) -> None:
@@ -135,20 +125,20 @@ class ChainSimulation(Simulation):
             ids: the ropes; None for all.
         """
         states = np.zeros((len(points), *self._states.shape[1:]))
-        states[:, :, :3] = self._with_lengths(points)
-        states[:, :, 3:6] = velocities
+        states[:, :, POSITION] = self._with_lengths(points)
+        states[:, :, VELOCITY] = velocities
         # Joints resist rates, not angles, so each bead's axis may be chosen by itself: level, as
         # in a flat rope.
-        along = _along(states[:, :, :3])
+        along = _along(states[:, :, POSITION])
         sides = np.cross((0.0, 0.0, 1.0), along)
         upright = np.abs(along[..., 2]) > 0.999
         sides[upright] = np.cross(along[upright], (1.0, 0.0, 0.0))
-        states[:, :, 6:9] = sides / np.linalg.norm(sides, axis=2, keepdims=True)
+        states[:, :, SIDE] = sides / np.linalg.norm(sides, axis=2, keepdims=True)
         self.restore(states, ids)
 
     def velocities(self, ids: Ids = None) -> Array:
         """Copy of the vertices' velocities: float64 (len(ids), beads, 3), m/s."""
-        return self._states[self._all(ids), :, 3:6].copy()
+        return self._states[self._all(ids), :, VELOCITY].copy()
 
     def _with_lengths(self, points: Array) -> Array:
         """Move vertices a little, so that all edges are as long as the beads; a new array."""
@@ -181,11 +171,11 @@ class ChainSimulation(Simulation):
 
         firsts = range(0, len(where), sizes) if len(where) else ()
         list((self._pool.map if self._pool else map)(move, firsts))
-        self._states[where], self.points[where] = states, states[:, :, :3]
+        self._states[where], self.points[where] = states, states[:, :, POSITION]
         total = TICKS * int(self._schedule.sum())
-        self.applied_shares[where] = (total - counts[:, LOST]) / total
+        self.applied_shares[where] = (total - counts[:, layout.LOST]) / total
         self.steps_taken += len(where)
-        self.steps_reduced += int(np.count_nonzero(counts[:, LOST]))
+        self.steps_reduced += int(np.count_nonzero(counts[:, layout.LOST]))
         return np.asarray(np.isfinite(states).all(axis=(1, 2)), dtype=bool)
 
 
@@ -201,10 +191,12 @@ def parameters(rope: Rope) -> tuple[Array, Array, Array]:
     wide, long = float(np.sqrt(6 * spin / mass)), float(np.sqrt(6 * (2 * tumble - spin) / mass))
     density = model.opt.density
     numbers = np.empty(9)
-    numbers[[MASS, TUMBLE, SPIN, LENGTH, STRETCH]] = mass, tumble, spin, config.bead_length, _STIFF
-    numbers[[ACROSS, ALONG]] = 0.5 * density * wide * long, 0.5 * density * wide * wide
-    numbers[TURN] = density * wide * (wide**4 + long**4) / 64
-    numbers[ROLL] = density * long * 2 * wide**4 / 64
+    numbers[[layout.MASS, layout.TUMBLE, layout.ROUND]] = mass, tumble, spin
+    numbers[[layout.LENGTH, layout.STRETCH]] = config.bead_length, _STIFF
+    numbers[layout.ACROSS] = 0.5 * density * wide * long
+    numbers[layout.ALONG] = 0.5 * density * wide * wide
+    numbers[layout.TURN] = density * wide * (wide**4 + long**4) / 64
+    numbers[layout.ROLL] = density * long * 2 * wide**4 / 64
     damping = np.full(config.beads, config.joint_damping)
     # no joint where MuJoCo joins two sub-chains, and none at vertex 0, where `banded` cuts the
     # loop
@@ -216,9 +208,9 @@ def parameters(rope: Rope) -> tuple[Array, Array, Array]:
     # R of the constraint; MuJoCo's documentation, "Computation", on the parameters of constraints
     soft = (1 - impedance) / impedance * weight
     contact = np.empty(4)
-    contact[[RADIUS, FLOOR]] = config.radius, _FLOOR * 2 * config.radius
-    contact[STIFFNESS] = 1 / (impedance * constant) ** 2 / soft
-    contact[CONTACT_DAMPING] = 2 / (impedance * constant) / soft
+    contact[[layout.RADIUS, layout.FLOOR]] = config.radius, _FLOOR * 2 * config.radius
+    contact[layout.STIFFNESS] = 1 / (impedance * constant) ** 2 / soft
+    contact[layout.DAMPING] = 2 / (impedance * constant) / soft
     return numbers, damping, contact
 
 

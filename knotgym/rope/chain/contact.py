@@ -30,13 +30,26 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knotgym.rope.chain.banded import System, forward
+from knotgym.rope.chain.layout import (
+    CORNER_DIAGONAL,
+    DAMPING,
+    DIAGONAL,
+    EDGE_I,
+    EDGE_J,
+    FLOOR,
+    GAP,
+    MAY,
+    NORMAL,
+    ON_I,
+    ON_J,
+    RADIUS,
+    STIFFNESS,
+    THEN,
+)
 from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-# numbers of the contact
-RADIUS, STIFFNESS, DAMPING, FLOOR = range(4)
 
 LISTED = 0.048  # m, between midpoints
 DRIFT = 0.004  # m
@@ -135,8 +148,7 @@ def find_rows(
         step: (1, LANES), seconds.
         contact, length: numbers of the contact; of an edge, metres.
         motion: (n, LANES), overwritten.
-        rows: (ROWS, 8, LANES): where the nearest points lie on either edge, the unit vector from
-            the one to the other, their distance, the two edges; written.
+        rows: (ROWS, 8, LANES), the contacts, see `layout`; written.
         found: int64 (LANES,), how many rows each lane has; written.
     """
     n = len(x)
@@ -157,7 +169,7 @@ def find_rows(
             dz = load(middle, (j, 2)) - mz
             reach = min(fma(h, load(motion, (j,)), way), close + LOOKAHEAD)
             if any_below(fma(dx, dx, fma(dy, dy, dz * dz)), reach * reach):
-                put(spot, (7,), -1.0)
+                put(spot, (MAY,), -1.0)
                 _try_row(x, v, i, j, h, touch, spot, rows, found)
     # Edges i and k with one between them are L apart at least if both joints turn by less than a
     # right angle: |L u + a t + b w|^2 >= L^2 + (a - b)^2 where u . t, u . w >= 0.
@@ -166,7 +178,7 @@ def find_rows(
         k = j + 1 if j + 1 < n else 0
         least = sharpness(tangent, i, j, k)
         if any_below(least, SHARP):
-            put(spot, (7,), least - SHARP)
+            put(spot, (MAY,), least - SHARP)
             _try_row(x, v, i, k, h, touch, spot, rows, found)
 
 
@@ -188,7 +200,7 @@ def _vertex_most(v: Array, most: Array) -> None:
 def _try_row(
     x: Array, v: Array, i: int, j: int, h: Any, touch: float, spot: Array, rows: Array, found: Ints
 ) -> None:
-    """Add a row for edges i and j to the lanes where they would overlap and spot[7] is negative."""
+    """Add a row for edges i and j to the lanes where they would overlap, if spot[MAY] < 0."""
     n = len(x)
     k, m = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
     far, s, t, nx, ny, nz = closest(x, i, j)
@@ -199,24 +211,24 @@ def _try_row(
         one = fma(s, load(v, (k, c)) - load(v, (i, c)), load(v, (i, c)))
         two = fma(t, load(v, (m, c)) - load(v, (j, c)), load(v, (j, c)))
         along = shrink * (nx if c == 0 else (ny if c == 1 else nz))
-        put(spot, (2 + c,), along)
+        put(spot, (NORMAL + c,), along)
         apart = fma(along, two - one, apart)
     then = fma(h, apart, far)
     if not any_below(then, touch):
         return
-    put(spot, (0,), s)
-    put(spot, (1,), t)
-    put(spot, (5,), far)
-    put(spot, (6,), then)
+    put(spot, (ON_I,), s)
+    put(spot, (ON_J,), t)
+    put(spot, (GAP,), far)
+    put(spot, (THEN,), then)
     for lane in range(LANES):
         row = found[lane]
         # a vertex belongs to the edge that begins there, so that it makes one row
-        inside = spot[0, lane] < 1.0 and spot[1, lane] < 1.0
-        near = spot[6, lane] < touch and spot[5, lane] < touch + LOOKAHEAD
-        if inside and near and spot[7, lane] < 0.0 and row < ROWS:
-            for c in range(6):
+        inside = spot[ON_I, lane] < 1.0 and spot[ON_J, lane] < 1.0
+        near = spot[THEN, lane] < touch and spot[GAP, lane] < touch + LOOKAHEAD
+        if inside and near and spot[MAY, lane] < 0.0 and row < ROWS:
+            for c in range(GAP + 1):
                 rows[row, c, lane] = spot[c, lane]
-            rows[row, 6, lane], rows[row, 7, lane] = i, j
+            rows[row, EDGE_I, lane], rows[row, EDGE_J, lane] = i, j
             found[lane] = row + 1
 
 
@@ -254,9 +266,9 @@ def push_apart(
         first = n
         for lane in range(LANES):
             if r < found[lane]:
-                i, j = int(rows[r, 6, lane]), int(rows[r, 7, lane])
+                i, j = int(rows[r, EDGE_I, lane]), int(rows[r, EDGE_J, lane])
                 k, m = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
-                s, t = rows[r, 0, lane], rows[r, 1, lane]
+                s, t = rows[r, ON_I, lane], rows[r, ON_J, lane]
                 # The point at s of edge i moves at (1 - s) v_i + s v_k, so J has -(1 - s) n and
                 # -s n there, and (1 - t) n and t n at the other edge. Vertex 0 is the corner,
                 # block n.
@@ -264,14 +276,14 @@ def push_apart(
                     block = vertex if vertex > 0 else n
                     first = min(first, block)
                     for c in range(3):
-                        own = share * rows[r, 2 + c, lane]
+                        own = share * rows[r, NORMAL + c, lane]
                         column[r, block, c, lane] += own
                         speed[r, lane] += own * v[vertex, c, lane]
         forward(system, column[r], first)
         for i in range(first, n):
-            for c, e in enumerate((0, 2, 5, 9)):
+            for c, e in enumerate(DIAGONAL):
                 put(scaled, (i, c), load(column, (r, i, c)) * load(diag, (i, e)))
-        for c, e in enumerate((0, 2, 5)):
+        for c, e in enumerate(CORNER_DIAGONAL):
             put(scaled, (n, c), load(column, (r, n, c)) * load(corner, (e,)))
         for q in range(r + 1):
             # Two sums side by side, so that the processor doesn't wait for each; their order is
@@ -317,7 +329,7 @@ def _solve_forces(
             for q in range(count):
                 if q != r:
                     without += weight[r, q, lane] * force[q, lane]
-            own, distance = weight[r, r, lane], rows[r, 5, lane]
+            own, distance = weight[r, r, lane], rows[r, GAP, lane]
             gap = distance - 2.0 * contact[RADIUS]
             if gap > 0.0:
                 soft = -slope * (gap / h + without) / (1.0 + slope * own)

@@ -40,13 +40,26 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knotgym.rope.chain.banded import System
+from knotgym.rope.chain.layout import (
+    ACROSS,
+    ALONG,
+    BEND_0,
+    COSINE,
+    LENGTH,
+    LESS_0,
+    MASS,
+    ROLL,
+    ROUND,
+    SPIN_DIAGONAL,
+    STRETCH,
+    SUM_0,
+    TUMBLE,
+    TURN,
+    TWIST_0,
+)
 from knotgym.rope.chain.simd import LANES, fma, load, put
 
 Array = NDArray[np.float64]
-
-# Numbers of the model: kg, kg m^2 (across, along), m, N s^2/m^2 (across, along), N m s^2 (across,
-# along), N s/m
-MASS, TUMBLE, SPIN, LENGTH, ACROSS, ALONG, TURN, ROLL, STRETCH = range(9)
 
 
 @njit(nogil=True)
@@ -88,7 +101,7 @@ def assemble(
         guess, guess_spin: about which the drag is made linear.
         pull: (n, 3, LANES), forces on the vertices, newtons.
         step: (1, LANES), seconds.
-        numbers: of the model, see MASS.
+        numbers: of the model, see `layout`.
         damping: (n,), of the joints at the vertices, N m s; 0 at vertex 0.
         system: written, not yet factored.
         right: (n + 1, 4, LANES), written.
@@ -103,7 +116,7 @@ def assemble(
     centre = 0.25 * numbers[MASS] * rate
     tumble = numbers[TUMBLE] / (length * length) * rate
     turn = numbers[TURN] / (length * length * length)
-    roll = numbers[SPIN] * rate
+    roll = numbers[ROUND] * rate
     across, along = 0.5 * numbers[ACROSS], 0.5 * numbers[ALONG]
     for i in range(n + 1):
         for c in range(4):
@@ -115,23 +128,23 @@ def assemble(
         # Joint i, between beads h and i. Of c |w_i - w_h|^2 / 2 the mixed term of a_h and a_i is
         # -a_h^T X a_i with X = c / L^2 ((t_h . t_i) 1 - t_i t_h^T), as (t x a) . (t' x a') is
         # (t . t') (a . a') - (t . a') (t' . a). Spins are coupled with a by n = c / L t_i x t_h:
-        # -s_i n . a_h + s_h n . a_i. Numbers 0 to 8 are X, 9 to 11 n, 12 c t_h . t_i.
+        # -s_i n . a_h + s_h n . a_i. X stands at BEND_0, n at TWIST_0, c t_h . t_i at COSINE.
         bend, cross = damping[i] / (length * length), damping[i] / length
         ux, uy, uz = load(tangent, (h, 0)), load(tangent, (h, 1)), load(tangent, (h, 2))
         cosine = fma(tx, ux, fma(ty, uy, tz * uz))
-        put(joint, (i, 0), bend * fma(-tx, ux, cosine))
-        put(joint, (i, 1), -bend * tx * uy)
-        put(joint, (i, 2), -bend * tx * uz)
-        put(joint, (i, 3), -bend * ty * ux)
-        put(joint, (i, 4), bend * fma(-ty, uy, cosine))
-        put(joint, (i, 5), -bend * ty * uz)
-        put(joint, (i, 6), -bend * tz * ux)
-        put(joint, (i, 7), -bend * tz * uy)
-        put(joint, (i, 8), bend * fma(-tz, uz, cosine))
-        put(joint, (i, 9), cross * fma(ty, uz, -tz * uy))
-        put(joint, (i, 10), cross * fma(tz, ux, -tx * uz))
-        put(joint, (i, 11), cross * fma(tx, uy, -ty * ux))
-        put(joint, (i, 12), damping[i] * cosine)
+        put(joint, (i, BEND_0 + 0), bend * fma(-tx, ux, cosine))
+        put(joint, (i, BEND_0 + 1), -bend * tx * uy)
+        put(joint, (i, BEND_0 + 2), -bend * tx * uz)
+        put(joint, (i, BEND_0 + 3), -bend * ty * ux)
+        put(joint, (i, BEND_0 + 4), bend * fma(-ty, uy, cosine))
+        put(joint, (i, BEND_0 + 5), -bend * ty * uz)
+        put(joint, (i, BEND_0 + 6), -bend * tz * ux)
+        put(joint, (i, BEND_0 + 7), -bend * tz * uy)
+        put(joint, (i, BEND_0 + 8), bend * fma(-tz, uz, cosine))
+        put(joint, (i, TWIST_0 + 0), cross * fma(ty, uz, -tz * uy))
+        put(joint, (i, TWIST_0 + 1), cross * fma(tz, ux, -tx * uz))
+        put(joint, (i, TWIST_0 + 2), cross * fma(tx, uy, -ty * ux))
+        put(joint, (i, COSINE), damping[i] * cosine)
         # Drag on bead i: p is its side, q the third axis. Each vertex takes half of the force
         # and half of the centre's motion is its own, so k becomes 2 k / 4 in the matrix and k / 2
         # at the right: `across` and `along` are k / 2.
@@ -152,7 +165,7 @@ def assemble(
         whirl = turn * fast
         d1, d2, dt = r1 - r2, rt - r2, r2 + centre
         stiff = numbers[STRETCH]
-        # Numbers 0 to 5 of `bead` are the lower triangle of C + S, 6 to 11 of C - S, where
+        # At SUM_0 of `bead` stands the lower triangle of C + S, at LESS_0 that of C - S, where
         # u^T C u is the part of the centre and a^T S a that of the difference.
         apart = tumble + 2.0 * whirl + (damping[i] + damping[j]) / (length * length)
         xx, xy, xz = tx * tx, tx * ty, tx * tz
@@ -165,18 +178,18 @@ def assemble(
         czz = fma(d1, pz * pz, fma(d2, zz, dt))
         sxx, sxy, sxz = fma(stiff, xx, apart), stiff * xy, stiff * xz
         syy, syz, szz = fma(stiff, yy, apart), stiff * yz, fma(stiff, zz, apart)
-        put(bead, (i, 0), cxx + sxx)
-        put(bead, (i, 1), cxy + sxy)
-        put(bead, (i, 2), cyy + syy)
-        put(bead, (i, 3), cxz + sxz)
-        put(bead, (i, 4), cyz + syz)
-        put(bead, (i, 5), czz + szz)
-        put(bead, (i, 6), cxx - sxx)
-        put(bead, (i, 7), cxy - sxy)
-        put(bead, (i, 8), cyy - syy)
-        put(bead, (i, 9), cxz - sxz)
-        put(bead, (i, 10), cyz - syz)
-        put(bead, (i, 11), czz - szz)
+        put(bead, (i, SUM_0 + 0), cxx + sxx)
+        put(bead, (i, SUM_0 + 1), cxy + sxy)
+        put(bead, (i, SUM_0 + 2), cyy + syy)
+        put(bead, (i, SUM_0 + 3), cxz + sxz)
+        put(bead, (i, SUM_0 + 4), cyz + syz)
+        put(bead, (i, SUM_0 + 5), czz + szz)
+        put(bead, (i, LESS_0 + 0), cxx - sxx)
+        put(bead, (i, LESS_0 + 1), cxy - sxy)
+        put(bead, (i, LESS_0 + 2), cyy - syy)
+        put(bead, (i, LESS_0 + 3), cxz - sxz)
+        put(bead, (i, LESS_0 + 4), cyz - syz)
+        put(bead, (i, LESS_0 + 5), czz - szz)
         for c in range(3):
             p = load(side, (i, c))
             q = qx if c == 0 else (qy if c == 1 else qz)
@@ -190,7 +203,7 @@ def assemble(
             put(right, (j, c), load(right, (j, c)) + (back + swing))
         gs = load(guess_spin, (i,))
         spun = numbers[ROLL] * abs(gs)
-        put(diag, (i, 9), damping[i] + damping[j] + roll + 2.0 * spun)
+        put(diag, (i, SPIN_DIAGONAL), damping[i] + damping[j] + roll + 2.0 * spun)
         put(right, (i, 3), fma(roll, load(spin, (i,)), spun * gs))
     # Blocks: with a_h = v_i - v_h and a_i = v_j - v_i, each X of joint i adds X + X^T at (i, i),
     # -X^T at (j, i) and (i, h), and X^T at (j, h).
@@ -200,23 +213,23 @@ def assemble(
         e = 0
         for a in range(3):
             for b in range(a + 1):
-                own = load(joint, (i, 3 * a + b)) + load(joint, (i, 3 * b + a))
-                put(diag, (i, e), load(bead, (i, e)) + load(bead, (h, e)) + own)
+                own = load(joint, (i, BEND_0 + 3 * a + b)) + load(joint, (i, BEND_0 + 3 * b + a))
+                put(diag, (i, e), load(bead, (i, SUM_0 + e)) + load(bead, (h, SUM_0 + e)) + own)
                 e += 1
         for a in range(3):
-            put(diag, (i, 6 + a), -load(joint, (i, 9 + a)))
+            put(diag, (i, 6 + a), -load(joint, (i, TWIST_0 + a)))
             for b in range(3):
                 low, up = max(a, b), min(a, b)
-                s = load(bead, (i, 6 + low * (low + 1) // 2 + up))
-                s -= load(joint, (i, 3 * b + a)) + load(joint, (j, 3 * b + a))
+                s = load(bead, (i, LESS_0 + low * (low + 1) // 2 + up))
+                s -= load(joint, (i, BEND_0 + 3 * b + a)) + load(joint, (j, BEND_0 + 3 * b + a))
                 put(near, (i, 4 * a + b), s)
-                put(far, (i, 4 * a + b), load(joint, (j, 3 * b + a)))
-            turned = load(joint, (j, 9 + a))
+                put(far, (i, 4 * a + b), load(joint, (j, BEND_0 + 3 * b + a)))
+            turned = load(joint, (j, TWIST_0 + a))
             put(near, (i, 4 * a + 3), -turned)
             put(near, (i, 12 + a), turned)
             put(far, (i, 4 * a + 3), turned)
             put(right, (i, a), load(right, (i, a)) + load(pull, (i, a)))
-        put(near, (i, 15), -load(joint, (j, 12)))
+        put(near, (i, 15), -load(joint, (j, COSINE)))
     _cut(system, right)
 
 

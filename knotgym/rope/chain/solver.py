@@ -28,7 +28,22 @@ from knotgym.rope.chain.contact import (
     middles,
     push_apart,
 )
-from knotgym.rope.chain.dynamics import LENGTH, assemble, set_lengths, tangents, turn_sides
+from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents, turn_sides
+from knotgym.rope.chain.layout import (
+    CONTACTS,
+    LEFT,
+    LENGTH,
+    LOST,
+    REJECTED,
+    ROPE,
+    SIDE,
+    SPUN,
+    STAGE,
+    SUBSTEPS,
+    TICK,
+    V,
+    X,
+)
 from knotgym.rope.chain.passage import judge
 from knotgym.rope.chain.simd import LANES, any_below, fma, load, put
 
@@ -40,11 +55,6 @@ SCHEDULE = (1, 2, 3, 4, 4, 5, 5)  # lengths of the substeps, in shares of an act
 # Time is counted in whole ticks, so that halved substeps add up to the action exactly. A tick is a
 # 64th of a share, and the shortest substep.
 TICKS = 64
-STATE = 10  # numbers of a vertex: position, velocity; of the bead that begins there: side, spin
-# rows of a lane's clock: its rope or -1, its entry of the schedule, ticks left of that entry, ticks
-# of its next substep
-ROPE, STAGE, LEFT, TICK = range(4)
-SUBSTEPS, REJECTED, CONTACTS, LOST = range(4)  # counted for each rope; LOST in ticks
 
 
 @njit(cache=True, nogil=True)
@@ -62,11 +72,10 @@ def advance(
     """Move ropes through one action, in place.
 
     Args:
-        states: float64 (ropes, n, STATE).
+        states: float64 (ropes, n, layout.STATE).
         beads: int64 (ropes,), pulled at their centres.
         forces: float64 (ropes, 3), newtons.
-        numbers, damping: of the rope, see `dynamics`.
-        contact: see `contact`.
+        numbers, damping, contact: of the rope, see `layout`.
         duration: of the action, seconds.
         schedule: as SCHEDULE.
         counts: int64 (ropes, 4): substeps taken, substeps rejected, contacts summed over substeps,
@@ -288,9 +297,9 @@ def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: 
     n = len(state)
     for i in range(n):
         for c in range(3):
-            x[i, c, lane], v[i, c, lane] = state[i, c], state[i, 3 + c]
-            side[i, c, lane], pull[i, c, lane] = state[i, 6 + c], 0.0
-        spin[i, lane] = state[i, 9]
+            x[i, c, lane], v[i, c, lane] = state[i, X + c], state[i, V + c]
+            side[i, c, lane], pull[i, c, lane] = state[i, SIDE + c], 0.0
+        spin[i, lane] = state[i, SPUN]
     # f on the bead's centre does the work f . (v_i + v_j) / 2: half of it pulls each end
     for c in range(3):
         pull[bead, c, lane] = pull[(bead + 1) % n, c, lane] = 0.5 * force[c]
@@ -302,9 +311,9 @@ def _give(state: Array, lane: int, group: Group) -> None:
     x, v, side, spin = group
     for i in range(len(state)):
         for c in range(3):
-            state[i, c], state[i, 3 + c] = x[i, c, lane], v[i, c, lane]
-            state[i, 6 + c] = side[i, c, lane]
-        state[i, 9] = spin[i, lane]
+            state[i, X + c], state[i, V + c] = x[i, c, lane], v[i, c, lane]
+            state[i, SIDE + c] = side[i, c, lane]
+        state[i, SPUN] = spin[i, lane]
 
 
 @njit(nogil=True)

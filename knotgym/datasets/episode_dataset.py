@@ -1,0 +1,226 @@
+"""Files of episodes: a Minari dataset's `episodes.h5`, or a single file of any name.
+
+    {root}/{dataset id}/data/episodes.h5        the episodes, which every reader of ours reads
+    {root}/{dataset id}/data/main_data.hdf5     the same for Minari, see `minari_form`
+    {root}/{dataset id}/data/metadata.json      Minari's metadata
+    {root}/{dataset id}/data/states.h5          the states it resets from, unless they are shipped
+
+An episode file holds the tables of `episodes`, in one of two forms, and these attributes:
+
+    form        "columns" or "recording"
+    task        settings of the environment
+    rope        fingerprint of the rope model
+    versions    package -> version that wrote the file
+    digest      SHA-256 of starts and pulls, the same in both forms
+    metadata    of the Minari dataset, see `MinariMetadata`; left out in single files
+    run         facts about the run that made it, such as its configuration; may be left out
+    selection   the selections that it went through, oldest first; may be left out
+"""
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import knotgym
+from knotgym.common import tables
+from knotgym.common.configuration import as_json, from_json
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile
+from knotgym.datasets.episodes import (
+    EPISODES,
+    PULLS,
+    RECORDED,
+    STEPS,
+    Episodes,
+    fitted,
+    merged,
+)
+from knotgym.envs.tasks import TaskConfig
+from knotgym.states.state_file import leads_out, minari_root, ships, states_file
+
+FORMAT = "knotgym-episodes"
+FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, PULLS)}
+FILE = "episodes.h5"
+
+
+@dataclass(frozen=True)
+class EpisodeDataset:
+    """An opened file of episodes.
+
+    Attributes:
+        path: of the file.
+        episodes: its episodes, mapped into memory where the file isn't packed.
+        task: the environment.
+        attributes: attributes of the file.
+    """
+
+    path: Path
+    episodes: Episodes
+    task: TaskConfig
+    attributes: Mapping[str, Any]
+
+    @property
+    def metadata(self) -> dict[str, Any] | None:
+        """The Minari metadata of the dataset that the file belongs to or came from, if any."""
+        found = self.attributes.get("metadata")
+        return found if isinstance(found, dict) else None
+
+    @property
+    def name(self) -> str:
+        """The dataset id, or else the name of the file."""
+        return str((self.metadata or {}).get("dataset_id", self.path.name))
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """The attributes that stay when rows are taken: run, metadata, selection."""
+        return {
+            k: self.attributes[k] for k in ("metadata", "run", "selection") if k in self.attributes
+        }
+
+    def select(self, rows: Any) -> "EpisodeDataset":
+        """Return the dataset with some of its episodes, by a mask or by their numbers."""
+        return replace(self, episodes=self.episodes.select(rows))
+
+    def states_path(self) -> Path:
+        """Return the path of the state file that the episodes were reset from; it may not exist.
+
+        Raises:
+            InvalidFile: a dataset names a path outside it; a single file may do so.
+        """
+        beside, named = self.path.with_name("states.h5"), self.task.states
+        if ships(named) or named is None:
+            return states_file(named)
+        if beside.is_file():
+            return beside
+        if self.path.with_name("metadata.json").is_file() and leads_out(named):
+            raise InvalidFile(
+                f"{self.path} names states that lie outside the dataset, {named!r}; it should"
+                " include them, as states.h5 beside the episodes"
+            )
+        return states_file(named)
+
+
+def open_episodes(source: Any) -> EpisodeDataset:
+    """Open a file of episodes or a dataset; reading it maps the columns, and copies nothing.
+
+    Args:
+        source: as for `episode_file`, or a dataset that is open already. A `minari.MinariDataset`
+            restricts it to its episodes.
+
+    Raises:
+        MissingFile: there is no such file.
+        InvalidFile: it is damaged, or wasn't written by knotgym.
+    """
+    if isinstance(source, EpisodeDataset):
+        return source
+    path = episode_file(source)
+    _, attributes = tables.read(path, format=FORMAT)
+    schemas = FORMS.get(str(attributes.get("form")))
+    if schemas is None:
+        raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
+    (rows, steps), _ = tables.read(path, *schemas, format=FORMAT)
+    lengths = rows["length"]
+    if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
+        raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
+    if int(lengths.sum()) + rows.rows != steps.rows:
+        raise InvalidFile(
+            f"{path} has {steps.rows} rows of steps, and its {rows.rows} episodes have"
+            f" {int(lengths.sum()) + rows.rows}"
+        )
+    try:
+        task = from_json(TaskConfig, attributes["task"])
+    except (KnotgymError, KeyError, TypeError) as error:
+        raise InvalidFile(f"{path} has no valid task: {error}") from error
+    opened = EpisodeDataset(path, Episodes(rows, steps), task, attributes)
+    chosen = getattr(source, "episode_indices", None)
+    return opened if chosen is None else opened.select(chosen)
+
+
+def columns_of(source: Any) -> EpisodeDataset:
+    """Open a dataset as `open_episodes` does, and refuse a recording.
+
+    Raises:
+        InvalidInput: it is a recording, whose states must be simulated first.
+    """
+    opened = open_episodes(source)
+    if opened.episodes.is_recording:
+        raise InvalidInput(
+            f"{opened.path} is a recording, of starts and pulls alone; play it again with knotgym"
+            " dataset export --to compact"
+        )
+    return opened
+
+
+def write_episodes(
+    path: str | os.PathLike[str],
+    parts: Sequence[Episodes],
+    task: TaskConfig,
+    facts: Mapping[str, Any] | None = None,
+    *,
+    pack: bool = False,
+) -> None:
+    """Write episodes to one file atomically; it is replaced if it exists.
+
+    Args:
+        path: of the file.
+        parts: sets of episodes, which are appended; all recordings, or none.
+        task: the environment.
+        facts: further attributes: metadata, run, selection.
+        pack: whether to compress the file, which then isn't mapped when read.
+
+    Raises:
+        InvalidInput: there are no parts, or they differ in form or columns.
+    """
+    if not parts or len({part.is_recording for part in parts}) > 1:
+        raise InvalidInput("episodes to write are a list of recordings, or of columns")
+    same = fitted(parts)
+    attributes = {
+        **(facts or {}),
+        "form": "recording" if parts[0].is_recording else "columns",
+        "task": as_json(task),
+        "rope": task.rope.fingerprint,
+        "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
+        "digest": content_digest(merged([part.recording() for part in same])),
+    }
+    rows, steps = [part.episodes for part in same], [part.steps for part in same]
+    tables.write(path, [rows, steps], attributes, format=FORMAT, pack=pack)
+
+
+def content_digest(episodes: Episodes) -> str:
+    """Hash the starts and pulls of episodes, from which everything else follows (SHA-256)."""
+    kept = fitted([episodes.recording()])[0]
+    return hashlib.sha256("".join(map(tables.digest, kept)).encode()).hexdigest()
+
+
+def episode_file(source: Any) -> Path:
+    """Find the file of episodes of a dataset.
+
+    Args:
+        source: the file, a dataset's folder or the `data` folder in it, the folder of a run of
+            `generate` (its demonstrations of the train split), a `minari.MinariDataset`, or an id
+            that Minari would find.
+
+    Raises:
+        MissingFile: there is no such file.
+        InvalidFile: a run has demonstrations of several crossing numbers.
+    """
+    if hasattr(source, "storage"):
+        return Path(source.storage.data_path) / FILE
+    tried = [Path(source)]
+    if not leads_out(source):
+        tried.append(minari_root() / str(source))
+    for path in tried:
+        for inside in (path, path / FILE, path / "data" / FILE):
+            if inside.is_file():
+                return inside
+        found = sorted((path / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
+        if len(found) > 1:
+            listed = ", ".join(str(one.parents[1]) for one in found)
+            raise InvalidFile(f"{path} holds several datasets; choose one of them: {listed}")
+        if found:
+            return found[0]
+    raise MissingFile(f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}")

@@ -1,0 +1,392 @@
+"""Episodes: a table of episodes and a table of their steps, in two forms.
+
+A *recording* keeps what can't be computed: where each rope was laid, how it was pulled, and what
+for. *Columns* add what follows from that by stepping. `control.rollouts` makes both; expanding a
+recording is the rollout of a policy that repeats its pulls.
+
+    row          0    1    2         T     an episode of T pulls has T + 1 rows of steps
+    observation  s0   s1   s2  ...   sT
+    pull         a0   a1   a2        -     what is done in this row's state; zeros in the last row
+    reward       r0   r1   r2        0     what that pull brought, and whether it ended the episode
+
+Rows of steps belong to episodes by their lengths alone, so merging sets is appending tables.
+
+A Gauss code takes a row of `visits` (+label over, -label under, in the order of the walk, then
+zeros) and a row of `signs` (of label k + 1, then zeros). Both are as wide as the longest code of a
+set needs, so a code of any number of crossings fits; sets of different widths are `fitted` first.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.common.errors import InvalidInput
+from knotgym.common.tables import Column, Schema, Table, joined
+from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
+
+_STARTS = (
+    Column("seed", "int64", (), "", "of start, goal and the policy's draws; -1 if none is known"),
+    Column("start", "int64", (), "", "row of the states that it starts in, before reset noise"),
+    Column("goal", "int64", (), "", "row of the states that shows the goal; -1 if relabelled"),
+    Column("start_qpos", "float64", ("nq",), "m, 1", "generalized positions of the rope at rest"),
+)
+_PLAYED = (
+    Column("policy", "text", (), "", "name of the policy that acted"),
+    Column("goal_visits", "int16", ("visits",), "", "Gauss code of the goal"),
+    Column("hold", "int32", (), "steps", "to show the goal for; 0 for the task's number"),
+    Column("relabelled", "bool", (), "", "the goal is the last state, in hindsight"),
+    Column("length", "int64", (), "pulls", "T; the episode has T + 1 rows of steps"),
+    Column("success", "bool", (), "", "the goal was shown for as long as the task asks"),
+    Column("failed", "bool", (), "", "the simulation blew up in the last pull"),
+    Column("total", "float64", (), "", "sum of the rewards"),
+    Column("planned", "int64", (), "pulls", "simulated by the policy, to plan"),
+)
+_PULLS = (
+    Column("bead", "uint16", (), "", "that is pulled, at its centre"),
+    Column("force", "float32", (3,), "of max_force", "that it is pulled with"),
+    Column("macro_start", "bool", (), "", "the pull is the first of a macro-action", True),
+    Column("macro_bead", "uint16", (), "", "that the macro-action leads", True),
+    Column("macro_target", "uint16", (), "", "bead whose strand the macro-action passes", True),
+    Column("macro_side", "int8", (), "", "+1 over, -1 under; 0 without a macro-action", True),
+)
+_FRAMES = (
+    Column("observation", "float32", ("beads", 3), "m", "vertices of the rope"),
+    Column("action", "float32", (6,), "[-1, 1]", "the same pull: bead's position / reach, force"),
+    Column("reward", "float64", (), "", "of the pull"),
+    Column("terminated", "bool", (), "", "the pull reached the goal, and the episode ended"),
+    Column("truncated", "bool", (), "", "the episode ended without"),
+    Column("share", "float32", (), "", "of the force that the engine applied"),
+    Column("visits", "int16", ("visits",), "", "Gauss code: +label over, -label under, then 0"),
+    Column("signs", "int8", ("labels",), "", "of crossings 1, 2, ...: +1 positive, -1, then 0"),
+    Column("crossings", "int16", (), "", "how many there are"),
+    Column("expert_action", "float32", (6,), "[-1, 1]", "what the expert would do here", True),
+)
+_GOALS = (Column("goal_points", "float32", ("beads", 3), "m", "vertices that show the goal"),)
+
+STARTS = Schema("episodes", _STARTS, "where an episode begins")
+RECORDED = Schema("episodes", (*_STARTS, *_PLAYED), "an episode")
+EPISODES = Schema("episodes", (*_STARTS, *_PLAYED, *_GOALS), "an episode")
+PULLS = Schema("steps", _PULLS, "a state and the pull made in it")
+STEPS = Schema("steps", (*_PULLS, *_FRAMES), "a state, the pull made in it, and what it brought")
+MACROS = ("macro_start", "macro_bead", "macro_target", "macro_side")
+
+_CODES = ("visits", "signs", "goal_visits")  # columns as wide as the longest code
+_NOT_COMPARED = frozenset({"planned"})  # a replay plans nothing
+RELABEL = ("last", "all")
+
+
+class Episodes(NamedTuple):
+    """A set of episodes; a recording if `steps` holds pulls alone.
+
+    Attributes:
+        episodes: one row an episode, EPISODES or RECORDED.
+        steps: one row a state, STEPS or PULLS.
+    """
+
+    episodes: Table
+    steps: Table
+
+    @property
+    def offsets(self) -> NDArray[np.int64]:
+        """First row of steps of each episode, then their number: int64 (n + 1,)."""
+        return np.concatenate([[0], np.cumsum(self.episodes["length"] + 1)])
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether the set holds starts and pulls alone."""
+        return "observation" not in self.steps
+
+    def select(self, rows: ArrayLike) -> "Episodes":
+        """Return some episodes, by a mask or by their numbers, in that order."""
+        chosen = np.arange(self.episodes.rows)[np.asarray(rows) if np.size(rows) else slice(0)]
+        steps = ranges(self.offsets[chosen], self.episodes["length"][chosen] + 1)
+        return Episodes(self.episodes.take(chosen), self.steps.take(steps))
+
+    def recording(self) -> "Episodes":
+        """Return the same episodes as starts and pulls."""
+        pulls = [name for name in _names(PULLS) if name in self.steps]
+        return Episodes(self.episodes.only(*_names(RECORDED)), self.steps.only(*pulls))
+
+    def last(self) -> NDArray[np.int64]:
+        """Return the row of steps of each episode's last state: int64 (n,)."""
+        return self.offsets[1:] - 1
+
+    def episode_of(self) -> NDArray[np.int64]:
+        """Return the episode of each row of steps: int64 (rows,)."""
+        return np.repeat(np.arange(self.episodes.rows), self.episodes["length"] + 1)
+
+
+def code_sizes(crossings: int) -> dict[str, int]:
+    """Return the sizes that schemas need for codes of up to so many crossings.
+
+    >>> code_sizes(3)
+    {'visits': 6, 'labels': 3}
+    """
+    return {"visits": 2 * max(1, crossings), "labels": max(1, crossings)}
+
+
+def fitted(sets: Sequence[Episodes]) -> list[Episodes]:
+    """Make codes as wide as the longest of all sets needs; other columns aren't copied."""
+    most = 0
+    for one in sets:
+        for table in one:
+            for name in {"visits", "goal_visits"} & table.keys():
+                most = max(most, int(np.count_nonzero(table[name], axis=1).max(initial=0)) // 2)
+    sizes = code_sizes(most)
+    return [Episodes(_widened(one.episodes, sizes), _widened(one.steps, sizes)) for one in sets]
+
+
+def merged(sets: Sequence[Episodes]) -> Episodes:
+    """Return all episodes, one set after the other."""
+    if not sets:
+        raise InvalidInput("nothing to merge: give at least one set of episodes")
+    same = fitted(sets)
+    return Episodes(joined([one.episodes for one in same]), joined([one.steps for one in same]))
+
+
+def differences(one: Episodes, other: Episodes) -> list[str]:
+    """Say in which episode, step and column two sets differ in any bit.
+
+    Columns that only one of them has, and the number of planned pulls, aren't compared.
+
+    Returns:
+        For each episode and column the first difference, in order of the episodes.
+    """
+    if one.episodes.rows != other.episodes.rows:
+        return [f"{other.episodes.rows} episodes, should be {one.episodes.rows}"]
+    one, other = fitted([one, other])
+    found: list[tuple[int, int, str]] = []
+    for name in one.episodes:
+        if name in other.episodes and name not in _NOT_COMPARED:
+            rows = _differing(one.episodes[name], other.episodes[name])
+            found += [(row, -1, f"episode {row}: {name} differs") for row in rows.tolist()]
+    # episodes of different lengths are compared up to the shorter one's end
+    shared = np.minimum(one.episodes["length"], other.episodes["length"]) + 1
+    here, there = (ranges(each.offsets[:-1], shared) for each in (one, other))
+    whole = one.steps.rows == other.steps.rows == len(here)
+    episode = np.repeat(np.arange(len(shared)), shared)
+    step = ranges(np.zeros_like(shared), shared)
+    for name in one.steps:
+        if name in other.steps:
+            a, b = one.steps[name], other.steps[name]
+            rows = _differing(a, b) if whole else _differing(a[here], b[there])
+            first = rows[np.unique(episode[rows], return_index=True)[1]]
+            found += [
+                (
+                    int(episode[k]),
+                    int(step[k]),
+                    f"episode {episode[k]}, step {step[k]}: {name} differs",
+                )
+                for k in first.tolist()
+            ]
+    return [text for *_, text in sorted(found)]
+
+
+def ranges(first: ArrayLike, lengths: ArrayLike) -> NDArray[np.int64]:
+    """Concatenate the ranges of so many whole numbers from each first one on.
+
+    >>> ranges([5, 0], [2, 3]).tolist()
+    [5, 6, 0, 1, 2]
+    """
+    counts = np.asarray(lengths, dtype=np.int64)
+    ends = np.cumsum(counts)
+    starts = np.asarray(first, dtype=np.int64) - (ends - counts)
+    return np.repeat(starts, counts) + np.arange(int(counts.sum()))
+
+
+def code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:
+    """Number distinct codes: equal rows of (n, width) have equal numbers from 0, int64 (n,)."""
+    rows = np.ascontiguousarray(visits)
+    if not len(rows):
+        return np.zeros(0, dtype=np.int64)
+    keys = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
+    return np.unique(keys, return_inverse=True)[1].astype(np.int64)
+
+
+def gauss_codes(
+    visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None
+) -> NDArray[np.str_]:
+    """Write codes as text, with chirality if signs are given: str (n,)."""
+    both = visits if signs is None else np.concatenate([visits, signs.astype(np.int16)], axis=1)
+    ids = code_ids(both)
+    texts: dict[int, str] = {}
+    for row in np.unique(ids, return_index=True)[1].tolist():
+        code = gauss_code(visits[row], None if signs is None else signs[row])
+        texts[int(ids[row])] = str(code) if signs is None else code.chiral
+    return np.array([texts[k] for k in range(len(texts))], dtype=str)[ids]
+
+
+def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None) -> GaussCode:
+    """Return the code of one row, with chirality if signs are given.
+
+    Raises:
+        InvalidInput: the numbers aren't a Gauss code.
+    """
+    numbers = tuple(visits[visits != 0].tolist())
+    if signs is None:
+        return GaussCode(numbers)
+    letters = [POSITIVE if sign > 0 else NEGATIVE for sign in signs[: len(numbers) // 2].tolist()]
+    return GaussCode(numbers, "".join(letters))
+
+
+def code_rows(codes: Sequence[GaussCode], width: int = 0) -> NDArray[np.int16]:
+    """Return the visits of codes as rows, padded with zeros: int16 (n, width).
+
+    `width` is that of the longest code by default.
+    """
+    width = width or code_sizes(max((code.nx for code in codes), default=0))["visits"]
+    rows = np.zeros((len(codes), width), dtype=np.int16)
+    for row, code in zip(rows, codes, strict=True):
+        row[: len(code.visits)] = code.visits
+    return rows
+
+
+def sign_rows(codes: Sequence[GaussCode], width: int = 0) -> NDArray[np.int8]:
+    """Return the crossing signs of codes as rows, padded with zeros: int8 (n, width)."""
+    width = width or code_sizes(max((code.nx for code in codes), default=0))["labels"]
+    rows = np.zeros((len(codes), width), dtype=np.int8)
+    for row, code in zip(rows, codes, strict=True):
+        row[: code.nx] = code.signs
+    return rows
+
+
+def held_for(shown: NDArray[np.bool_], episodes: Episodes) -> NDArray[np.int64]:
+    """Count the consecutive states of an episode, up to each one, that show something.
+
+    Args:
+        shown: bool (rows,), for each row of steps whether it does.
+        episodes: the episodes that the rows belong to.
+    """
+    index = np.arange(len(shown), dtype=np.int64)
+    before = np.repeat(episodes.offsets[:-1], episodes.episodes["length"] + 1) - 1
+    # the last row up to this one that doesn't show it, but none of an earlier episode
+    without = np.maximum(np.maximum.accumulate(np.where(shown, -1, index)), before)
+    return np.where(shown, index - without, 0)
+
+
+def within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]:
+    """Return which states lie within the bound on towing: bool (rows,), see `rope.towing`."""
+    seen = episodes.steps["observation"]
+    if tow_limit is None:
+        return np.ones(len(seen), dtype=bool)
+    centres = seen.mean(axis=1, dtype=np.float64)
+    origins = np.repeat(centres[episodes.offsets[:-1]], episodes.episodes["length"] + 1, axis=0)
+    return np.asarray(np.linalg.norm(centres - origins, axis=1) <= tow_limit)
+
+
+class Reached(NamedTuple):
+    """Codes that episodes reached, in order: the episode and the step of each, int64 (m,)."""
+
+    episode: NDArray[np.int64]
+    step: NDArray[np.int64]
+
+
+def goals_reached(
+    episodes: Episodes, hold: int = 1, tow_limit: float | None = None, relabel: str = "all"
+) -> Reached:
+    """Find the steps at which an episode has shown a new code for `hold` consecutive states.
+
+    The start's own code doesn't count, and each other code counts once, at its first such step.
+
+    Args:
+        episodes: columns.
+        hold: consecutive states that must show the code.
+        tow_limit: the task's; states from the first one beyond it on don't count.
+        relabel: "all" steps, or the "last" of each episode.
+    """
+    if relabel not in RELABEL:
+        raise InvalidInput(f"relabel must be {' or '.join(map(repr, RELABEL))}, got {relabel!r}")
+    ids, episode, offsets = (
+        code_ids(episodes.steps["visits"]),
+        episodes.episode_of(),
+        episodes.offsets,
+    )
+    same = np.zeros(len(ids), dtype=bool)  # as the state before, in the same episode
+    same[1:] = (ids[1:] == ids[:-1]) & (episode[1:] == episode[:-1])
+    index = np.arange(len(ids))
+    running = index - np.maximum.accumulate(np.where(same, 0, index)) + 1
+    beyond = ~within_tow(episodes, tow_limit)
+    towed = np.cumsum(beyond) - np.concatenate([[0], np.cumsum(beyond)])[offsets[episode]] > 0
+    counts = (ids != ids[offsets[episode]]) & (running >= hold) & ~towed
+    rows = np.flatnonzero(counts)
+    pairs = episode[rows] * (int(ids.max(initial=0)) + 1) + ids[rows]
+    first = rows[np.sort(np.unique(pairs, return_index=True)[1])]
+    if relabel == "last":
+        first = first[np.append(np.diff(episode[first]) > 0, True)] if len(first) else first
+    return Reached(episode[first], first - offsets[episode[first]])
+
+
+def relabelled(episodes: Episodes, at: Reached, *, hold: int = 0, reward: float) -> Episodes:
+    """Cut episodes at states that become their goals, reached there for the first time.
+
+    Args:
+        episodes: columns; left as they are.
+        at: steps of `goals_reached`, one episode of the result each.
+        hold: consecutive states for which the goals were shown; 0 for the task's number.
+        reward: for success.
+
+    Returns:
+        Episodes that succeed in their last pull; without expert actions, which were planned for
+        another goal.
+    """
+    offsets = episodes.offsets
+    taken = ranges(offsets[at.episode], at.step + 1)
+    goal, count = offsets[at.episode] + at.step, len(at.step)
+    steps = dict(episodes.steps.take(taken))
+    steps.pop("expert_action", None)
+    last = np.cumsum(at.step + 1) - 1
+    for name in steps.keys() & {*_names(PULLS), "action", "share"}:
+        steps[name][last] = 0
+    steps["reward"][:], steps["truncated"][:], steps["terminated"][:] = 0, False, False
+    steps["reward"][last - 1], steps["terminated"][last - 1] = reward, True
+    changed = {
+        "goal": np.full(count, -1, np.int64),
+        "hold": np.full(count, hold, np.int32),
+        "relabelled": np.ones(count, dtype=bool),
+        "length": at.step.astype(np.int64),
+        "success": np.ones(count, dtype=bool),
+        "failed": np.zeros(count, dtype=bool),
+        "total": np.full(count, float(reward)),
+        "goal_visits": episodes.steps["visits"][goal],
+        "goal_points": episodes.steps["observation"][goal],
+    }
+    kept = episodes.episodes.take(at.episode)
+    sizes = {"visits": episodes.steps["visits"].shape[1]}
+    return Episodes(
+        Table(kept.schema.sized(**sizes), {**kept, **changed}),
+        Table(episodes.steps.schema.only(*steps), steps),
+    )
+
+
+def _names(schema: Schema) -> list[str]:
+    return [column.name for column in schema.columns]
+
+
+def _widened(table: Table, sizes: dict[str, int]) -> Table:
+    """Return a table whose codes are as wide as `sizes` says; what is cut off is zero."""
+    columns = dict(table)
+    for name in _CODES:
+        if name not in columns:
+            continue
+        width = sizes["labels" if name == "signs" else "visits"]
+        old = columns[name]
+        if old.shape[1] != width:
+            new = np.zeros((len(old), width), old.dtype)
+            shared = min(width, old.shape[1])
+            new[:, :shared] = old[:, :shared]
+            columns[name] = new
+    return Table(table.schema.sized(**sizes), columns)
+
+
+def _differing(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the rows that differ in any bit; all of them if the shapes differ."""
+    if a.shape != b.shape:
+        return np.arange(min(1, max(len(a), len(b))))
+    if a.dtype.kind == "U" or a.dtype != b.dtype:
+        return np.flatnonzero((a != b).reshape(len(a), -1).any(axis=1))
+    if not a.size:
+        return np.zeros(0, dtype=np.int64)
+    one, two = (np.ascontiguousarray(x).reshape(len(x), -1).view(np.uint8) for x in (a, b))
+    return np.flatnonzero((one != two).any(axis=1))

@@ -1,0 +1,430 @@
+"""Minari's form of a dataset, written once from the columns of its episodes.
+
+    main_data.hdf5      /episode_{k}    attributes: id, total_steps, seed, options/start,
+                                        options/goal, policy, goal_gauss_code, relabelled
+        observations                    pixels, state, a group of both, symbols or marked vertices
+        actions rewards terminations truncations
+        infos/*                         one entry a state: codes, crossings, success, vertices, ...;
+                                        bead, force and applied_share are of the pull that led there
+    metadata.json       Minari's metadata, without JPEG encoding
+
+The files are written here, because Minari would store pictures as JPEG and drop seeds and options
+when datasets are combined. Pictures are rendered from the vertices. Our own readers use neither
+file; `faults` compares both with the columns.
+"""
+
+import copy
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+import knotgym
+from knotgym.common.atomic_files import atomic_write, copy_file, new_hdf5, require_output
+from knotgym.common.configuration import as_json, read_json
+from knotgym.common.errors import InvalidFile, InvalidInput, one_line
+from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
+from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes
+from knotgym.envs.tasks import TaskConfig
+from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
+from knotgym.states.state_file import minari_root
+
+MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default
+MAIN, METADATA = "main_data.hdf5", "metadata.json"
+_ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
+_COUNTED = ("dataset_size", "minari_version", "requirements")  # of the machine that wrote them
+_FRAMES_COMPARED = 4  # pictures of an episode that `faults` renders again
+# A chunk of pictures is a strip: a few pixel rows of eight consecutive frames, which differ little.
+# In a strip the same rows of the previous frame lie within gzip's window of 32 kB.
+_STRIP_FRAMES, _STRIP_BYTES = 8, 12288
+
+
+@dataclass(frozen=True, kw_only=True)
+class MinariMetadata:
+    """The part of Minari's metadata that doesn't follow from the episodes.
+
+    Attributes:
+        dataset_id: "{namespace}/{name}-v{version}", such as "knotgym/tie-nx3/expert-v0".
+        algorithm_name: name of the policy that acted.
+        description: a description in Markdown.
+        author, author_email: names and addresses.
+        code_permalink: link to the code that generated the dataset.
+        ref_min_score, ref_max_score: mean returns of a random and of an expert policy, for
+            `minari.get_normalized_score`.
+        num_episodes_average_score: number of episodes behind those means.
+        eval_split: split of the evaluation environment.
+        digests: digests of the policy, states, code and rope that generated it; after a merge,
+            dataset id -> its digests.
+
+    Raises:
+        InvalidInput: the id is invalid for Minari, or only one of the two scores is given.
+    """
+
+    dataset_id: str
+    algorithm_name: str
+    description: str
+    author: tuple[str, ...] = ()
+    author_email: tuple[str, ...] = ()
+    code_permalink: str | None = None
+    ref_min_score: float | None = None
+    ref_max_score: float | None = None
+    num_episodes_average_score: int | None = None
+    eval_split: str = "test"
+    digests: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if _ID.fullmatch(self.dataset_id) is None:
+            raise InvalidInput(
+                "a dataset id has the form namespace/name-v0, of letters, digits, - and _; got"
+                f" {self.dataset_id!r}"
+            )
+        if (self.ref_min_score is None) != (self.ref_max_score is None):
+            raise InvalidInput(
+                "reference scores come in pairs: give both ref_min_score and ref_max_score"
+            )
+        for name in ("author", "author_email"):
+            object.__setattr__(self, name, tuple(sorted(getattr(self, name))))
+
+
+def publish(
+    parts: Sequence[Episodes],
+    task: TaskConfig,
+    metadata: MinariMetadata,
+    out: str | os.PathLike[str] | None = None,
+    *,
+    states: str | os.PathLike[str] | None = None,
+    facts: Mapping[str, Any] | None = None,
+    minari: bool | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Write episodes as a Minari dataset; the folder appears when it is complete.
+
+    Args:
+        parts: sets of episodes, which are appended.
+        task: the environment. With `states` its state file is named by the dataset's id, so that it
+            is found after the dataset is moved.
+        metadata: the dataset's metadata.
+        out: root folder of Minari datasets; None for Minari's own.
+        states: a state file to include.
+        facts: further attributes of the episode file: run, selection.
+        minari: whether to write Minari's files too; None for sets of up to MINARI_STEPS pulls that
+            aren't recordings.
+
+    Returns:
+        The dataset's folder.
+
+    Raises:
+        InvalidInput: the parts can't be combined, or Minari's files are wanted of a recording.
+        Occupied: there is a dataset of this id, and `overwrite` is false.
+    """
+    folder = Path(out or minari_root()) / metadata.dataset_id
+    require_output(folder, folder=True, overwrite=overwrite)
+    if states is not None:
+        task = replace(task, states=metadata.dataset_id)
+    pulls = sum(int(part.episodes["length"].sum()) for part in parts)
+    recordings = any(part.is_recording for part in parts)
+    wanted = (pulls <= MINARI_STEPS and not recordings) if minari is None else minari
+    if wanted and recordings:
+        raise InvalidInput("Minari's form needs the states of a recording: expand it first")
+    with atomic_write(folder, overwrite=overwrite) as temporary:
+        data = temporary / "data"
+        data.mkdir(parents=True)
+        own = {**(facts or {}), "metadata": asdict(metadata)}
+        write_episodes(data / FILE, parts, task, own)
+        if states is not None:
+            copy_file(Path(states), data / "states.h5")
+        if wanted:
+            write_minari(open_episodes(data / FILE), data)
+    return folder
+
+
+def write_minari(dataset: EpisodeDataset, data: Path) -> None:
+    """Write Minari's two files into the folder that holds the dataset's own files.
+
+    Raises:
+        InvalidFile: the dataset has no metadata.
+    """
+    with new_hdf5(data / MAIN, libver=("v110", "v110")) as file:
+        for k, (attributes, arrays) in enumerate(_minari_episodes(dataset)):
+            group = file.create_group(f"episode_{k}")
+            for name, value in sorted(attributes.items()):
+                group.attrs[name] = value
+            for name, array in (*arrays.items(), *_observations(dataset, k).items()):
+                _write(group, name, array)
+    entries = minari_entries(dataset)
+    size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
+    entries["dataset_size"] = round(size / 1e6, 1)
+    text = json.dumps(entries, sort_keys=True, separators=(",", ":"))
+    (data / METADATA).write_text(text, encoding="utf-8")
+
+
+def minari_faults(dataset: EpisodeDataset) -> Iterator[str]:
+    """Yield where Minari's files aren't what `write_minari` would write, if there are any.
+
+    Some of the pictures of each episode are rendered again, evenly spaced from first to last.
+    """
+    data = dataset.path.parent
+    main, described = data / MAIN, data / METADATA
+    if not main.exists() and not described.exists():
+        return
+    try:
+        expected = minari_entries(dataset)
+        found = read_json(described)
+        entries = found if isinstance(found, dict) else {}
+        for name in sorted(expected.keys() | entries.keys() - {*_COUNTED}):
+            if name not in _COUNTED and not _same_json(entries.get(name), expected.get(name)):
+                yield f"{described}: {name} isn't what follows from the episodes"
+        with h5py.File(main, "r", locking=False) as file:
+            if len(file) != dataset.episodes.episodes.rows:
+                yield f"{main}: {len(file)} episodes, should be {dataset.episodes.episodes.rows}"
+            for k, (attributes, arrays) in enumerate(_minari_episodes(dataset)):
+                yield from _episode_faults(file, k, dataset, attributes, arrays)
+    except (OSError, LookupError, ValueError, TypeError, RuntimeError, AttributeError) as error:
+        yield f"{data}: Minari's form can't be read: {one_line(error)}"
+
+
+def metadata_of(dataset: EpisodeDataset) -> MinariMetadata | None:
+    """Return a dataset's metadata; None for a file of episodes that has none.
+
+    Raises:
+        InvalidFile: it isn't as knotgym writes it.
+    """
+    if dataset.metadata is None:
+        return None
+    try:
+        return MinariMetadata(**dataset.metadata)
+    except (TypeError, ValueError) as error:
+        raise InvalidFile(f"{dataset.path} has invalid metadata: {one_line(error)}") from error
+
+
+def minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
+    """Return the entries of Minari's metadata.json except the size.
+
+    Raises:
+        InvalidFile: the dataset has no metadata.
+    """
+    # imported here, because importing them takes seconds and reading a dataset needs neither
+    import minari
+    from minari.serialization import serialize_space
+
+    from knotgym.envs.environment import action_space
+
+    metadata, task = metadata_of(dataset), dataset.task
+    if metadata is None:
+        raise InvalidFile(f"{dataset.path} has no metadata of a Minari dataset")
+    given = {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in asdict(metadata).items()
+        if name != "eval_split" and value not in (None, (), {})
+    }
+    here = [] if "+" in knotgym.__version__ else [f"knotgym>={knotgym.__version__}"]
+    lengths = dataset.episodes.episodes["length"]
+    return {
+        **given,
+        "data_format": "hdf5",
+        "jpeg_encoding": False,
+        "minari_version": minari.__version__,
+        "requirements": [*here, "minari>=0.5.4"],
+        "observation_space": _bounds(replace(task, split="train", states=None)),
+        "action_space": serialize_space(action_space(replace(task, action="pull"))),
+        "env_spec": environment_spec(task).to_json(),
+        "eval_env_spec": environment_spec(_evaluated(task, metadata.eval_split)).to_json(),
+        "total_episodes": len(lengths),
+        "total_steps": int(lengths.sum()),
+    }
+
+
+def environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
+    """Return the environment's spec with every setting, so that later defaults don't matter."""
+    spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.task.capitalize()}-v0"))
+    spec.kwargs = as_json(task)
+    return spec
+
+
+def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -> list[str]:
+    """Return the two lines of Python that load a dataset, with Minari and as arrays.
+
+    >>> for line in loading_lines("knotgym/tie-nx3/expert-v0", "data"):
+    ...     print(line)
+    minari.load_dataset("knotgym/tie-nx3/expert-v0")  # with MINARI_DATASETS_PATH=data
+    knotgym.loaders.arrays("data/knotgym/tie-nx3/expert-v0", observation="state")
+    """
+    named = dataset_id if root is None else (Path(root) / dataset_id).as_posix()
+    where = "" if root is None else f"  # with MINARI_DATASETS_PATH={Path(root).as_posix()}"
+    return [
+        f'minari.load_dataset("{dataset_id}"){where}',
+        f'knotgym.loaders.arrays("{named}", observation="state")',
+    ]
+
+
+def dataset_files(data: Path) -> list[Path]:
+    """List the files in a dataset's `data` folder that belong to it, ignoring any others."""
+    named = (FILE, MAIN, METADATA, "states.h5")
+    return [data / name for name in named if os.path.lexists(data / name)]
+
+
+def _minari_episodes(
+    dataset: EpisodeDataset,
+) -> Iterator[tuple[dict[str, Any], dict[str, NDArray[Any]]]]:
+    """Yield each episode's attributes and its arrays by path, except the observations."""
+    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
+    max_force = dataset.task.rope.max_force
+    goals = gauss_codes(own["goal_visits"])
+    codes, chiral = gauss_codes(steps["visits"]), gauss_codes(steps["visits"], steps["signs"])
+    reached = outcomes(dataset.episodes, dataset.task).reached
+    for k in range(own.rows):
+        pulls, states = slice(offsets[k], offsets[k + 1] - 1), slice(offsets[k], offsets[k + 1])
+        count = int(own["length"][k])
+        options = {"options/start": int(own["start"][k]), "options/goal": int(own["goal"][k])}
+        attributes: dict[str, Any] = {
+            "id": k,
+            "total_steps": count,
+            "policy": str(own["policy"][k]),
+            "goal_gauss_code": str(goals[k]),
+            "relabelled": bool(own["relabelled"][k]),
+            **{name: row for name, row in options.items() if row >= 0},
+        }
+        if own["seed"][k] >= 0:
+            attributes["seed"] = int(own["seed"][k])
+        failed = np.zeros(count + 1, dtype=bool)
+        failed[-1] = own["failed"][k]
+        share = steps["share"][pulls].astype(np.float64)
+        applied = share[:, None] * steps["force"][pulls].astype(np.float64) * max_force
+        led = {
+            "bead": np.append(-1, steps["bead"][pulls].astype(np.int64)),
+            "force": np.concatenate([np.zeros((1, 3)), applied]),
+            "applied_share": np.append(1.0, share),
+        }
+        led |= {
+            name: np.concatenate([np.zeros(1, steps[name].dtype), steps[name][pulls]])
+            for name in MACROS
+            if name in steps
+        }
+        infos = {
+            "gauss_code": codes[states],
+            "gauss_code_chiral": chiral[states],
+            "goal_gauss_code": np.full(count + 1, goals[k]),
+            "crossings": steps["crossings"][states].astype(np.int64),
+            "is_success": reached[states],
+            "simulation_failed": failed,
+            "points": steps["observation"][states],
+            **led,
+        }
+        if "expert_action" in steps:
+            infos["expert_action"] = steps["expert_action"][states]
+        yield (
+            attributes,
+            {
+                "actions": steps["action"][pulls],
+                "rewards": steps["reward"][pulls],
+                "terminations": steps["terminated"][pulls],
+                "truncations": steps["truncated"][pulls],
+                **{f"infos/{name}": array for name, array in infos.items()},
+            },
+        )
+
+
+def _observations(
+    dataset: EpisodeDataset, k: int, steps: NDArray[np.int64] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Return an episode's observations, or those of some of its states, by path."""
+    from knotgym.envs.observations import observe, picture_config  # needs OpenCV
+
+    task, (own, table), offsets = dataset.task, dataset.episodes, dataset.episodes.offsets
+    seen = table["observation"][offsets[k] : offsets[k + 1]]
+    points = np.asarray(seen if steps is None else seen[steps], dtype=np.float64)
+    goal = np.asarray(own["goal_points"][k], dtype=np.float64)
+    shown = observe(points, goal, task.observation, picture_config(task), task.layout)
+    if not isinstance(shown, dict):
+        return {"observations": shown}
+    return {f"observations/{name}": array for name, array in shown.items()}
+
+
+def _episode_faults(
+    file: h5py.File,
+    k: int,
+    dataset: EpisodeDataset,
+    attributes: dict[str, Any],
+    arrays: dict[str, NDArray[Any]],
+) -> Iterator[str]:
+    """Yield where an episode of main_data.hdf5 isn't the export of the columns."""
+    where = f"{dataset.path.with_name(MAIN)}, episode {k}"
+    group, count = file[f"episode_{k}"], attributes["total_steps"] + 1
+    if {name: group.attrs[name] for name in group.attrs} != attributes:
+        yield f"{where}: its attributes aren't those of the columns"
+    names: set[str] = set()
+    group.visititems(lambda name, item: names.add(name) if isinstance(item, h5py.Dataset) else None)
+    steps = np.unique(np.linspace(0, count - 1, min(_FRAMES_COMPARED, count)).astype(np.int64))
+    shown = _observations(dataset, k, steps)
+    if names != arrays.keys() | shown.keys():
+        yield f"{where}: it has other arrays than knotgym writes"
+        return
+    for name, right in (*arrays.items(), *shown.items()):
+        stored = _stored(group[name], name)
+        found = stored[steps] if name in shown else stored
+        if right.dtype.kind == "U":
+            found = np.strings.decode(found, "utf-8")
+        if found.shape != right.shape or not np.array_equal(found, right):
+            yield f"{where}: {name} isn't that of the columns"
+
+
+def _stored(data: h5py.Dataset, name: str) -> NDArray[Any]:
+    """Read an array that is stored in the file itself."""
+    if data.external is not None or data.is_virtual or data.dtype.hasobject:
+        raise InvalidFile(f"{name} refers to bytes elsewhere")
+    return np.asarray(data[()])
+
+
+def _write(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
+    if array.dtype.kind == "U":
+        texts = np.strings.encode(array, "utf-8")
+        kind = h5py.string_dtype("utf-8", max(1, texts.dtype.itemsize))
+        group.create_dataset(name, data=texts.astype(kind))
+        return
+    options: dict[str, Any] = {}
+    if array.dtype == np.uint8:
+        rows = max(1, min(array.shape[1], _STRIP_BYTES // array[0, 0].nbytes))
+        chunks = (min(len(array), _STRIP_FRAMES), rows, *array.shape[2:])
+        options = {"chunks": chunks, "compression": "gzip", "compression_opts": 1, "shuffle": True}
+    group.create_dataset(name, data=array, **options)
+
+
+def _same_json(found: Any, expected: Any) -> bool:
+    """Whether two entries are equal; texts of JSON are compared as what they hold."""
+    if isinstance(found, str) and isinstance(expected, str) and expected.startswith("{"):
+        try:
+            found, expected = json.loads(found), json.loads(expected)
+        except ValueError:
+            return False
+    return bool(json.loads(json.dumps(found)) == json.loads(json.dumps(expected)))
+
+
+def _evaluated(task: TaskConfig, split: str) -> TaskConfig:
+    """Return the evaluation environment's task; in another split it has all goals."""
+    if task.split in CODE_SPLITS and split in STATE_SPLITS:
+        split += "-code"
+    return replace(task, split=split, max_goals=task.max_goals if split == task.split else None)
+
+
+@lru_cache(maxsize=16)
+def _bounds(task: TaskConfig) -> str:
+    """Return the JSON of a task's observation space, with Minari's one bound per pixel.
+
+    Without this entry Minari would construct the environment, and need knotgym to read a file.
+    """
+    from minari.serialization import serialize_space
+
+    from knotgym.envs.environment import observation_space
+
+    bounds = serialize_space(observation_space(task), to_string=False)
+    return json.dumps(bounds, separators=(",", ":"))

@@ -1,0 +1,65 @@
+"""Every packed array of the chain engine: what stands where, its shape and its unit.
+
+n is the number of beads of a rope. Arrays marked `L` end with one more axis of LANES ropes, see
+`simd`. A triangle is stored by rows, element (i, j) of it at i (i + 1) / 2 + j.
+
+    states (ropes, n, STATE)     | X    0 1 2 | V    3 4 5 | SIDE 6 7 8 | SPUN 9 |
+                                   metres       m/s          unit vector  rad/s
+                                   of vertex i               of bead i, which begins at vertex i
+
+    the system A x = b of a substep, blocks of four unknowns: velocity of vertex k, spin of bead k
+
+        | D0                      .  |    diag   L (n, 10)  D_k, lower triangle of 4 x 4
+        | N0 D1                   .  |    near   L (n, 16)  N_k, 4 x 4: rows of block k + 1
+        | F0 N1 D2                .  |    far    L (n, 12)  F_k, 3 x 4: velocity of block k + 2
+        |    F1 N2 D3             .  |    arrow  L (n, 12)  A_k, 3 x 4: rows of the corner
+        |       .  .  .           .  |    corner L (6,)     lower triangle of 3 x 3
+        | A0 A1 A2 .  .        corner|    columns of near, far, arrow: those of block k
+                                          kg/s for velocities, N m s for spins
+
+    b and x, `right`             L (n + 1, 4)   block k: velocity of vertex k, spin of bead k;
+                                                block n: the corner, which is vertex 0's velocity
+    of joint i, `joint`          L (n, 13)      | BEND_0 0..8, 3 x 3 | TWIST_0 9 10 11 | COSINE 12 |
+    of bead i, `bead`            L (n, 12)      | SUM_0 0..5, triangle | LESS_0 6..11, triangle |
+    of a contact, `rows`         L (ROWS, 8)    | ON_I | ON_J | NORMAL 2 3 4 | GAP | EDGE_I EDGE_J |
+                                                  0..1   0..1   unit vector    m     edge numbers
+    a lane's clock, `clock`      int64 (4, LANES)    | ROPE | STAGE | LEFT | TICK |
+    a rope's counts, `counts`    int64 (ropes, 4)    | SUBSTEPS | REJECTED | CONTACTS | LOST |
+    near pairs of edges          int64 start (n + 1,), other: i with other[start[i]:start[i + 1]]
+
+    the rope, `numbers` (9,)     MASS kg, TUMBLE and ROUND kg m^2 (across, along a bead), LENGTH m,
+                                 ACROSS and ALONG N s^2/m^2, TURN and ROLL N m s^2 (drag across,
+                                 along), STRETCH N s/m
+    the joints, `damping` (n,)   N m s at vertex i; 0 at vertex 0 and at MuJoCo's closures
+    the contact, `contact` (4,)  RADIUS m, STIFFNESS N/m, DAMPING N s/m, FLOOR m, the least distance
+
+After a change of any of these run `pytest tests/rope/chain`: the equations are compared with a
+dense reference, lanes with each other, and the engine with MuJoCo.
+"""
+
+# a vertex, and the bead that begins there
+X, V, SIDE, SPUN, STATE = 0, 3, 6, 9, 10
+
+# one bead's numbers in the packed triangle of a 4 x 4 and of a 3 x 3 block: its diagonal
+DIAGONAL = (0, 2, 5, 9)
+CORNER_DIAGONAL = (0, 2, 5)
+SPIN_DIAGONAL = 9
+
+# joint i, between beads i - 1 and i
+BEND_0, TWIST_0, COSINE = 0, 9, 12
+# bead i: C + S and C - S, see `dynamics`
+SUM_0, LESS_0 = 0, 6
+
+# a contact between two edges
+ON_I, ON_J, NORMAL, GAP, EDGE_I, EDGE_J = 0, 1, 2, 5, 6, 7
+# what is tried as one: the same up to GAP, then the distance at the substep's end, and a number
+# that is negative in lanes where these two edges may touch
+THEN, MAY = 6, 7
+
+# a lane's clock: its rope or -1, its entry of the schedule, ticks left of it, ticks of its substep
+ROPE, STAGE, LEFT, TICK = range(4)
+# counted for each rope; LOST in ticks of its action that were taken back
+SUBSTEPS, REJECTED, CONTACTS, LOST = range(4)
+
+MASS, TUMBLE, ROUND, LENGTH, ACROSS, ALONG, TURN, ROLL, STRETCH = range(9)
+RADIUS, STIFFNESS, DAMPING, FLOOR = range(4)

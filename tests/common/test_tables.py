@@ -1,0 +1,289 @@
+"""Tables are written and read back; files that don't fit are refused in one line."""
+
+import fcntl
+import os
+import resource
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile
+from knotgym.common.tables import Column, Schema, Table, digest, format_of, joined, read, write
+
+SCHEMA = Schema(
+    "rows",
+    (
+        Column("points", "float64", ("beads", 3), "m", "where", finite=True),
+        Column("source/seed", "int64", (), "", "seed", least=0),
+        Column("code", "text", (), "", "Gauss code"),
+        Column("done", "bool"),
+        Column("score", "float32", optional=True),
+    ),
+    "a row",
+)
+
+
+def table(rows: int = 5, beads: int = 4) -> Table:
+    return Table(
+        SCHEMA,
+        {
+            "points": np.random.default_rng(0).random((rows, beads, 3)),
+            "source/seed": np.arange(rows),
+            "code": np.array(["", "1+,1-", "ä", "1-,1+", "x"])[np.arange(rows) % 5],
+            "done": np.arange(rows) % 2 == 0,
+        },
+    )
+
+
+def read_back(path: Path) -> Table:
+    return read(path, SCHEMA, format="ours")[0][0]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    write(tmp_path / "rows.h5", [table()], {}, format="ours")
+    return tmp_path / "rows.h5"
+
+
+@pytest.mark.parametrize("pack", [False, True])
+def test_a_table_comes_back_as_it_was(tmp_path: Path, pack: bool) -> None:
+    write(tmp_path / "rows.h5", [table()], {}, format="ours", pack=pack)
+    back = read_back(tmp_path / "rows.h5")
+    assert digest(back) == digest(table())
+    assert dict(back.schema.sizes) == {"beads": 4}
+
+
+def test_contiguous_columns_are_mapped_and_read_only(path: Path) -> None:
+    points = read_back(path)["points"]
+    assert not points.flags.owndata and not points.flags.writeable and points.flags.aligned
+
+
+@pytest.mark.parametrize("rows", [0, 1, 7])
+def test_parts_are_appended(tmp_path: Path, path: Path, rows: int) -> None:
+    write(tmp_path / "all.h5", [[table(rows), read_back(path)]], {}, format="ours", pack=True)
+    assert digest(read_back(tmp_path / "all.h5")) == digest(joined([table(rows), table()]))
+
+
+def test_tables_of_other_sizes_are_not_appended(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="differ in their columns or sizes"):
+        joined([table(beads=4), table(beads=5)])
+
+
+def test_an_optional_column_is_kept_if_all_parts_have_it() -> None:
+    scored = Table(SCHEMA, {**table(), "score": np.ones(5, np.float32)})
+    assert "score" in joined([scored, scored]) and "score" not in joined([scored, table()])
+
+
+def test_attributes_come_back(tmp_path: Path) -> None:
+    given = {"name": "ä", "count": 3, "share": 0.5, "config": {"a": [1, None]}, "list": ["x"]}
+    write(tmp_path / "rows.h5", [], given, format="ours")
+    assert read(tmp_path / "rows.h5", format="ours") == ([], given)
+
+
+def test_rows_and_columns_are_taken_in_the_order_given() -> None:
+    assert table().take([3, 0])["source/seed"].tolist() == [3, 0]
+    assert table().take(table()["done"])["source/seed"].tolist() == [0, 2, 4]
+    assert table().take([]).rows == 0
+    assert list(table().only("done", "code")) == ["code", "done"]
+    with pytest.raises(InvalidInput, match="no column colour"):
+        table().only("colour")
+
+
+def test_the_digest_depends_on_names_types_shapes_and_values() -> None:
+    schema = Schema("", (Column("a", "int64"),))
+    others = [
+        table().take([0]),
+        Table(schema, {"a": np.arange(2)}),
+        Table(schema, {"a": np.arange(3)}),
+        Table(Schema("", (Column("b", "int64"),)), {"b": np.arange(2)}),
+        Table(Schema("", (Column("a", "uint64"),)), {"a": np.arange(2, dtype=np.uint64)}),
+    ]
+    assert len({digest(one) for one in others}) == len(others)
+
+
+def test_columns_to_fill_have_the_schemas_types_and_shapes() -> None:
+    empty = SCHEMA.sized(beads=4).empty(2)
+    assert empty["points"].shape == (2, 4, 3) and empty["score"].dtype == np.float32
+    assert "code" not in empty and "code" in SCHEMA.sized(beads=4).empty(0)
+
+
+def test_the_page_lists_each_column() -> None:
+    assert "| `points` | float64 (beads, 3) | m | where |" in SCHEMA.page().splitlines()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"done": np.zeros(5)}, r"column done is float64 \(5\), should be bool \(5\)"),
+        ({"done": np.zeros(4, bool)}, r"column done is bool \(4\), should be bool \(5\)"),
+        ({"points": np.zeros((5, 4))}, r"is float64 \(5, 4\), should be float64 \(5, beads, 3\)"),
+        ({"code": np.array(["a"] * 5, object)}, r"column code is object \(5\), should be text"),
+    ],
+)
+def test_columns_that_do_not_fit_are_refused(changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        Table(SCHEMA, {**table(), **changed})
+
+
+def external(file: h5py.File) -> None:
+    file["rows"].create_dataset("source/seed", (5,), "i8", external=[("raw", 0, 40)])
+
+
+def virtual(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout((5,), "i8")
+    layout[:] = h5py.VirtualSource("other.h5", "numbers", (5,))
+    file["rows"].create_virtual_dataset("source/seed", layout)
+
+
+def stored(values: Any, **options: Any) -> Callable[[h5py.File], Any]:
+    return lambda file: file["rows"].create_dataset("source/seed", data=values, **options)
+
+
+def typed(dtype: Any) -> Callable[[h5py.File], Any]:
+    return lambda file: file["rows"].create_dataset("source/seed", (5,), dtype=dtype)
+
+
+HARMED: dict[
+    str, tuple[Callable[[h5py.File], Any], str]
+] = {  # what takes the place of the column source/seed, and the complaint
+    "missing": (lambda file: None, "source/seed is missing"),
+    "renamed": (lambda file: file["rows"].move("code", "source/seed"), "seed is text .* int64"),
+    "narrower": (stored(np.arange(5, dtype="i4")), "seed is int32"),
+    "big-endian": (stored(np.arange(5, dtype=">i8")), "seed is >i8"),
+    "compound": (stored(np.zeros(5, "i4,f8")), "seed is"),
+    "opaque": (stored(np.zeros(5, "V3")), "seed is"),
+    "objects": (stored(["a"] * 5), "seed is object, should be int64"),
+    "references": (typed(h5py.ref_dtype), "seed is object"),
+    "enumeration": (typed(h5py.enum_dtype({"a": 0}, "i8")), "seed is int64, should be int64"),
+    "arrays": (typed(np.dtype((np.int64, (2,)))), "seed is"),
+    "scalar": (stored(np.int64(3)), r"seed is int64 \(\)"),
+    "nothing": (stored(h5py.Empty("i8")), "source/seed should be a dataset"),
+    "shorter": (stored(np.arange(4)), r"int64 \(4\), should be int64 \(5\)"),
+    "too small": (stored(np.arange(5) - 2), "seed holds -2, should be at least 0"),
+    "a group": (lambda file: file["rows"].create_group("source/seed"), "should be a dataset"),
+    "linked outside": (
+        lambda file: file["rows/source"].update({"seed": h5py.ExternalLink("o.h5", "/n")}),
+        "source/seed is a link",
+    ),
+    "linked": (
+        lambda file: file["rows/source"].update({"seed": h5py.SoftLink("/rows/done")}),
+        "source/seed is a link",
+    ),
+    "external": (external, "is in other files"),
+    "virtual": (virtual, "is in other files"),
+    "another filter": (stored(np.arange(5), compression="lzf"), "but not with gzip"),
+    "huge": (
+        lambda file: file["rows"].create_dataset("source/seed", (10**10,), "i8", chunks=(1000,)),
+        "declares 80000000000 bytes and stores 0",
+    ),
+    "not finite": (
+        lambda file: file["rows/points"].write_direct(np.full((5, 4, 3), np.nan)),
+        r"points holds nan at \[0, 0, 0\]",
+    ),
+    "control characters": (
+        lambda file: file["rows/code"].write_direct(
+            np.array([b"\x1b"] * 5).astype(file["rows/code"].dtype)
+        ),
+        "code holds control characters",
+    ),
+    "other text": (
+        lambda file: file["rows/code"].write_direct(
+            np.array([b"\xff"] * 5).astype(file["rows/code"].dtype)
+        ),
+        "utf-8",
+    ),
+    "another format": (lambda file: file.attrs.update(format="theirs"), "format 'theirs'"),
+    "another version": (lambda file: file.attrs.update(format_version=2), "version 2; .* 1"),
+    "a version as text": (lambda file: file.attrs.update(format_version="1"), "version '1'"),
+    "a fractional version": (lambda file: file.attrs.update(format_version=1.0), "version 1.0"),
+    "a boolean version": (lambda file: file.attrs.update(format_version=True), "version True"),
+    "no format": (lambda file: file.attrs.pop("format"), "format None"),
+    "attribute of many": (lambda file: file.attrs.update(n=["a", "b"]), "attribute n is"),
+    "attribute of nothing": (lambda file: file.attrs.update(n=h5py.Empty("f8")), "attribute n is"),
+    "attribute to a terminal": (lambda file: file.attrs.update(n="\x1b"), "control characters"),
+    "attribute of torn JSON": (lambda file: file.attrs.update(n="{1"), "isn't a whole ours file"),
+}
+
+
+@pytest.mark.parametrize("harm", HARMED)
+def test_a_harmed_file_is_refused_in_one_line(path: Path, harm: str) -> None:
+    change, message = HARMED[harm]
+    with h5py.File(path, "a") as file:
+        if harm not in ("not finite", "control characters", "other text"):
+            del file["rows/source/seed"]
+        change(file)
+    with pytest.raises(InvalidFile, match=message) as caught:
+        read_back(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
+def test_a_torn_file_is_refused(path: Path, share: float) -> None:
+    raw = path.read_bytes()
+    path.write_bytes(raw[: int(share * len(raw))])
+    with pytest.raises(InvalidFile, match="isn't a whole ours file"):
+        read_back(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(MissingFile, match=r"no ours file at .*absent\.h5"):
+        read_back(tmp_path / "absent.h5")
+    with pytest.raises(MissingFile, match="isn't a regular file"):
+        read_back(tmp_path)
+
+
+def test_a_pipe_is_not_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.h5")
+    with pytest.raises(InvalidFile, match="isn't a regular file"):
+        read_back(tmp_path / "pipe.h5")
+    assert format_of(tmp_path / "pipe.h5") is None
+
+
+def test_a_file_that_a_writer_holds_is_read(path: Path) -> None:
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # what HDF5 does
+        assert read_back(path).rows == 5
+
+
+def test_a_size_is_the_same_in_the_whole_file(tmp_path: Path) -> None:
+    other = Schema("other", (Column("x", "int64", ("beads",)),))
+    for beads in (4, 5):
+        more = Table(other, {"x": np.zeros((2, beads), int)})
+        write(tmp_path / f"{beads}.h5", [table(beads=4), more], {}, format="ours")
+    assert len(read(tmp_path / "4.h5", SCHEMA, other, format="ours")[0]) == 2
+    with pytest.raises(InvalidFile, match=r"column x is int64 \(2, 5\), should be int64 \(2, 4\)"):
+        read(tmp_path / "5.h5", SCHEMA, other, format="ours")
+
+
+def test_the_format_is_what_the_file_says(path: Path, tmp_path: Path) -> None:
+    (tmp_path / "text.h5").write_text("not HDF5")
+    h5py.File(tmp_path / "plain.h5", "w").close()
+    assert format_of(path) == "ours"
+    assert format_of(tmp_path / "text.h5") is format_of(tmp_path / "plain.h5") is None
+
+
+def test_what_could_not_be_read_is_not_written(tmp_path: Path) -> None:
+    harmed = Table(SCHEMA, {**table(), "code": np.array(["\x07"] * 5)})
+    with pytest.raises(InvalidInput, match="control characters"):
+        write(tmp_path / "rows.h5", [harmed], {}, format="ours")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("pack", [False, True])
+@pytest.mark.parametrize("room", [0, 1000, 100_000])
+def test_a_full_disk_is_an_error_that_leaves_nothing(tmp_path: Path, pack: bool, room: int) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+        with pytest.raises(OSError, match="too large"):
+            write(tmp_path / "rows.h5", [table(20_000)], {}, format="ours", pack=pack)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    assert not list(tmp_path.iterdir())

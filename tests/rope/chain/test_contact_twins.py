@@ -1,0 +1,186 @@
+"""Contact forces and the proof of passage, against twins written plainly in NumPy."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.rope.chain.banded import backward, factor, forward
+from knotgym.rope.chain.chain_simulation import parameters
+from knotgym.rope.chain.contact import (
+    LISTED,
+    LOOKAHEAD,
+    ROWS,
+    find_rows,
+    list_pairs,
+    middles,
+    push_apart,
+)
+from knotgym.rope.chain.dynamics import assemble, tangents
+from knotgym.rope.chain.layout import (
+    DAMPING,
+    EDGE_I,
+    EDGE_J,
+    FLOOR,
+    GAP,
+    LENGTH,
+    NORMAL,
+    ON_I,
+    ON_J,
+    RADIUS,
+    STIFFNESS,
+)
+from knotgym.rope.chain.passage import LEAP, SAFE, judge
+from knotgym.rope.chain.simd import LANES
+from knotgym.rope.model import Rope
+from knotgym.states.state_file import read_states, shipped
+
+pytestmark = pytest.mark.thorough  # compiles the solver's parts, which have no cache of their own
+
+Array = NDArray[np.float64]
+H = 0.02  # seconds of a substep
+
+
+@pytest.fixture(scope="module")
+def tangled() -> Array:
+    """Vertices of LANES ropes of four crossings: float64 (n, 3, LANES)."""
+    states = read_states(shipped(), images=False)
+    rows = np.flatnonzero(states.nx == 4)[:LANES]
+    return np.ascontiguousarray(np.moveaxis(states.points[rows], 0, -1))
+
+
+def squeezed(x: Array, speed: float) -> Array:
+    """Velocities that press a rope flat, so that its strands meet."""
+    v = np.zeros_like(x)
+    v[:, 2] = -speed * np.sign(x[:, 2] - x[:, 2].mean(axis=0))
+    return v
+
+
+def test_contact_forces_are_those_of_a_plain_gauss_seidel(rope: Rope, tangled: Array) -> None:
+    numbers, damping, contact = parameters(rope)
+    x, n = tangled.copy(), len(tangled)
+    x[:, 2] *= 0.3  # strands lie on each other at the crossings
+    v, spin, step = squeezed(x, 0.4), np.zeros((n, LANES)), np.full((1, LANES), H)
+    tangent, side = np.empty_like(x), np.zeros_like(x)
+    tangents(x, v, np.zeros((1, LANES)), tangent)
+    side[:, 2] = 1.0
+    side -= (side * tangent).sum(axis=1, keepdims=True) * tangent
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    system = tuple(
+        np.empty((*shape, LANES)) for shape in ((n, 10), (n, 16), (n, 12), (n, 12), (6,))
+    )
+    right = np.empty((n + 1, 4, LANES))
+    assemble(
+        tangent, side, v, spin, v, spin, np.zeros_like(x), step, numbers, damping, system, right
+    )
+    factor(system)
+    forward(system, right, 0)
+    free = right.copy()
+    backward(system, free)
+
+    def velocities(solution: Array) -> Array:
+        return np.concatenate([solution[n:, :3], solution[1:n, :3]])
+
+    middle, start, other = np.empty_like(x), np.empty(n + 1, np.int64), np.empty(n * n, np.int64)
+    middles(x, middle)
+    list_pairs(middle, LISTED, start, other)
+    rows, found, motion = (
+        np.zeros((ROWS, 8, LANES)),
+        np.zeros(LANES, np.int64),
+        np.empty((n, LANES)),
+    )
+    length = float(numbers[LENGTH])
+    find_rows(
+        *(x, velocities(free), tangent, middle, start, other),
+        *(step, contact, length, motion, rows, found),
+    )
+    assert found.max() > 3
+    pushed = right.copy()
+    push_apart(rows, found, int(found.max()), velocities(free), step, contact, system, pushed)
+    backward(system, pushed)
+
+    slope = contact[STIFFNESS] * H + contact[DAMPING]
+    for lane in range(LANES):
+        count = int(found[lane])
+        jacobian = np.zeros((count, n, 3))
+        for r in range(count):
+            row = rows[r, :, lane]
+            i, j, normal = int(row[EDGE_I]), int(row[EDGE_J]), row[NORMAL : NORMAL + 3]
+            for vertex, share in (
+                (i, row[ON_I] - 1),
+                ((i + 1) % n, -row[ON_I]),
+                (j, 1 - row[ON_J]),
+                ((j + 1) % n, row[ON_J]),
+            ):
+                jacobian[r, vertex] += share * normal
+        answer = np.empty((count, n, 3))  # A^-1 J^T, a solution for each contact
+        for r in range(count):
+            unit = np.zeros((n + 1, 4, LANES))
+            unit[n, :3, lane], unit[1:n, :3, lane] = jacobian[r, 0], jacobian[r, 1:]
+            forward(system, unit, 0)
+            backward(system, unit)
+            answer[r] = velocities(unit)[..., lane]
+        weight = np.einsum("qvc,rvc->qr", jacobian, answer)
+        speed = np.einsum("rvc,vc->r", jacobian, velocities(free)[..., lane])
+        gap, force = rows[:count, GAP, lane] - 2 * contact[RADIUS], np.zeros(count)
+        for _ in range(400):
+            for r in range(count):
+                own = weight[r, r]
+                without = speed[r] + weight[r] @ force - own * force[r]
+                spring = gap[r] / H if gap[r] > 0 else contact[STIFFNESS] * gap[r] / slope
+                soft = -slope * (spring + without) / (1 + slope * own)
+                hard = (-(rows[r, GAP, lane] - contact[FLOOR]) / H - without) / own
+                force[r] = max(0.0, soft, hard)
+        told = velocities(free)[..., lane] + np.einsum("r,rvc->vc", force, answer)
+        assert np.abs(velocities(pushed)[..., lane] - told).max() < 1e-6
+        # no pair ends the substep nearer than the floor
+        parting = np.einsum("rvc,vc->r", jacobian, velocities(pushed)[..., lane])
+        assert (rows[:count, GAP, lane] + H * parting > contact[FLOOR] - 1e-7).all()
+
+
+def distances(x: Array, pairs: Array, places: int = 21) -> Array:
+    """Distance of pairs of edges of one rope (n, 3), from a grid of places on both: an upper bound
+    that is off by less than half a step along the edges.
+    """
+    ends, s = np.roll(x, -1, axis=0), np.linspace(0, 1, places)[:, None]
+    one, other = (
+        x[edge][:, None] * (1 - s) + ends[edge][:, None] * s for edge in (pairs[:, 0], pairs[:, 1])
+    )
+    apart: Array = np.linalg.norm(one[:, :, None] - other[:, None], axis=-1).min(axis=(1, 2))
+    return apart
+
+
+@pytest.mark.parametrize("size", [0.0005, 0.002, 0.004, 0.01])
+def test_what_is_judged_safe_is_safe_for_every_pair_of_edges(tangled: Array, size: float) -> None:
+    x, n = tangled, len(tangled)
+    length = float(np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).mean())
+    new = x + squeezed(x, size)
+    tangent, middle, motion = np.empty_like(x), np.empty_like(x), np.empty((n, LANES))
+    tangents(x, np.zeros_like(x), np.zeros((1, LANES)), tangent)
+    start, other = np.empty(n + 1, np.int64), np.empty(n * n, np.int64)
+    middles(x, middle)
+    list_pairs(middle, LISTED, start, other)
+    accepted = np.zeros(LANES, dtype=np.bool_)
+    judge(
+        *(x, new, tangent, middle, motion, start, other),
+        *(np.empty(n + 1, np.int64), np.empty(n * n, np.int64), length, accepted),
+    )
+    i, j = np.triu_indices(n, 2)
+    every = np.stack([i, j], axis=1)[(j - i < n - 1)]
+    for lane in range(LANES):
+        before, after = x[..., lane], new[..., lane]
+        # the others' midpoints are further apart than two edges and both motions
+        between = np.linalg.norm(before[every[:, 0]] - before[every[:, 1]], axis=1)
+        pairs = every[between < 0.06]
+        move = after - before
+        ends = [(pairs[:, 0] + a) % n for a in (0, 1)], [(pairs[:, 1] + b) % n for b in (0, 1)]
+        relative = np.max(
+            [np.linalg.norm(move[p] - move[q], axis=1) for p in ends[0] for q in ends[1]], axis=0
+        )
+        both = distances(before, pairs) + distances(after, pairs)
+        if accepted[lane]:
+            assert (both > relative + SAFE).all()
+        stretched = np.abs(np.linalg.norm(np.roll(after, -1, 0) - after, axis=1) / length - 1)
+        if (both < relative - length / 20).any() or np.linalg.norm(move, axis=1).max() > LEAP:
+            assert not accepted[lane]
+        elif stretched.max() < 5e-4 and both.min() > 2 * LOOKAHEAD:
+            assert accepted[lane]
