@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.errors import InvalidPolicy, install_command
-from knotgym.control.planning import EVERY_CODE, PASSES, TRANSITIONS
+from knotgym.control.planning import CHANGES, EVERY_CODE, PASSES
 from knotgym.control.policies import PolicyConfig, PolicyFamily
 from knotgym.control.rollouts import Policy
 
@@ -39,7 +39,7 @@ def _make(config: PolicyConfig) -> Policy:
 def _files(name: str) -> dict[str, Path]:
     from knotgym.learn.checkpoint import CARD, WEIGHTS, policy_folder
 
-    tables = (EVERY_CODE, PASSES["train-code"]) if _is_clone(name) else (TRANSITIONS,)
+    tables = (EVERY_CODE, PASSES["train-code"]) if _is_clone(name) else (CHANGES,)
     counted = {path.name: path for path in tables if path.is_file()}
     return counted | {file: policy_folder(name) / file for file in (CARD, WEIGHTS)}
 
