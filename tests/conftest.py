@@ -67,19 +67,21 @@ def small_states() -> States:
     )
     codes = [label(one) for one in points]
     n = len(points)
-    return States(
-        qpos=np.array([rope.qpos(one) for one in points]),
-        points=points,
-        image=np.array([draw(one) for one in points]),
-        gauss_code=np.array([str(code) for code in codes]),
-        gauss_code_chiral=np.array([code.chiral for code in codes]),
-        knot=np.array(["0_1"] * n),
-        nx=np.array([code.nx for code in codes]),
-        split=np.array(["train", "test"] * (n // 2)),
-        quality={"clearance": np.arange(n, dtype=np.float64)},
-        units={"clearance": "m"},
-        source={"seed": np.arange(n)[:, None], "policy": np.array(["curve"] * n)},
-        attributes={"rope": rope.config.fingerprint, "configuration": '{"made": "by hand"}'},
+    return States.of(
+        {
+            "qpos": np.array([rope.qpos(one) for one in points]),
+            "points": points,
+            "image": np.array([draw(one) for one in points]),
+            "gauss_code": np.array([str(code) for code in codes]),
+            "gauss_code_chiral": np.array([code.chiral for code in codes]),
+            "knot": np.array(["0_1"] * n),
+            "nx": np.array([code.nx for code in codes]),
+            "split": np.array(["train", "test"] * (n // 2)),
+            "quality/clearance": np.arange(n, dtype=np.float64),
+            "source/seed": np.arange(n)[:, None] * (1, 0, 0, 0, 0),
+            "source/policy": np.array(["curve"] * n),
+        },
+        {"rope": rope.config.fingerprint, "config": {"made": "by hand"}},
     )
 
 
@@ -174,14 +176,16 @@ def trefoils(rope: Rope) -> States:
     for number, code in enumerate([code for code in codes for _ in range(2)]):
         points.append(drawn_curve(code, np.random.default_rng(number), rope))
         shown.append(label(points[-1]))
-    return States(
-        qpos=np.array([rope.qpos(one) for one in points]),
-        points=np.array([rope.points(rope.qpos(one)) for one in points]),
-        image=np.array([draw(one) for one in points]),
-        gauss_code=np.array([str(code) for code in shown]),
-        gauss_code_chiral=np.array([code.chiral for code in shown]),
-        knot=np.array([knot_type(code) for code in shown]),
-        nx=np.array([code.nx for code in shown]),
-        split=np.array(["train", "test"] * len(codes)),
-        attributes={"rope": rope.config.fingerprint},
+    return States.of(
+        {
+            "qpos": np.array([rope.qpos(one) for one in points]),
+            "points": np.array([rope.points(rope.qpos(one)) for one in points]),
+            "image": np.array([draw(one) for one in points]),
+            "gauss_code": np.array([str(code) for code in shown]),
+            "gauss_code_chiral": np.array([code.chiral for code in shown]),
+            "knot": np.array([knot_type(code) for code in shown]),
+            "nx": np.array([code.nx for code in shown]),
+            "split": np.array(["train", "test"] * len(codes)),
+        },
+        {"rope": rope.config.fingerprint},
     )

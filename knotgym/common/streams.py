@@ -53,6 +53,7 @@ class Stream(IntEnum):
     INTERVAL = 27  # bootstraps of confidence intervals
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
+    NOISE_SURVIVAL = 33  # the seed is a digest of the configuration that the noise is added to
     DRAWING = 40  # nx, code, number of the drawing
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
     START = 42  # the drawing of a knot that action sequences begin at

@@ -3,7 +3,7 @@
 The same rows give the same bytes on any worker.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -110,13 +110,12 @@ def measures(points: Array, crossings: Crossings, source: dict[str, Any]) -> dic
         points, NOISE, generator(Stream.IMAGE_NOISE, source["seed"], source["row"])
     )
     limits = Limits()
-    quality = measure(points, crossings)
-    values = {**asdict(quality), "noise_survival": survival}
-    accepted = not limits.faults(quality, crossings.nx) and survival >= limits.noise_survival
+    quality = replace(measure(points, crossings), noise_survival=survival)
+    accepted = not limits.faults(quality, crossings.nx)
     return {
         "accepted": accepted,
         "grade": grade(quality, limits),
-        "quality": values,
+        "quality": asdict(quality),
         "source": source,
     }
 

@@ -55,7 +55,7 @@ class _States(RowsOfDataset):
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        flat = {name: values for name, values in self.states.columns().items() if values.ndim == 1}
+        flat = {name: values for name, values in self.states.table.items() if values.ndim == 1}
         return {"row": self.ids} | {name.replace("/", "."): flat[name] for name in flat}
 
     @property
@@ -82,12 +82,11 @@ class _States(RowsOfDataset):
         return states_at(self.path)
 
     def earlier(self) -> list[dict[str, Any]]:
-        return super().earlier() or json_list(self.states.attributes.get("selection", "[]"))
+        earlier = self.states.attributes.get("selection", [])
+        return super().earlier() or (earlier if isinstance(earlier, list) else [])
 
     def _write(self, rows: Rows, made: list[dict[str, Any]], path: Path) -> None:
-        states = self.states.taken(rows)
-        attributes = {**states.attributes, "selection": json.dumps(made, sort_keys=True)}
-        states = replace(states, attributes=attributes)
+        states = self.states.taken(rows).replaced({}, selection=made)
         if not self.path.is_dir():
             write_states(path, states)
             return
@@ -101,7 +100,7 @@ class _States(RowsOfDataset):
             new = old.copy()
             for name in sorted(set(names.tolist()) - {""}):
                 new[names == name] = np.arange((names == name).sum())
-            states = replace(states, source={**states.source, "trajectory": new})
+            states = states.replaced({"source/trajectory": new})
         write_states(path / "states.h5", states)
         for name in sorted(set(names.tolist()) - {""}):
             chosen = Chosen(self.path / "minari" / name, old[names == name].tolist())

@@ -5,10 +5,9 @@ run's, but have the same distribution: of near-duplicates in two shards the late
 and states are split again into train and test so that the shares hold.
 """
 
-import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import groupby, product
 from pathlib import Path
 from typing import Any
@@ -230,12 +229,8 @@ def _renumbered(states: States, config: dict[str, Any]) -> States:
     demonstrated = (states.source["dataset"] != "").tolist()
     knot = str(states.knot[0])
     numbered = state_folder.demonstrations_of(states.nx, splits, knot, demonstrated)
-    return replace(
-        states,
-        split=splits,
-        source={**states.source, **numbered},
-        attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
-    )
+    located = {f"source/{name}": values for name, values in numbered.items()}
+    return states.replaced({"split": splits, **located}, config=config)
 
 
 def _joined_archive(archives: Sequence[Archive], search: SearchSettings) -> Archive:

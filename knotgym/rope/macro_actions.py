@@ -9,12 +9,14 @@ and codes, and undoes tangles in which every small change makes things worse.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.configuration import (
     Count,
@@ -26,7 +28,7 @@ from knotgym.common.configuration import (
     configuration,
 )
 from knotgym.common.errors import InvalidInput
-from knotgym.rope.actions import quantized
+from knotgym.rope.actions import FORCE_BINS, quantized
 from knotgym.rope.model import Array
 
 KINDS = ("pass", "curl", "spread", "shift")
@@ -74,6 +76,11 @@ class MacroActionConfig:
     farthest: Positive = 0.3
     pass_apart: Count = 12
     curl_apart: Annotated[tuple[Whole, Whole], Ordered] = (6, 24)
+
+    @property
+    def straight(self) -> tuple[float, float, float, float]:
+        """The sizes of a pass without chance: rise, farthest, lift and beyond."""
+        return self.rise, self.farthest, self.straight_lift, self.straight_beyond
 
     def __post_init__(self) -> None:
         if len(self.shares) != len(KINDS) or min(self.shares) < 0 or not sum(self.shares) > 0:
@@ -213,8 +220,16 @@ def pass_straight(
 
     So three integers determine a macro-action: the bead, the strand's bead `target`, and the side.
     """
-    lift, beyond = config.straight_lift, config.straight_beyond
-    return _pass(points, "pass", bead, target, side, 0.0, lift, beyond, config)
+    waypoints = np.empty((1, _WAYPOINTS, 3))
+    moves = np.array([[bead, target, side]], dtype=np.int64)
+    _straight(
+        np.ascontiguousarray(points)[None],
+        np.zeros(1, np.int64),
+        moves,
+        waypoints,
+        *config.straight,
+    )
+    return MacroAction("pass", bead, waypoints[0], target, side)
 
 
 def _pass(
@@ -358,3 +373,111 @@ class WaypointController:
         # idle ropes get the last waypoint, and `forces` and `advance` ignore what comes of it
         stage = np.minimum(self._stage, _WAYPOINTS - 1)
         return self._waypoints[rows, stage] - points[rows, self.beads]
+
+
+class WaypointFollower:
+    """Leads a bead of each of n ropes past its waypoints; the compiled `WaypointController`.
+
+    Every method takes the indices of the ropes that it is about, and treats each by itself.
+
+    Attributes:
+        beads: int64 (n,), the bead to pull on each rope.
+    """
+
+    def __init__(self, count: int, config: MacroActionConfig) -> None:
+        self.beads = np.zeros(count, dtype=np.int64)
+        self._config = config
+        self._waypoints = np.zeros((count, _WAYPOINTS, 3))
+        self._stage = np.full(count, _WAYPOINTS)  # index of the next waypoint; past the end if idle
+
+    @property
+    def idle(self) -> NDArray[np.bool_]:
+        """Which ropes have no waypoint left, bool (n,)."""
+        return np.asarray(self._stage >= _WAYPOINTS)
+
+    def begin(self, ids: NDArray[np.int64], moves: Sequence[MacroAction]) -> None:
+        """Start macro-actions, one a rope."""
+        self.beads[ids] = [move.bead for move in moves]
+        self._waypoints[ids] = [move.waypoints for move in moves]
+        self._stage[ids] = 0
+
+    def begin_passes(self, ids: NDArray[np.int64], passes: ArrayLike, points: Array) -> None:
+        """Start passes without chance, see `pass_straight`.
+
+        Args:
+            ids: the ropes.
+            passes: int (len(ids), 3): bead, target and side of each.
+            points: float64 (n, beads, 3), metres: where all ropes lie.
+        """
+        moves = np.array(passes, dtype=np.int64).reshape(-1, 3)
+        self.beads[ids], self._stage[ids] = moves[:, 0], 0
+        _straight(points, ids, moves, self._waypoints, *self._config.straight)
+
+    def release(self, ids: NDArray[np.int64]) -> None:
+        """Abandon the macro-actions of some ropes."""
+        self._stage[ids] = _WAYPOINTS
+
+    def arrive(self, points: Array, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Go on to the first waypoint that the bead hasn't reached; return which have none left."""
+        _arrive(points, ids, self.beads, self._waypoints, self._stage, self._config.arrived)
+        return np.asarray(self._stage[ids] >= _WAYPOINTS)
+
+    def forces(self, points: Array, ids: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Forces on the led beads, float32 (len(ids), 3), in units of the largest; 0 if idle.
+
+        Their length is 1, or less where the waypoint is nearer than `stride`. They are `quantized`.
+        """
+        stride = self._config.stride
+        return np.asarray(_lead(points, ids, self.beads, self._waypoints, self._stage, stride))
+
+
+@njit(cache=True, nogil=True)
+def _straight(points, ids, passes, waypoints, rise, farthest, lift, beyond):  # type: ignore[no-untyped-def]
+    """Lay out the `_waypoints` of passes (bead, target, side) in rows `ids`.
+
+    No sine or cosine: their last bits differ between processors.
+    """
+    for k in range(len(ids)):
+        rope, bead, target, side = points[ids[k]], passes[k, 0], passes[k, 1], passes[k, 2]
+        x, y = rope[target, 0] - rope[bead, 0], rope[target, 1] - rope[bead, 1]
+        far = np.sqrt(x * x + y * y)
+        ahead_x, ahead_y = (x / far, y / far) if far > 0 else (1.0, 0.0)
+        # a strand farther away than that is approached without being passed
+        reach = min(far, farthest)
+        # relative to the strand to pass, not to the bead
+        height, level = rope[target, 2] + side * lift, rope[:, 2].sum() / len(rope)
+        for n, (along, z) in enumerate(
+            ((min(rise, reach), height), (reach + beyond, height), (reach + beyond, level))
+        ):
+            waypoints[ids[k], n, 0] = rope[bead, 0] + ahead_x * along
+            waypoints[ids[k], n, 1] = rope[bead, 1] + ahead_y * along
+            waypoints[ids[k], n, 2] = z
+
+
+@njit(cache=True, nogil=True)
+def _arrive(points, ids, beads, waypoints, stage, arrived):  # type: ignore[no-untyped-def]
+    for index in ids:
+        while stage[index] < 3:
+            square = 0.0
+            for c in range(3):
+                square += (waypoints[index, stage[index], c] - points[index, beads[index], c]) ** 2
+            if np.sqrt(square) >= arrived:
+                break
+            stage[index] += 1
+
+
+@njit(cache=True, nogil=True)
+def _lead(points, ids, beads, waypoints, stage, stride):  # type: ignore[no-untyped-def]
+    forces = np.zeros((len(ids), 3), np.float32)
+    for k in range(len(ids)):
+        index = ids[k]
+        if stage[index] < 3:
+            offset = waypoints[index, stage[index]] - points[index, beads[index]]
+            far = np.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
+            # proportional control that saturates at `stride`; 1e-9 guards a bead on its waypoint
+            share = min(1.0, far / stride)
+            for c in range(3):
+                # + 0.0 makes -0.0 to 0.0, as in `quantized`
+                bins = np.rint(offset[c] / max(far, 1e-9) * share * FORCE_BINS) + 0.0
+                forces[k, c] = bins / FORCE_BINS
+    return forces

@@ -12,6 +12,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor as Pool
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -29,7 +30,6 @@ from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.executors import executor
-from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import Existing, RunOptions
 from knotgym.runs.shards import Shard

@@ -1,8 +1,7 @@
 """Executors: this process, processes of this machine, or a Dask cluster.
 
-Every executor returns results in the order of the work and limits how many pieces are in progress,
-so that memory stays flat. A piece of work depends on its argument alone, so the choice of executor
-doesn't change a byte of the output.
+Each is a `concurrent.futures.Executor` with an attribute `workers`. A call depends on its arguments
+alone, so the choice of executor doesn't change a byte of the output.
 """
 
 import multiprocessing
@@ -11,12 +10,10 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any
-
-from knotgym.runs.pools import AHEAD, Pool, Promise, ordered
 
 # Python's resource tracker warns when it cleans up after a killed run, which is expected.
 _IGNORED_WARNING = "ignore:resource_tracker:UserWarning"
@@ -24,25 +21,37 @@ _IGNORED_WARNING = "ignore:resource_tracker:UserWarning"
 _SAFE_PATH = "PYTHONSAFEPATH"
 
 
-class InProcess:
-    """Run work in this process, one piece after another."""
+class InProcess(Executor):
+    """Execute calls in this process, when they are submitted."""
 
-    def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterable[Any]:
-        return map(function, work)
+    workers = 1
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
+
+    def map(self, fn: Callable[..., Any], *iterables: Iterable[Any], **_: Any) -> Iterator[Any]:
+        """Execute each call when its result is asked for."""
+        return map(fn, *iterables)
 
 
-class Processes:
-    """Run work in the processes of a ProcessPoolExecutor."""
+class Processes(ProcessPoolExecutor):
+    """Processes of this machine, which leave interrupts to this one and end with it."""
 
-    def __init__(self, executor: ProcessPoolExecutor, count: int) -> None:
-        self._executor, self._count = executor, count
+    def __init__(self, workers: int) -> None:
+        super().__init__(workers, mp_context=_context(), initializer=_serve)
+        self.workers = workers
 
-    def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterable[Any]:
-        def submit(piece: Any) -> Promise:
-            with uninterrupted(), _safe_path():  # this may start a process
-                return self._executor.submit(function, piece)
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        with uninterrupted(), _safe_path():  # this may start a process
+            return super().submit(fn, *args, **kwargs)
 
-        return ordered(submit, work, AHEAD * self._count)
+    def end(self) -> None:
+        """End the processes without waiting for their work."""
+        for process in list((getattr(self, "_processes", None) or {}).values()):
+            process.terminate()
+        self.shutdown(wait=False, cancel_futures=True)
 
 
 def cores() -> int:
@@ -51,8 +60,8 @@ def cores() -> int:
 
 
 @contextmanager
-def executor(workers: int, scheduler: str = "") -> Iterator[Pool]:
-    """Open a pool of `workers` processes, 0 for one per core; 1 uses this process.
+def executor(workers: int, scheduler: str = "") -> Iterator[Executor]:
+    """Open an executor of `workers` processes, 0 for one per core; 1 uses this process.
 
     With the address of a Dask scheduler its cluster is used instead. On an error the processes end
     without waiting for their work.
@@ -71,14 +80,12 @@ def executor(workers: int, scheduler: str = "") -> Iterator[Pool]:
     if count == 1:
         yield InProcess()
         return
-    pool = ProcessPoolExecutor(count, mp_context=_context(), initializer=_serve)
+    pool = Processes(count)
     try:
-        yield Processes(pool, count)
+        yield pool
         pool.shutdown()
     except BaseException:
-        for process in list(getattr(pool, "_processes", {}).values()):
-            process.terminate()
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.end()
         raise
 
 

@@ -74,6 +74,10 @@ class Shard:
         """Return the file of this shard if the whole run is written to `out`."""
         return self._beside(out, out.stem, out.suffix)
 
+    def journal(self, out: Path) -> Path:
+        """Return the journal that this shard leaves beside the output `out` of the whole run."""
+        return out.with_name(f"{out.name}-shard-{self.number}-of-{self.of}.journal")
+
     def _beside(self, out: Path, stem: str, suffix: str) -> Path:
         own = f"{stem}-shard-{self.number}-of-{self.of}{suffix}"
         return out if self.is_whole else out.with_name(own)

@@ -6,7 +6,6 @@ import base64
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -66,7 +65,7 @@ def shown(run_page: Path) -> dict[str, Any]:
 
 def hostile(states: States) -> States:
     """States with markup in their text columns."""
-    return replace(states, knot=np.array([HOSTILE] * len(states)))
+    return states.replaced({"knot": np.array([HOSTILE] * len(states))})
 
 
 def test_a_page_holds_the_run_its_states_and_the_ways_to_them(shown: dict[str, Any]) -> None:

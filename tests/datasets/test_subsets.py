@@ -118,9 +118,9 @@ def test_selected_states_are_those_that_a_loop_over_the_rows_finds(tmp_path: Pat
     ]
     found = read_states(made)
     assert 0 < len(rows) < len(states)
-    for name, values in states.taken(np.array(rows)).columns().items():
-        assert np.array_equal(found.columns()[name], values), name
-    (said,) = json.loads(found.attributes["selection"])
+    for name, values in states.taken(rows).table.items():
+        assert np.array_equal(found.table[name], values), name
+    (said,) = found.attributes["selection"]
     assert (said["where"], said["kept"]) == ("nx >= 2 and clearance > 9.5", len(rows))
     few = select(made, sample=2, seed=5, out=tmp_path / "b.h5")
     again = select(made, sample=2, seed=5, out=tmp_path / "c.h5")

@@ -81,8 +81,8 @@ def test_evaluation_refuses_it_in_one_line(path: str, capsys: pytest.CaptureFixt
 def test_a_file_of_two_knots_is_refused(trefoils: States, tmp_path: Path) -> None:
     loops = read_states(shipped())
     loops = loops.taken(np.flatnonzero(loops.nx == 3))
-    bare = {name: loops.columns()[name] for name in trefoils.columns()}
-    both = merge_states([trefoils, loops.with_columns(bare)])
+    bare = States(loops.table.only(*trefoils.table), loops.attributes)
+    both = merge_states([trefoils, bare])
     write_states(tmp_path / "both.h5", both)
     with pytest.raises(InvalidInput, match="keep one type, with knotgym dataset select"):
         made("unknot", str(tmp_path / "both.h5"), nx=3)

@@ -352,7 +352,9 @@ def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
     limits, quality = Limits(), measure(rope.loop())
     assert grade(quality, limits) == "easy"
     for factor, name in ((1.2, "medium"), (0.7, "hard"), (0.2, "extreme")):
-        worse = type(quality)(**{**vars(quality), "crossing_angle": factor * limits.crossing_angle})
+        worse = type(quality)(
+            **{**vars(quality), "crossing_angle": factor * (limits.crossing_angle or 0)}
+        )
         assert grade(worse, limits) == name
 
 

@@ -62,7 +62,7 @@ def test_a_start_that_its_seed_does_not_draw_is_a_fault(drawn_folder: Path) -> N
     states = read_states(drawn_folder / "states.h5").taken(np.array([1]))
     seed = states.source["seed"].copy()
     seed[0, -1] += 1
-    moved = replace(states, source={**states.source, "seed": seed})
+    moved = states.replaced({"source/seed": seed})
     assert any("drawing" in fault for fault in state_faults(moved))
 
 

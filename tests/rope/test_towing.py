@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidInput
-from knotgym.control.old_basic_policies import ConstantPolicy
 from knotgym.control.expert import Expert
+from knotgym.control.old_basic_policies import ConstantPolicy
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout

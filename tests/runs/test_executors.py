@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,6 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.runs.executors import executor
-from knotgym.runs.pools import AHEAD, ordered
 from knotgym.runs.run_options import RunOptions
 
 from ..cli.test_generate_command import bytes_of, said
@@ -132,47 +129,6 @@ def generated(
     assert run.wait(timeout=4 * SECONDS) == 0
 
 
-def test_results_come_in_the_order_of_the_work_with_little_of_it_under_way() -> None:
-    begun: list[int] = []
-
-    def submit(piece: int) -> "Future[int]":
-        begun.append(piece)
-        future: Future[int] = Future()
-        future.set_result(piece * piece)
-        return future
-
-    results = ordered(submit, iter(range(10)), 3)
-    assert begun == [0, 1, 2]
-    assert next(results) == 0 and begun == [0, 1, 2, 3]
-    assert list(results) == [k * k for k in range(1, 10)]
-
-
-def test_processes_take_work_that_never_ends() -> None:
-    def endless() -> Iterator[int]:
-        k = 0
-        while True:
-            taken.append(k)
-            yield -k
-            k += 1
-
-    taken: list[int] = []
-    with executor(2) as pool:
-        results = iter(pool.map(abs, endless()))
-        assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
-    assert len(taken) <= 5 + 2 * AHEAD
-
-
-def _interruptible(_: int) -> bool:
-    """Whether a Ctrl-C would reach this process."""
-    return signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
-
-
-def _print_interruptible() -> None:
-    with executor(2) as pool:
-        print([*pool.map(_interruptible, range(2)), _interruptible(0)])
-
-
-@pytest.mark.slow
 def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment_on() -> None:
     words = [sys.executable, "-c", f"from {__name__} import _print_interruptible as told; told()"]
     assert (

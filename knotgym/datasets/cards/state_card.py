@@ -9,7 +9,8 @@ import numpy as np
 
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import state_tables, table
-from knotgym.states.schema import COLUMNS, RANDOM_WALK, STATE_SPLITS
+from knotgym.quality.limits import UNITS
+from knotgym.states.schema import RANDOM_WALK, STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.spread import spread_of
 from knotgym.states.state_file import States
@@ -27,7 +28,7 @@ def summary(states: States) -> dict[str, Any]:
         "nx": {str(nx): _counts(states, nx) for nx in sorted(set(states.nx.tolist()))},
         "quality": {
             name: {
-                "unit": states.units[name],
+                "unit": UNITS[name],
                 "min": float(values.min()),
                 "median": float(np.median(values)),
                 "max": float(values.max()),
@@ -46,9 +47,8 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
     facts = summary(states)
     tables = {name: one.markdown() for name, one in state_tables(facts, report).items()}
     columns = [
-        (code_span(one.name), one.kind, plain(one.unit), one.doc)
-        for one in COLUMNS
-        if one.name in states.columns()
+        (code_span(one.name), one.dtype, plain(one.unit), one.doc)
+        for one in states.table.schema.columns
     ]
     return filled(
         "state_card.md",

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.image_table import TABLES, arrow, encode, schema
-from knotgym.states.schema import COLUMNS as STATE_COLUMNS
 from knotgym.states.state_file import States
 
 
@@ -29,10 +28,9 @@ class TableColumn(NamedTuple):
 
 def state_columns(states: States) -> list[TableColumn]:
     """Return the columns that a state file has."""
-    known = {column.name: column for column in STATE_COLUMNS}
     out = []
-    for name, values in states.columns().items():
-        column = known.get(name)
+    for column in states.table.schema.columns:
+        name, values = column.name, states.table[column.name]
         if name == "image":
             kind: Any = "image"
         elif values.ndim > 1:
@@ -40,18 +38,15 @@ def state_columns(states: States) -> list[TableColumn]:
         else:
             kind = "string" if values.dtype.kind == "U" else values.dtype.name
         shape = f", {values.shape[1:]}" if values.ndim > 2 and name != "image" else ""
-        unit = column.unit if column else states.units.get(name.partition("/")[2], "")
-        doc = column.doc if column else "a measure of the state"
-        out.append(TableColumn(name.replace("/", "_"), kind, unit, doc + shape))
+        out.append(TableColumn(name.replace("/", "_"), kind, column.unit, column.doc + shape))
     return out
 
 
 def state_rows(states: States) -> Iterator[dict[str, Any]]:
     """Yield the rows, with the columns of `state_columns`."""
-    columns = states.columns()
     for row in range(len(states)):
         out = {}
-        for name, values in columns.items():
+        for name, values in states.table.items():
             value = values[row]
             if name == "image":
                 out[name] = _png(value)

@@ -111,7 +111,7 @@ def _run(file: Path, notices: list[str]) -> dict[str, Any]:
         "drawings made": report.get("attempts"),
         "simulated actions": report.get("actions"),
         **_versions(states.attributes),
-        "configuration": _cut(states.attributes.get("config", "")),
+        "configuration": _cut(json.dumps(states.attributes.get("config", {}))),
     }
     return {
         **_states(states, notices),
@@ -127,7 +127,7 @@ def _states(states: States, notices: list[str]) -> dict[str, Any]:
     quality = [name for name in states.quality if np.isfinite(states.quality[name]).any()]
     source = states.source
     return {
-        "measures": [{"name": name, "unit": states.units[name]} for name in quality],
+        "measures": [{"name": name, "unit": UNITS[name]} for name in quality],
         "points": _encoded(states.points[rows]),
         "beads": states.points.shape[1],
         "states": [

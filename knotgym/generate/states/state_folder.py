@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import fields
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from knotgym.generate.states.demonstrations import POLICY, Demonstration
 from knotgym.generate.states.drawn_states import MadeState
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.random_walk import WalkState
-from knotgym.quality.measures import UNITS, Quality
+from knotgym.quality.measures import UNITS
 from knotgym.rendering.picture import draw_many, picture_of
 from knotgym.rope.model import rope_of
 from knotgym.states.schema import DRAWING, STATE_SPLITS
@@ -94,27 +93,28 @@ def rows_of(
 ) -> States:
     """Return measured states as rows of a state file, with their pictures and labels."""
     points = np.stack([one.points for one in made])
-    return States(
-        qpos=np.stack([one.qpos for one in made]),
-        points=points,
-        image=draw_many(points, picture_of(points.shape[1])),
-        gauss_code=np.array([str(one.code) for one in made]),
-        gauss_code_chiral=np.array([one.code.chiral for one in made]),
-        knot=np.array([knot_type(one.code) for one in made]),
-        nx=np.array([one.code.nx for one in made], dtype=np.int64),
-        split=np.array(split),
-        quality={
-            field.name: np.array([getattr(one.quality, field.name) for one in made])
-            for field in fields(Quality)
+    return States.of(
+        {
+            "qpos": np.stack([one.qpos for one in made]),
+            "points": points,
+            "image": draw_many(points, picture_of(points.shape[1])),
+            "gauss_code": np.array([str(one.code) for one in made]),
+            "gauss_code_chiral": np.array([one.code.chiral for one in made]),
+            "knot": np.array([knot_type(one.code) for one in made]),
+            "nx": np.array([one.code.nx for one in made], dtype=np.int64),
+            "split": np.array(split),
+            **{
+                f"quality/{name}": np.array([getattr(one.quality, name) for one in made])
+                for name in UNITS
+            },
+            **{f"source/{name}": values for name, values in source.items()},
         },
-        units=dict(UNITS),
-        source=source,
-        attributes={
+        {
             "knotgym": knotgym.__version__,
             "mujoco": mujoco.__version__,
             "rope": rope_of(points.shape[1]).fingerprint,
             "engine": config["engine"],
-            "config": json.dumps(config, sort_keys=True),
+            "config": config,
         },
     )
 

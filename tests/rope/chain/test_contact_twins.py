@@ -8,14 +8,13 @@ from knotgym.rope.chain.banded import backward, factor, forward
 from knotgym.rope.chain.chain_simulation import parameters
 from knotgym.rope.chain.contact import (
     LISTED,
-    LOOKAHEAD,
     ROWS,
     find_rows,
     list_pairs,
     middles,
     push_apart,
 )
-from knotgym.rope.chain.dynamics import assemble, tangents
+from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents
 from knotgym.rope.chain.layout import (
     DAMPING,
     EDGE_I,
@@ -29,7 +28,7 @@ from knotgym.rope.chain.layout import (
     RADIUS,
     STIFFNESS,
 )
-from knotgym.rope.chain.passage import LEAP, SAFE, judge
+from knotgym.rope.chain.passage import LEAP, judge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.model import Rope
 from knotgym.states.state_file import read_states, shipped
@@ -149,11 +148,19 @@ def distances(x: Array, pairs: Array, places: int = 21) -> Array:
     return apart
 
 
-@pytest.mark.parametrize("size", [0.0005, 0.002, 0.004, 0.01])
-def test_what_is_judged_safe_is_safe_for_every_pair_of_edges(tangled: Array, size: float) -> None:
+@pytest.mark.parametrize(
+    ("size", "waves"), [(0.005, 1), (0.014, 5), (0.018, 1), (0.02, 1), (0.02, 2)]
+)
+def test_what_is_judged_safe_is_safe_for_every_pair_of_edges(
+    tangled: Array, size: float, waves: int
+) -> None:
     x, n = tangled, len(tangled)
     length = float(np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).mean())
-    new = x + squeezed(x, size)
+    # strands move up and down, smoothly along the rope, and edges keep their length
+    phase = np.arange(n)[:, None] / n + np.arange(LANES) / LANES
+    new = x.copy()
+    new[:, 2] += size * np.sin(2 * np.pi * waves * phase)
+    set_lengths(new, length, 4)
     tangent, middle, motion = np.empty_like(x), np.empty_like(x), np.empty((n, LANES))
     tangents(x, np.zeros_like(x), np.zeros((1, LANES)), tangent)
     start, other = np.empty(n + 1, np.int64), np.empty(n * n, np.int64)
@@ -178,9 +185,8 @@ def test_what_is_judged_safe_is_safe_for_every_pair_of_edges(tangled: Array, siz
         )
         both = distances(before, pairs) + distances(after, pairs)
         if accepted[lane]:
-            assert (both > relative + SAFE).all()
+            assert (both > relative).all()
         stretched = np.abs(np.linalg.norm(np.roll(after, -1, 0) - after, axis=1) / length - 1)
-        if (both < relative - length / 20).any() or np.linalg.norm(move, axis=1).max() > LEAP:
-            assert not accepted[lane]
-        elif stretched.max() < 5e-4 and both.min() > 2 * LOOKAHEAD:
+        small = np.linalg.norm(move, axis=1).max() < LEAP and stretched.max() < 5e-4
+        if small and (both > relative + length / 20).all():  # the grid's error is below that
             assert accepted[lane]

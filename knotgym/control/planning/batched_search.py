@@ -1,0 +1,283 @@
+"""Many searches side by side, on the ropes of one chain simulation.
+
+The chain engine steps a hundred ropes in little more time than eight. A search that tries one thing
+after another can't use that alone, so searches share the ropes. A search is a generator with so
+many *slots*, each a rope of its own. It yields `Orders`: what to try in which slots; slots without
+an order go on with theirs. It is sent what became of its trials, in the order of its slots. What a
+search finds doesn't depend on its company.
+"""
+
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.rope.chain.chain_simulation import ChainSimulation
+from knotgym.rope.macro_actions import (
+    Haul,
+    MacroAction,
+    MacroActionConfig,
+    Pass,
+    WaypointFollower,
+)
+from knotgym.rope.model import Array, Rope
+from knotgym.rope.towing import TowBound, distances_towed
+from knotgym.topology.crossings import label_many
+from knotgym.topology.gauss import GaussCode
+
+Result = TypeVar("Result")
+Ids = NDArray[np.int64]
+_NEVER = 1 << 30
+
+
+class Trial(NamedTuple):
+    """What to try from a state.
+
+    Attributes:
+        state: of the chain engine.
+        move: it ends with its last waypoint; a haul with its last pull.
+        pulls: most pulls that it may take.
+        goal: compared without chirality; where it is shown, a trial that isn't watched is over.
+        bound: region in which the rope's centre must stay; None for no limit.
+        watch: report every change of code, and the state with its velocities. Otherwise only the
+            end is reported, at rest.
+    """
+
+    state: Array
+    move: Pass | MacroAction | Haul
+    pulls: int
+    goal: GaussCode
+    bound: TowBound | None = None
+    watch: bool = False
+
+
+class Report(NamedTuple):
+    """What became of a trial.
+
+    Attributes:
+        state: of the chain engine, now.
+        points: float64 (beads, 3), metres.
+        code: with chirality.
+        pulls: taken so far.
+        over: whether the trial has ended.
+        lost: whether it ended because the simulation blew up or the rope left its bound.
+        beads, forces: the pulls, int64 (pulls,) and float32 (pulls, 3) in units of the largest
+            force; empty if the trial isn't watched.
+    """
+
+    state: Array
+    points: Array
+    code: GaussCode
+    pulls: int
+    over: bool
+    lost: bool
+    beads: NDArray[np.int64]
+    forces: NDArray[np.float32]
+
+
+class Orders(NamedTuple):
+    """Trials by slot. The search is sent reports when one has news, or after `wake` pulls."""
+
+    trials: dict[int, Trial]
+    wake: int = _NEVER
+
+
+Reports = tuple[int, list[tuple[int, Report]]]  # pulls since the orders; reports with their slots
+Search = Generator[Orders, Reports, Result]
+
+
+@dataclass(eq=False)
+class _Seat:
+    """A search and the ropes that are its slots."""
+
+    key: Any
+    search: Search[Any]
+    ropes: list[int]
+    wake: int = _NEVER
+    pulls: int = 0  # since the last orders
+
+
+@dataclass(eq=False)
+class _Lane:
+    """A rope's trial, with the code last seen and, if it is watched, the pulls taken."""
+
+    trial: Trial
+    code: GaussCode | None = None
+    beads: list[int] = field(default_factory=list)
+    forces: list[NDArray[np.float32]] = field(default_factory=list)
+
+
+class BatchedSearch:
+    """Runs searches side by side.
+
+    Attributes:
+        ropes: the simulation.
+        spent: pulls simulated so far.
+    """
+
+    def __init__(
+        self, count: int, config: MacroActionConfig, rope: Rope | None = None, threads: int = 1
+    ) -> None:
+        """Make `count` ropes to search in; settings of macro-actions say how they are led."""
+        self.ropes, self.spent = ChainSimulation(count, rope, threads), 0
+        self._follower = WaypointFollower(count, config)
+        self._lanes: dict[int, _Lane] = {}
+        self._pulls, self._limit = np.zeros((2, count), np.int64)
+        self._going, self._lost, self._hauled = np.zeros((3, count), bool)
+        self._origin, self._reach = np.zeros((count, 3)), np.full(count, np.inf)  # of the bounds
+        self._free, self._seats = [*range(count)], dict[int, _Seat]()  # seats by their ropes
+        self._waiting = deque[tuple[Any, int, Search[Any]]]()
+
+    def add(self, key: Any, search: Search[Any], slots: int = 1) -> None:
+        """Queue a search; `tick` will return its key and result."""
+        self._waiting.append((key, slots, search))
+
+    def run(
+        self, searches: Iterable[Search[Result]], slots: int = 1
+    ) -> Iterator[tuple[int, Result]]:
+        """Run searches to their ends; yield the number and result of each as it ends."""
+        waiting = enumerate(searches)
+        while True:
+            while len(self._waiting) < self.ropes.count and (item := next(waiting, None)):
+                self.add(*item, slots)
+            if not self._waiting and not self._seats:
+                return
+            yield from self.tick()
+
+    def tick(self) -> list[tuple[Any, Any]]:
+        """Begin searches that have room, take a pull in every slot; return keys and results."""
+        new = list[tuple[_Seat, Reports | None]]()
+        while self._waiting and len(self._free) >= self._waiting[0][1]:
+            key, slots, search = self._waiting.popleft()
+            seat = _Seat(key, search, [self._free.pop() for _ in range(slots)])
+            self._seats |= dict.fromkeys(seat.ropes, seat)
+            new.append((seat, None))
+        ended = self._go_on(new)
+        ids = np.flatnonzero(self._going)
+        if len(ids):
+            news = self._pull(ids)
+            seats = [*dict.fromkeys(self._seats.values())]
+            for seat in seats:
+                seat.pulls += 1
+            due = [rope for seat in seats if seat.pulls >= seat.wake for rope in seat.ropes[:1]]
+            # all reports come before any search goes on, which may change the ropes
+            ended += self._go_on(self._reports(news, due))
+        return ended
+
+    def drop(self, key: Any) -> None:
+        """Forget a search that is queued or under way."""
+        self._waiting = deque(one for one in self._waiting if one[0] != key)
+        for seat in {seat for seat in self._seats.values() if seat.key == key}:
+            self._leave(seat)
+
+    def _go_on(self, woken: list[tuple[_Seat, Reports | None]]) -> list[tuple[Any, Any]]:
+        """Send reports to searches, until each wants a pull to be taken, or ends."""
+        ended = []
+        while woken:
+            begun = dict[int, Trial]()
+            for seat, reports in woken:
+                try:
+                    orders = seat.search.send(reports)  # type: ignore[arg-type]
+                except StopIteration as end:
+                    self._leave(seat)
+                    ended.append((seat.key, end.value))
+                else:
+                    seat.wake, seat.pulls = orders.wake, 0
+                    begun |= {seat.ropes[slot]: trial for slot, trial in orders.trials.items()}
+            woken = self._reports(self._begin(begun), []) if begun else []
+        return ended
+
+    def _leave(self, seat: _Seat) -> None:
+        self._going[seat.ropes] = False
+        self._free += seat.ropes
+        for rope in seat.ropes:
+            del self._seats[rope]
+
+    def _begin(self, begun: dict[int, Trial]) -> list[int]:
+        """Begin trials, by rope; return those that are over without a pull."""
+        ropes, follower = self.ropes, self._follower
+        ids = np.array(sorted(begun))
+        trials = [begun[rope] for rope in ids.tolist()]
+        ropes.restore(np.array([trial.state for trial in trials]), ids)
+        passes = {rope: one.move for rope, one in begun.items() if isinstance(one.move, Pass)}
+        if passes:
+            follower.begin_passes(np.array([*passes]), [*passes.values()], ropes.points)
+        for rope, trial in zip(ids.tolist(), trials, strict=True):
+            if isinstance(trial.move, MacroAction):
+                follower.begin(np.array([rope]), [trial.move])
+            self._lanes[rope] = _Lane(trial)
+            self._hauled[rope] = isinstance(trial.move, Haul)
+            bound = trial.bound
+            self._reach[rope] = np.inf if bound is None else bound.limit
+            self._origin[rope] = 0.0 if bound is None else bound.origin
+        watched = [row for row, trial in enumerate(trials) if trial.watch]
+        if watched:
+            for row, code in zip(watched, label_many(ropes.points[ids[watched]]), strict=True):
+                self._lanes[int(ids[row])].code = code
+        self._pulls[ids], self._limit[ids] = 0, [trial.pulls for trial in trials]
+        self._lost[ids] = False
+        # a bead may be at all of its waypoints already
+        follower.release(ids[self._hauled[ids]])
+        over = follower.arrive(ropes.points, ids) | (self._limit[ids] < 1)
+        over[watched] = False
+        self._going[ids] = ~over
+        return ids[over].tolist()
+
+    def _pull(self, ids: Ids) -> list[int]:
+        """Pull all ropes that are under way; return those with news."""
+        ropes, follower = self.ropes, self._follower
+        beads, forces = follower.beads[ids], follower.forces(ropes.points, ids)
+        hauled = self._hauled[ids]
+        for row in np.flatnonzero(hauled).tolist():
+            haul: Any = self._lanes[int(ids[row])].trial.move
+            beads[row], forces[row] = haul.pull(int(self._pulls[ids[row]]))
+        stable = ropes.step(beads, forces.astype(np.float64) * ropes.max_force, ids)
+        self.spent += len(ids)
+        self._pulls[ids] += 1
+        points = ropes.points[ids]
+        self._lost[ids] = ~stable
+        if np.isfinite(self._reach[ids]).any():
+            self._lost[ids] |= distances_towed(points, self._origin[ids]) > self._reach[ids]
+        over = (follower.arrive(ropes.points, ids) & ~hauled) | self._lost[ids]
+        over |= self._pulls[ids] >= self._limit[ids]
+        news = over.copy()
+        for row, (rope, code) in enumerate(zip(ids.tolist(), label_many(points), strict=True)):
+            lane = self._lanes[rope]
+            if lane.trial.watch:
+                lane.beads.append(int(beads[row]))
+                lane.forces.append(forces[row])
+                news[row] |= code != lane.code
+            elif code.visits == lane.trial.goal.visits:
+                over[row] = news[row] = True
+            lane.code = code
+        self._going[ids[over]] = False
+        return ids[news].tolist()
+
+    def _reports(self, news: list[int], due: list[int]) -> list[tuple[_Seat, Reports | None]]:
+        """Reports on ropes with news, by their searches; empty ones for searches that are due."""
+        ropes, found = self.ropes, dict[int, Report]()
+        for watch, read in ((True, ropes.states), (False, ropes.at_rest)):
+            own = [rope for rope in news if self._lanes[rope].trial.watch == watch]
+            states = read(own) if own else ()
+            codes = label_many(ropes.points[own]) if own else []
+            for rope, state, code in zip(own, states, codes, strict=True):
+                lane, going = self._lanes[rope], bool(self._going[rope])
+                forces = np.array(lane.forces, np.float32).reshape(-1, 3)
+                found[rope] = Report(
+                    state,
+                    ropes.points[rope].copy(),
+                    code,
+                    int(self._pulls[rope]),
+                    not going,
+                    bool(self._lost[rope]),
+                    np.array(lane.beads, np.int64),
+                    forces,
+                )
+        woken = [*dict.fromkeys(self._seats[rope] for rope in (*news, *due))]
+        return [
+            (seat, (seat.pulls, [(k, found[r]) for k, r in enumerate(seat.ropes) if r in found]))
+            for seat in woken
+        ]

@@ -1,0 +1,319 @@
+"""Passes as moves of a diagram: templates, values, and the search of the policy `expert`.
+
+A *template* is a pass in terms of a diagram: where along its arcs the bead and the strand to pass
+lie. All diagrams of so many crossings have the same templates. Play counts to which diagrams each
+leads (`moves`), and values turn the counts into an order: at the same diagram and goal always the
+same passes, the best first. The search goes through them depth first, in the chain engine, with the
+rope at rest at every choice. So the pass that it finds is a function of where the rope lies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from importlib.resources import files
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from knotgym.common.configuration import Count, Whole, configuration
+from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
+from knotgym.control.planning.diagrams import (
+    IMAGES,
+    REVERSE,
+    SWITCH,
+    Diagram,
+    Sight,
+    canonical_image,
+    first_goal,
+    see,
+)
+from knotgym.control.planning.moves import Moves
+from knotgym.rope.macro_actions import LONGEST, MacroActionConfig, Pass
+from knotgym.rope.model import Array
+from knotgym.rope.towing import TowBound
+from knotgym.states.schema import CODE_SPLITS
+from knotgym.topology.gauss import GaussCode
+
+DATA = Path(str(files("knotgym.control.planning") / "data"))
+# The tables that ship, by the split whose starts and goals were played: nobody who is tested on
+# codes held out may know what `train` goals say about them.
+PASSES = {"train": DATA / "passes.h5", "train-code": DATA / "passes-by-code.h5"}
+# counted towards every code of 2 to 4 crossings; the split by state holds out no code
+EVERY_CODE = DATA / "passes-every-code.h5"
+COUNTED_NX = 5  # most crossings of the diagrams in the tables
+
+# Failures added to those counted, so that two of two doesn't pass for sure; and the discount of a
+# pass, because fewer are better. SWEEPS: paths of so many passes count.
+_DOUBT, _DISCOUNT, _SWEEPS = 3.0, 0.97, 16
+_BOUNDED = 4  # times as many candidates where towing is limited: the order doesn't know what tows
+_CLOSE = 8  # fewest beads along the rope between the two of a random pass
+
+
+@configuration
+class PassPlannerConfig:
+    """Settings of the policy `expert`.
+
+    Attributes:
+        candidates: passes tried at a state, at most; four times as many where towing is limited.
+        budget: pulls simulated for a search, at most.
+        steps: pulls of a path to the goal, at most.
+        last_resort: pulls that the planner of pulls may simulate for an episode in which no pass
+            was found.
+        macro_actions: settings of the passes.
+    """
+
+    candidates: Count = 12
+    budget: Count = 2000
+    steps: Count = 50
+    last_resort: Whole = 2000
+    macro_actions: MacroActionConfig = MacroActionConfig()
+
+
+class PassTemplate(NamedTuple):
+    """A pass in terms of a diagram.
+
+    Attributes:
+        bead: position of the bead, see `diagrams`.
+        target: position of the strand to pass.
+        apart: beads from the bead to the strand, instead of `target`; 0 for `target`.
+        side: +1 over the strand, -1 under it.
+    """
+
+    bead: float
+    target: float
+    apart: int
+    side: int
+
+    def on(self, sight: Sight, image: int) -> Pass:
+        """Return the pass of a rope whose diagram is the image of the template's diagram."""
+        flip = 2 * sight.diagram.nx + 1 if image & REVERSE else 0
+        # Walked backwards, what lay at position p along the 2 nx + 1 arcs lies at 2 nx + 1 - p.
+        bead = sight.bead(abs(flip - self.bead))
+        if self.apart:
+            target = (bead + (-self.apart if flip else self.apart)) % int(sight.cuts[-1])
+        else:
+            target = sight.bead(abs(flip - self.target))
+        return Pass(bead, target, -self.side if image & SWITCH else self.side)
+
+
+@lru_cache
+def templates(nx: int) -> tuple[PassTemplate, ...]:
+    """List the templates of the diagrams of nx crossings; their numbers are stored.
+
+    On the plain loop the bead is one in twenty, and the strand some beads away. Otherwise they lie
+    at a few fractions of any two arcs; or the strand is some beads away, which makes a kink.
+    """
+    places: list[tuple[float, float, int]] = []
+    fractions: tuple[float, ...]
+    if nx == 0:
+        for bead in range(5, 100, 5):
+            for apart in (8, 11, 14, 18, 24, 32, 40, 50):
+                reached = [bead + apart, bead - apart]
+                places += [(bead / 100, end / 100, 0) for end in reached if 0 < end < 100]
+    else:
+        # The more arcs there are, the fewer places on each: templates grow with the square.
+        fractions = {1: (0.2, 0.5, 0.8), 2: (0.25, 0.5, 0.75)}.get(nx, (0.3, 0.7))
+        along = [arc + part for arc in range(2 * nx + 1) for part in fractions]
+        places = [(bead, end, 0) for bead in along for end in along if bead != end]
+        fractions = (0.3, 0.7) if nx > 1 else (0.2, 0.35, 0.5, 0.65, 0.8)
+        along = [arc + part for arc in range(2 * nx + 1) for part in fractions]
+        places += [(bead, 0.0, apart) for bead in along for apart in (10, 14, 18, -10, -14, -18)]
+    return tuple(PassTemplate(*place, side) for place in places for side in (1, -1))
+
+
+@lru_cache
+def template_images(nx: int, image: int) -> dict[int, int]:
+    """Map the numbers of templates to those of their images under a symmetry."""
+    flip = 2 * nx + 1 if image & REVERSE else 0
+    # positions are compared in hundredths of an arc, of which each is a whole number
+    numbers = {
+        (round(100 * one.bead), round(100 * one.target), one.apart, one.side): number
+        for number, one in enumerate(templates(nx))
+    }
+    return {
+        number: numbers[
+            abs(100 * flip - bead),
+            target if apart else abs(100 * flip - target),
+            -apart if flip else apart,
+            -side if image & SWITCH else side,
+        ]
+        for (bead, target, apart, side), number in numbers.items()
+    }
+
+
+class PassValues:
+    """Chances to reach goals by passes, and from them the order of the passes at a diagram.
+
+    A pass is worth the chance that it leads to a diagram of more worth, times what that is worth:
+    then the best pass is the one by which, from here on, first choices are most likely right.
+    """
+
+    def __init__(self, moves: Moves) -> None:
+        self.moves = moves
+        self._chance = _DISCOUNT * moves.seen / (moves.tried + _DOUBT)
+        self._values: dict[GaussCode, tuple[Array, Array]] = {}
+        self._orders: dict[tuple[GaussCode, Diagram], list[tuple[int, float]]] = {}
+
+    def reach(self, goal: GaussCode, diagram: Diagram) -> float:
+        """The chance to reach a goal from a diagram; 0 if the table doesn't know how."""
+        first, image = first_goal(goal)
+        index = self.moves.index.get(diagram.image(image))
+        return 0.0 if index is None else float(self._of(first)[0][index])
+
+    def passes(self, goal: GaussCode, sight: Sight) -> Iterator[tuple[Pass, float]]:
+        """Yield the passes that lead a rope nearer to a goal, the best first, each once.
+
+        Beside each stands what it is worth, in (0, 1].
+        """
+        known = set[Pass]()
+        for template, image, worth in self.order(goal, sight.diagram):
+            # Several templates may name the same two beads where arcs are short; and both beads may
+            # be the same.
+            move = templates(sight.diagram.nx)[template].on(sight, image)
+            if move not in known and move.bead != move.target:
+                known.add(move)
+                yield move, worth
+
+    def order(self, goal: GaussCode, diagram: Diagram) -> Iterator[tuple[int, int, float]]:
+        """Yield the templates of the passes of a diagram that lead nearer to a goal, best first.
+
+        Beside each stand the symmetry that brings the diagram to its first image, for which
+        templates are numbered, and the worth of the pass. The order is the same for every image of
+        (diagram, goal).
+        """
+        first, seen_as = first_goal(goal)
+        moved = diagram.image(seen_as)
+        image = canonical_image(moved)[1]
+        if (first, moved) not in self._orders:
+            self._orders[first, moved] = self._ordered(first, moved, image)
+        for template, worth in self._orders[first, moved]:
+            yield template, seen_as ^ image, worth
+
+    def _ordered(self, goal: GaussCode, diagram: Diagram, image: int) -> list[tuple[int, float]]:
+        (reach, first), moves = self._of(goal), self.moves
+        own, outcomes = moves.of(diagram.image(image))
+        if own.start == own.stop:
+            return []
+        worth = self._chance[outcomes] * first[moves.after[image][outcomes]]
+        worth = np.where(moves.nearer(reach, image, outcomes), worth, 0.0)
+        move = np.zeros(len(worth), np.int64)  # of each outcome
+        move[moves.start[own][1:] - outcomes.start] = 1
+        sums = np.zeros(own.stop - own.start)
+        np.add.at(sums, move.cumsum(), worth)
+        # rounded, so that the order doesn't depend on how a machine adds
+        sums = np.round(sums, 6)
+        best = [k for k in np.argsort(-sums, kind="stable").tolist() if sums[k] > 0]
+        return [(int(moves.label[own.start + k]), float(sums[k])) for k in best]
+
+    def _of(self, goal: GaussCode) -> tuple[Array, Array]:
+        """By node, the chance to reach the goal; and that if only passes that raise it count."""
+        if goal not in self._values:
+            moves, chance, shown = self.moves, self._chance, self.moves.shown(goal, 1.0, 0.0)
+            reach = moves.values(shown, 0.0, chance, _SWEEPS)
+            nearer = [np.where(moves.nearer(reach, k), chance, 0.0) for k in range(IMAGES)]
+            self._values[goal] = reach, moves.values(shown, 0.0, nearer, _SWEEPS)
+        return self._values[goal]
+
+
+def pass_values(split: str = "train", *, every_code: bool = False) -> PassValues:
+    """Values for a task's split, from the tables that ship.
+
+    Args:
+        split: splits by code have a table of their own, from play that met no start and no goal
+            that is held out.
+        every_code: whether the table was counted towards every code, or towards train goals alone;
+            makes no difference to splits by code.
+    """
+    if split in CODE_SPLITS:
+        return _loaded(PASSES["train-code"])
+    return _loaded(EVERY_CODE if every_code else PASSES["train"])
+
+
+@lru_cache(maxsize=3)
+def _loaded(path: Path) -> PassValues:
+    return PassValues(Moves.load(path)[0])
+
+
+class TriedPass(NamedTuple):
+    """A pass that a search simulated: from where, which, and where it led."""
+
+    state: Array
+    points: Array
+    code: GaussCode
+    move: Pass
+    landing: Report
+
+
+class PassPlan(NamedTuple):
+    """What a search of passes found.
+
+    Attributes:
+        passes: the passes that lead to the goal, one after another; empty if none were found.
+        spent: pulls simulated.
+        tried: all passes that were simulated, in this order, also where they led into dead ends.
+    """
+
+    passes: list[TriedPass]
+    spent: int
+    tried: list[TriedPass]
+
+
+class PassSearch:
+    """A search for the first path to a goal; see `BatchedSearch`. It takes one slot."""
+
+    def __init__(
+        self,
+        values: PassValues,
+        goal: GaussCode,
+        config: PassPlannerConfig,
+        bound: TowBound | None = None,
+    ) -> None:
+        """Take the order of passes, the goal, settings and where the rope's centre must stay."""
+        self._values, self._goal, self._config, self._bound = values, goal, config, bound
+        self._candidates = config.candidates * (1 if bound is None else _BOUNDED)
+        self._spent, self._tried = 0, list[TriedPass]()
+
+    def run(self, state: Array, points: Array) -> Search[PassPlan]:
+        """Search from a state of the chain engine at rest, and its points (beads, 3)."""
+        found = yield from self._plan(state, points, see(points[None])[0], self._config.steps)
+        return PassPlan(found, self._spent, self._tried)
+
+    def _plan(
+        self, state: Array, points: Array, sight: Sight, left: int
+    ) -> Search[list[TriedPass]]:
+        here, goal = sight.diagram, self._goal
+        chance = self._values.reach(goal, here)
+        for move, _ in islice(self._values.passes(goal, sight), self._candidates):
+            if self._spent >= self._config.budget:
+                break
+            # A generator yields what it wants simulated, so that many searches share the ropes.
+            trial = Trial(state, move, min(LONGEST, left), goal, self._bound)
+            _, ((_, landing),) = yield Orders({0: trial})
+            self._spent += landing.pulls
+            tried = TriedPass(state, points, here.code, move, landing)
+            self._tried.append(tried)
+            if landing.lost:
+                continue
+            # the goal may be shown before the pass is over, which then ends there
+            if landing.code.matches(goal):
+                return [tried]
+            # Only diagrams nearer to the goal are followed, so a path never comes back to one. All
+            # paths through this landing come before the next pass from here.
+            if landing.pulls < left and landing.code != here.code:
+                (there,) = see(landing.points[None])
+                if self._values.reach(goal, there.diagram) > chance:
+                    rest = yield from self._plan(
+                        landing.state, landing.points, there, left - landing.pulls
+                    )
+                    if rest:
+                        return [tried, *rest]
+        return []
+
+
+def random_pass(beads: int, rng: np.random.Generator) -> Pass:
+    """Draw a pass over or under any bead that isn't close along the rope."""
+    bead, apart = int(rng.integers(beads)), int(rng.integers(_CLOSE, beads - _CLOSE + 1))
+    return Pass(bead, (bead + apart) % beads, (-1, 1)[int(rng.integers(2))])

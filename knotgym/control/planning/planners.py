@@ -1,0 +1,342 @@
+"""The two planners as policies: `PassPlanner` (named expert) and `PullPlanner` (named planner).
+
+Both search in the chain engine, whichever engine an episode has. All searches of a player run side
+by side. A lane whose next move is being searched for waits while the others go on, so neither
+simulation stands still, and no episode can tell what runs beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.control.basic_policies import pull_task
+from knotgym.control.planning.batched_search import BatchedSearch, Search
+from knotgym.control.planning.changes import Guide, Proposals, shipped_guide
+from knotgym.control.planning.passes import (
+    PassPlan,
+    PassPlannerConfig,
+    PassSearch,
+    PassValues,
+    pass_values,
+)
+from knotgym.control.planning.pulls import PullPlan, PullPlannerConfig, PullSearch
+from knotgym.control.rollouts import Player, Pulls
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.chain.chain_simulation import ChainSimulation
+from knotgym.rope.engines import simulation_of
+from knotgym.rope.macro_actions import LONGEST, MacroActionConfig, Pass, WaypointFollower
+from knotgym.rope.model import Array
+from knotgym.rope.simulation import Simulation
+from knotgym.topology.gauss import GaussCode
+
+Ids = NDArray[np.int64]
+SLOTS = 12  # most slots that a search of a policy of passes takes
+_SPARE = 2  # ropes to search in, per rope of the batch
+_TOWING = 0.9  # share of the limit on towing that passes go to: engines differ a little
+
+
+@dataclass(frozen=True)
+class PullPlanner:
+    """Leads ropes to their goals by plans of pulls.
+
+    Each episode has a budget of simulated pulls for all its plans together. Once it is used up, the
+    policy goes on without looking ahead, with macro-actions chosen by guidance alone.
+
+    Attributes:
+        config: settings.
+        guide: gives distances; None for the one that ships.
+    """
+
+    config: PullPlannerConfig = PullPlannerConfig()
+    guide: Guide | None = None
+    name: str = "planner"
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Return the task; its actions must be pulls."""
+        return pull_task(task)
+
+    def player(self, batch: EpisodeBatch) -> PullPlayer:
+        """Return a player for the lanes of a batch."""
+        desk = Desk(batch, self.config.batch_size, self.config.macro_actions)
+        return PullPlayer(self, batch, desk)
+
+
+@dataclass(frozen=True)
+class PassPlanner:
+    """Leads ropes to their goals by passes: the same state and goal, the same pass.
+
+    Each pass is acted out until its end, the goal, or LONGEST pulls; then it searches again. So
+    what it does is a function of where the rope lies, which a network can learn. Where a search
+    finds nothing, a `PullPlanner` acts until the episode ends.
+
+    Attributes:
+        config: settings.
+        pulls: settings of the planner that is the last resort.
+        values: order of the passes; None for the one that ships for the task's split.
+    """
+
+    config: PassPlannerConfig = PassPlannerConfig()
+    pulls: PullPlannerConfig = PullPlannerConfig()
+    values: PassValues | None = None
+    name: str = "expert"
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Return the task; its actions must be pulls."""
+        return pull_task(task)
+
+    def player(self, batch: EpisodeBatch) -> PassPlayer:
+        """Return a player for the lanes of a batch."""
+        return PassPlayer(self, batch)
+
+
+class Desk:
+    """The searches for the lanes of a batch.
+
+    Attributes:
+        search: in which they run.
+        thinking: bool (lanes,), whether a lane waits for its search.
+        planned: int64 (lanes,), pulls simulated for the episode in a lane.
+    """
+
+    def __init__(self, batch: EpisodeBatch, slots: int, config: MacroActionConfig) -> None:
+        """Make ropes for searches, each of which takes at most so many slots."""
+        rope, count = batch.simulation.rope, batch.count
+        self.search = BatchedSearch(max(_SPARE * count, slots), config, rope)
+        self.thinking, self.planned = np.zeros(count, bool), np.zeros(count, np.int64)
+        self._bench: ChainSimulation | None = None
+
+    def begin(self, player: object, ids: Ids) -> None:
+        """Forget the searches of a player for lanes in which new episodes begin."""
+        self.forget(player, ids)
+        self.planned[ids] = 0
+
+    def forget(self, player: object, ids: Ids) -> None:
+        """Drop the searches of a player for some lanes."""
+        for index in ids[self.thinking[ids]].tolist():
+            self.search.drop((player, index))
+        self.thinking[ids] = False
+
+    def ask(self, player: object, index: int, search: Search[Any], slots: int = 1) -> None:
+        """Begin a search for a lane; `player.decided(index, result)` will be called."""
+        self.thinking[index] = True
+        self.search.add((player, index), search, slots)
+
+    def tick(self) -> None:
+        """Simulate a pull in every search that is under way."""
+        for (player, index), found in self.search.tick():
+            self.thinking[index] = False
+            self.planned[index] += found.spent
+            player.decided(index, found)
+
+    def at_rest(self, simulation: Simulation, ids: Ids) -> tuple[Array, Array]:
+        """States at rest in the chain engine, and points (n, beads, 3), of ropes of any engine.
+
+        Velocities fade within 20 ms, and a search must not depend on them.
+        """
+        if isinstance(simulation, ChainSimulation):
+            return simulation.at_rest(ids), simulation.points[ids].copy()
+        if self._bench is None:
+            self._bench = ChainSimulation(len(self.thinking), simulation.rope)
+        rows = np.arange(len(ids))
+        self._bench.lay(simulation.qpos(ids), rows)
+        return self._bench.at_rest(rows), self._bench.points[rows]
+
+
+class PullPlayer(Player):
+    """A `PullPlanner` at work; see `Player`."""
+
+    def __init__(self, policy: PullPlanner, batch: EpisodeBatch, desk: Desk) -> None:
+        self._config, self._batch, self._desk = policy.config, batch, desk
+        self._guide = policy.guide or shipped_guide(policy.config.strange)
+        self._rngs: dict[int, np.random.Generator] = {}
+        self._plans: dict[int, PullPlan] = {}
+        # pulls taken of the plan; pulls simulated for all plans of the episode
+        self._taken, self._spent = np.zeros((2, batch.count), np.int64)
+        self._follower = WaypointFollower(batch.count, policy.config.macro_actions)
+        # one rope of the episode's engine, in which plans are checked
+        self._check: Simulation | None = None
+        self.planned = desk.planned
+
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
+        self._desk.begin(self, ids)
+        self._rngs |= dict(zip(ids.tolist(), rngs, strict=True))
+        for index in ids.tolist():
+            self._plans.pop(index, None)
+        self._taken[ids] = self._spent[ids] = 0
+        self._follower.release(ids)
+
+    def act(self, ids: Ids) -> Pulls:
+        self.look(ids)
+        self._desk.tick()
+        ready = ids[~self._desk.thinking[ids]]
+        return Pulls(ready, *self.pulls(ready))
+
+    def look(self, ids: Ids) -> None:
+        """Begin searches where a plan is over and budget is left."""
+        batch, config = self._batch, self._config
+        for index in ids[~self._desk.thinking[ids]].tolist():
+            plan = self._plans.get(index)
+            if plan is not None and self._taken[index] < len(plan.beads):
+                continue
+            self._plans.pop(index, None)
+            if batch.shown[index] or self._spent[index] + config.batch_size > config.budget:
+                continue
+            if self._check is None:
+                rope = batch.simulation.rope.config
+                self._check = simulation_of(1, rope, batch.simulation.engine)
+            (goal,) = batch.goals_of(np.array([index]))
+            search = PullSearch(
+                goal,
+                self._guide,
+                config,
+                self._rngs[index],
+                int(batch.hold[index]),
+                batch.tow_bound(index),
+                hauling=True,
+            )
+            state = batch.simulation.states([index])[0]
+            left = int(batch.task.horizon - batch.steps[index])
+            budget = int(config.budget - self._spent[index])
+            made = search.checked(self._check, self._at_rest, state, left, budget)
+            self._desk.ask(self, index, made, config.batch_size)
+
+    def decided(self, index: int, plan: PullPlan) -> None:
+        """Follow a plan that a search has found."""
+        self._plans[index] = plan
+        self._taken[index] = 0
+        self._spent[index] += plan.spent
+
+    def pulls(self, ids: Ids) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """The next pulls of plans; those of macro-actions by guidance where there is no plan."""
+        blind = np.array([not self._unfinished(index) for index in ids.tolist()], dtype=bool)
+        beads, forces = self._go_blind(ids, blind & ~self._batch.shown[ids])
+        for row in np.flatnonzero(~blind).tolist():
+            plan, at = self._plans[int(ids[row])], self._taken[ids[row]]
+            beads[row], forces[row] = plan.beads[at], plan.forces[at]
+        self._taken[ids] += 1
+        return beads, forces
+
+    def _unfinished(self, index: int) -> bool:
+        return index in self._plans and self._taken[index] < len(self._plans[index].beads)
+
+    def _go_blind(
+        self, ids: Ids, blind: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Pulls of macro-actions by guidance alone; without force where `blind` is False."""
+        points, config, follower = self._batch.simulation.points, self._config, self._follower
+        follower.release(ids[~blind])
+        idle = ids[blind][follower.arrive(points, ids[blind])]
+        codes, goals = self._batch.codes_of(idle), self._batch.goals_of(idle)
+        for index, code, goal in zip(idle.tolist(), codes, goals, strict=True):
+            proposals = Proposals(self._guide.to(goal, code).nearer(code))
+            move = proposals.draw(
+                points[index],
+                self._rngs[index],
+                config.macro_actions,
+                config.guided,
+                config.template_noise,
+            )
+            follower.begin(np.array([index]), [move])
+        follower.arrive(points, idle)
+        return np.where(blind, follower.beads[ids], 0), follower.forces(points, ids)
+
+    def _at_rest(self, check: Simulation) -> tuple[Array, Array]:
+        states, points = self._desk.at_rest(check, np.zeros(1, np.int64))
+        return states[0], points[0]
+
+
+class PassPlayer(Player):
+    """A `PassPlanner` at work; see `Player`.
+
+    Attributes:
+        goals: the code that each lane is led to.
+    """
+
+    def __init__(self, policy: PassPlanner, batch: EpisodeBatch) -> None:
+        self._config, self.batch, count = policy.config, batch, batch.count
+        self._values = policy.values or pass_values(batch.task.split)
+        slots = max(SLOTS, policy.pulls.batch_size)
+        self.desk = Desk(batch, slots, policy.config.macro_actions)
+        # in the last resort the planner of pulls may simulate less than where it is the policy
+        least = min(policy.pulls.budget, policy.config.last_resort)
+        pulls = PullPlanner(replace(policy.pulls, budget=least))
+        self._last_resort = PullPlayer(pulls, batch, self.desk)
+        self._by_pulls = np.zeros(count, bool)  # whether the last resort acts
+        self._follower = WaypointFollower(count, policy.config.macro_actions)
+        self._moves, self._taken = np.zeros((count, 3), np.int64), np.zeros(count, np.int64)
+        self.goals = [GaussCode(())] * count
+        self.planned = self.desk.planned
+
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
+        self._last_resort.begin(ids, rngs)
+        self.desk.begin(self, ids)
+        self.replan(ids)
+        for index, goal in zip(ids.tolist(), self.batch.goals_of(ids), strict=True):
+            self.goals[index] = goal
+
+    def act(self, ids: Ids) -> Pulls:
+        points, follower = self.batch.simulation.points, self._follower
+        passing = ids[~self._by_pulls[ids] & ~self.desk.thinking[ids]]
+        settled = self.settle(passing)
+        # Waypoints that were reached are passed before anything is decided, so that a pass that is
+        # over leads to a search in this very action.
+        over = follower.arrive(points, passing) | (self._taken[passing] >= LONGEST)
+        self._search(passing[over & ~settled])
+        self._last_resort.look(ids[self._by_pulls[ids]])
+        self.desk.tick()
+        ready = ids[~self.desk.thinking[ids]]
+        beads, forces = follower.beads[ready], follower.forces(points, ready)
+        macros = np.column_stack([self._taken[ready] == 0, self._moves[ready]])
+        idle = follower.idle[ready]  # the goal is shown: without force the rope settles
+        beads[idle], macros[idle] = 0, 0
+        self._taken[ready] += 1
+        by_pulls = self._by_pulls[ready]
+        if by_pulls.any():
+            beads[by_pulls], forces[by_pulls] = self._last_resort.pulls(ready[by_pulls])
+        return Pulls(ready, beads, forces, macros)
+
+    def replan(self, ids: Ids) -> None:
+        """Look again before the next action of some lanes."""
+        self.desk.forget(self, ids)
+        self.desk.forget(self._last_resort, ids[self._by_pulls[ids]])
+        self._by_pulls[ids] = False
+        self._follower.release(ids)
+
+    def lead(self, index: int, move: Pass) -> None:
+        """Act a pass out in a lane, whoever chose it."""
+        points, ids = self.batch.simulation.points, np.array([index])
+        self._moves[index], self._taken[index] = move, 0
+        self._follower.begin_passes(ids, [move], points)
+        self._follower.arrive(points, ids)
+
+    def settle(self, ids: Ids) -> NDArray[np.bool_]:
+        """End the passes of ropes that show their goals; return which should lie still."""
+        shown = self.batch.shown[ids]
+        self._follower.release(ids[shown])
+        return shown
+
+    def decided(self, index: int, found: PassPlan) -> None:
+        """Go on after a search."""
+        if found.passes:
+            self.lead(index, found.passes[0].move)
+        else:
+            self.give_up(index)
+
+    def give_up(self, index: int) -> None:
+        """Go on after a search that found nothing."""
+        self._by_pulls[index] = True
+        self._last_resort.look(np.array([index]))
+
+    def _search(self, ids: Ids) -> None:
+        """Begin searches for the next passes of some lanes."""
+        states, points = self.desk.at_rest(self.batch.simulation, ids) if len(ids) else ((), ())
+        for index, state, rope in zip(ids.tolist(), states, points, strict=True):
+            bound = self.batch.tow_bound(index, _TOWING)
+            search = PassSearch(self._values, self.goals[index], self._config, bound)
+            self.desk.ask(self, index, search.run(state, rope))

@@ -1,0 +1,409 @@
+"""Plan pulls: the search of the policy `planner`.
+
+This is a best-first search with random choices. A pool holds the states met so far, grouped by
+code. Each iteration picks a state from the pool, preferring codes that are near the goal
+(`changes`), and applies one macro-action to it, on several ropes side by side. The macro-action is
+either random or imitates one that made a useful change of code before. Ropes with many crossings
+may be hauled instead. Every state with a new code joins the pool.
+
+Plans are made in the chain engine, some forty times as fast as MuJoCo, and acted out once in the
+engine that counts. Where the two part, the search goes on from the state nearest to the goal that
+was reached there, or begins again. Engines are deterministic, bit for bit, so what was checked
+holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.configuration import (
+    Count,
+    NonNegative,
+    Positive,
+    Share,
+    Whole,
+    configuration,
+)
+from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
+from knotgym.control.planning.changes import Distances, Guide, Proposals
+from knotgym.rope.macro_actions import (
+    Haul,
+    MacroAction,
+    MacroActionConfig,
+    cumulative_shares,
+    propose_haul,
+)
+from knotgym.rope.model import Array
+from knotgym.rope.simulation import Simulation
+from knotgym.rope.towing import TowBound
+from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
+
+HARD_NX = 7  # hauls are allowed from so many crossings on, where guidance knows very little
+_HAULED_NX = 3  # a hard rope is hauled only from states of at least this many crossings
+_HAULS = 0.6  # share of a hard rope's macro-actions that are hauls
+_RESTART = 20_000  # simulated pulls after which a plan begins again: other draws may do better
+_FAILURES = 2  # plans from one state that may lead no nearer to the goal, until it begins again
+_LOOK = 4000  # pulls of the first plan; twice as many after each from the root that finds none
+
+
+@configuration
+class PullPlannerConfig:
+    """Settings of the policy `planner`.
+
+    Attributes:
+        budget: pulls simulated for an episode, at most.
+        batch_size: copies of the rope simulated side by side.
+        guided: share of macro-actions that imitate counted ones, where there are any; the rest are
+            random.
+        longest: most pulls of one macro-action.
+        kept: most states kept per code.
+        greed: exponent of the preference for codes near the goal; 0 for no preference.
+        stride: expected pulls per change of code.
+        least_stride: fewest pulls per change of code; a state from which the goal can't be reached
+            in time even at this rate is dropped.
+        unknown_hops: changes of code to the goal assumed where no path is known.
+        patience: delay, in pulls, that makes a state e times less likely to be chosen.
+        weariness: macro-actions from a code that halve its probability to be chosen again.
+        try_cost: pulls that each try of a state counts for when the worst state of a code is
+            dropped.
+        stuck: macro-actions from a code after which other configurations with the same code are
+            kept too.
+        template_noise: standard deviation of an imitated macro-action's positions, in arcs.
+        strange: macro-actions that each crossing too many or too few counts for where no path is
+            known.
+        macro_actions: settings of the macro-actions.
+    """
+
+    budget: Whole = 60000
+    batch_size: Count = 8
+    guided: Share = 0.8
+    longest: Count = 10
+    kept: Count = 6
+    greed: NonNegative = 4.0
+    stride: NonNegative = 6.0
+    least_stride: Whole = 2
+    unknown_hops: Whole = 2
+    patience: Positive = 10.0
+    weariness: Positive = 10.0
+    try_cost: NonNegative = 2.0
+    stuck: Whole = 24
+    template_noise: NonNegative = 0.1
+    strange: NonNegative = 30.0
+    macro_actions: MacroActionConfig = MacroActionConfig()
+
+
+@dataclass(eq=False)
+class _Node:
+    """A state in a tree of states.
+
+    Attributes:
+        state, points, code: where it is.
+        steps: pulls from the root to here.
+        before: its parent; None at the root.
+        beads, forces: the pulls from there.
+        tries: macro-actions that began here.
+    """
+
+    state: Array
+    points: Array
+    code: GaussCode
+    steps: int = 0
+    before: _Node | None = None
+    beads: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    forces: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    tries: int = 0
+
+
+class PullPlan(NamedTuple):
+    """Pulls to a goal, or to the state nearest to it.
+
+    Attributes:
+        beads, forces: int64 (T,) and float32 (T, 3), in units of the largest force.
+        solved: whether the goal is reached.
+        spent: pulls simulated to find them.
+    """
+
+    beads: NDArray[np.int64]
+    forces: NDArray[np.float32]
+    solved: bool
+    spent: int
+
+
+class _Pool:
+    """The states met so far, grouped by code, with what `choose` needs to weigh each code.
+
+    Codes get rows in the order in which they are met; the arrays below are indexed by row.
+    """
+
+    def __init__(self, far: Distances, config: PullPlannerConfig, nx_as_hops: bool) -> None:
+        """Take distances and settings, and whether crossings stand for hops that aren't known."""
+        self._far, self._config, self._nx_as_hops = far, config, nx_as_hops
+        self._rows = dict[GaussCode, int]()
+        self._nodes = list[list[_Node]]()
+        self._distance = np.empty(0)  # macro-actions to the goal
+        self._left = np.empty(0)  # estimated pulls to the goal
+        # macro-actions from states of the code, and the fewest pulls from the root
+        self._tries, self._earliest = np.empty((2, 0), np.int64)
+
+    def hops(self, code: GaussCode) -> int:
+        """Estimated number of changes of code to the goal."""
+        known = self._far.hops(code)
+        if known is not None:
+            return known
+        return code.nx if self._nx_as_hops else self._config.unknown_hops
+
+    def add(self, node: _Node) -> None:
+        """Add a state; if its code now has too many, drop the one latest and tried most often."""
+        if node.code not in self._rows:
+            self._rows[node.code] = len(self._nodes)
+            self._nodes.append([])
+            self._distance = np.append(self._distance, self._far(node.code))
+            self._left = np.append(self._left, self._config.stride * self.hops(node.code))
+            self._tries, self._earliest = np.append(self._tries, 0), np.append(self._earliest, 0)
+        row = self._rows[node.code]
+        nodes = self._nodes[row]
+        nodes.append(node)
+        if len(nodes) > self._config.kept:
+            cost = self._config.try_cost
+            nodes.remove(max(nodes, key=lambda one: one.steps + cost * one.tries))
+        # computed again, since the state dropped may have been the earliest
+        self._earliest[row] = min(one.steps for one in nodes)
+
+    def tries(self, code: GaussCode) -> int:
+        """Number of macro-actions from states of this code."""
+        return int(self._tries[self._rows[code]]) if code in self._rows else 0
+
+    def choose(self, rng: np.random.Generator) -> _Node:
+        """Draw a code, then a state that shows it, and count the try."""
+        config = self._config
+        # A code's weight falls with its distance to the goal (greed), with how often it was tried
+        # (weariness), and with the estimated length of an episode through it (patience). Lengths
+        # are compared to the shortest one, which keeps the exponentials from underflowing.
+        late = self._earliest + self._left
+        weights = (
+            (1 + self._distance) ** -config.greed
+            / (1 + self._tries / config.weariness)
+            * np.exp(-(late - late.min()) / config.patience)
+        )
+        row = _drawn(weights, rng)
+        # among the code's states: early ones, and ones tried less often
+        nodes = self._nodes[row]
+        fresh = [np.exp(-one.steps / config.patience) / (1 + one.tries) for one in nodes]
+        node = nodes[_drawn(np.array(fresh), rng)]
+        node.tries += 1
+        self._tries[row] += 1
+        return node
+
+    def nearest(self) -> _Node:
+        """The state nearest to the goal; of these the earliest."""
+        every = (one for nodes in self._nodes for one in nodes)
+        return min(every, key=lambda one: (self._far(one.code), one.steps))
+
+
+@dataclass(eq=False)
+class PullSearch:
+    """A search for pulls to a goal; it takes `config.batch_size` slots, see `BatchedSearch`.
+
+    Attributes:
+        goal: compared without chirality.
+        guide: gives distances; one by an empty table is guided by numbers of crossings alone.
+        config: settings.
+        rng: source of all random choices.
+        hold: number of consecutive states that must show the goal.
+        bound: region in which the rope's centre must stay; None for no limit.
+        hauling: allow hauls if the rope has at least HARD_NX crossings, and more than the goal.
+    """
+
+    goal: GaussCode
+    guide: Guide
+    config: PullPlannerConfig
+    rng: np.random.Generator
+    hold: int = 1
+    bound: TowBound | None = None
+    hauling: bool = False
+
+    def checked(
+        self,
+        check: Simulation,
+        at_rest: Callable[[Simulation], tuple[Array, Array]],
+        state: Array,
+        steps: int,
+        budget: int,
+    ) -> Search[PullPlan]:
+        """Find pulls that were acted out in the engine that counts.
+
+        Args:
+            check: one rope of that engine; overwritten, also between the trials of this search.
+            at_rest: from it, its state at rest in the chain engine, and its points (beads, 3).
+            state: of that rope, to start from.
+            steps: most pulls of the plan.
+            budget: most pulls to simulate, of both engines.
+        """
+        check.restore(state[None])
+        root = here = best = _node_of(check)
+        far = self.guide.to(self.goal, root.code)
+        spent, failures, look, most = 0, 0, _LOOK, self.config.batch_size
+        while spent + most <= budget and steps > 0:
+            check.restore(here.state[None])
+            made = yield from self.plan(
+                *at_rest(check), steps - here.steps, min(look, budget - spent)
+            )
+            spent += made.spent
+            if not made.solved and spent + most <= budget:
+                # too few pulls are left from here, or the goal is hard to find
+                look *= 1 if here.steps else 2
+                here, failures = root, 0
+                continue
+            nodes, solved = self._act_out(check, here, made, steps - here.steps)
+            spent += len(nodes)
+            if solved:
+                return _plan_to(nodes[-1], True, spent)
+            nearest = min(nodes, key=lambda one: (far(one.code), one.steps), default=here)
+            best = min(best, nearest, key=lambda one: (far(one.code), one.steps))
+            nearer = far(nearest.code) < far(here.code)
+            here, failures = (nearest, 0) if nearer else (here, failures + 1)
+            if failures == _FAILURES or here.steps + self.config.least_stride > steps:
+                here, failures = root, 0
+        return _plan_to(best, False, spent)
+
+    def plan(self, state: Array, points: Array, steps: int, budget: int) -> Search[PullPlan]:
+        """Find pulls in the chain engine alone, to the goal or else to the state nearest to it.
+
+        Args:
+            state, points: of the chain engine: where the rope lies.
+            steps, budget: as of `checked`. The search begins again after every _RESTART pulls.
+        """
+        spent, best = 0, None
+        root = _Node(state, points, label(points))
+        far = self.guide.to(self.goal, root.code)
+        while best is None or spent + self.config.batch_size <= budget:
+            node, own = yield from self._grow(root, far, steps, min(_RESTART, budget - spent))
+            spent += own
+            if node.code.matches(self.goal) and node is not root:
+                return _plan_to(node, True, spent)
+            if best is None or (far(node.code), node.steps) < (far(best.code), best.steps):
+                best = node
+            if not own:
+                break
+        return _plan_to(best, False, spent)
+
+    def _grow(
+        self, root: _Node, far: Distances, steps: int, budget: int
+    ) -> Search[tuple[_Node, int]]:
+        """Grow a tree from its root until it reaches the goal or the budget is spent.
+
+        Returns the node at the goal, or else the nearest, and the pulls simulated.
+        """
+        config, goal, rng, count = self.config, self.goal, self.rng, self.config.batch_size
+        # Hauls take crossings out. Where they are allowed few paths are known, and each crossing is
+        # taken for a change of code to go.
+        hauling = self.hauling and root.code.nx >= HARD_NX and root.code.nx > goal.nx
+        root.tries = 0
+        pool, proposals = _Pool(far, config, hauling), dict[GaussCode, Proposals]()
+        pool.add(root)
+        # by slot: where its macro-action began, the code seen last
+        begun, shown = dict[int, _Node](), dict[int, GaussCode]()
+        hauls, spent = set[int](), 0
+
+        def propose(at: _Node, slot: int) -> MacroAction | Haul:
+            hauls.discard(slot)
+            if hauling and at.code.nx >= _HAULED_NX and rng.random() < _HAULS:
+                hauls.add(slot)
+                return propose_haul(len(at.points), rng)
+            if at.code not in proposals:
+                proposals[at.code] = Proposals(far.nearer(at.code))
+            noise = config.template_noise
+            return proposals[at.code].draw(
+                at.points, rng, config.macro_actions, config.guided, noise
+            )
+
+        def arrived(slot: int, report: Report) -> tuple[_Node | None, bool]:
+            """The node that a report is worth keeping as; and whether the slot is free."""
+            at, code, before = begun[slot], report.code, shown[slot]
+            if report.lost:  # unstable, or out of bounds: nothing from here on is of use
+                return None, True
+            nearer, shown[slot] = far(code) < far(at.code), code
+            # States at which the code changes are kept, and so are the ends of macro-actions. But
+            # an end with the code that it began with is kept only if that code is stuck: then
+            # another configuration with the same code may be a better start. Along a haul, only
+            # states nearer to the goal than its start are kept.
+            if slot in hauls:
+                keep = report.over or nearer
+            else:
+                stuck = pool.tries(at.code) > config.stuck
+                keep = code != before or (report.over and (stuck or code != at.code))
+            if not keep:
+                return None, report.over
+            pulls = at.steps + report.pulls
+            node = _Node(report.state, report.points, code, pulls, at, report.beads, report.forces)
+            # optimistic: every change of code that is left takes the fewest pulls it can
+            if pulls + config.least_stride * pool.hops(code) <= steps:
+                pool.add(node)
+            # progress is worth a fresh choice of macro-action rather than the rest of this one
+            return node, report.over or nearer
+
+        while spent + count <= budget and steps > 0:
+            trials = {}
+            for slot in [slot for slot in range(count) if slot not in begun]:
+                at = begun[slot] = pool.choose(rng)
+                shown[slot], move = at.code, propose(at, slot)
+                longest = move.steps if isinstance(move, Haul) else config.longest
+                pulls = max(1, min(longest, steps - at.steps))
+                trials[slot] = Trial(at.state, move, pulls, goal, self.bound, watch=True)
+            ticks, reports = yield Orders(trials, (budget - spent) // count)
+            spent += ticks * count
+            for slot, report in reports:
+                node, free = arrived(slot, report)
+                if node is not None and node.code.matches(goal):
+                    return node, spent
+                if free:
+                    del begun[slot]
+        return pool.nearest(), spent
+
+    def _act_out(
+        self, check: Simulation, here: _Node, made: PullPlan, steps: int
+    ) -> tuple[list[_Node], bool]:
+        """Act a plan out, until it shows the goal or has had `steps` pulls.
+
+        Returns the states on the way, and whether the last `hold` of them show the goal.
+        """
+        check.restore(here.state[None])
+        nodes, held = list[_Node](), 0
+        while held < self.hold and len(nodes) < (steps if held else min(steps, len(made.beads))):
+            bead, force = np.zeros(1, np.int64), np.zeros((1, 3), np.float32)  # a rest
+            if not held:
+                at = slice(len(nodes), len(nodes) + 1)
+                bead, force = made.beads[at], made.forces[at]
+            stable = check.step(bead, force.astype(np.float64) * check.max_force)[0]
+            if not stable or (self.bound is not None and self.bound.exceeded(check.points)[0]):
+                break
+            here = _node_of(check, here, bead, force)
+            held = held + 1 if here.code.matches(self.goal) else 0
+            nodes.append(here)
+        return nodes, held == self.hold
+
+
+def _node_of(check: Simulation, before: _Node | None = None, *pull: NDArray[np.generic]) -> _Node:
+    """The state of a simulation of one rope, after a pull."""
+    points, steps = check.points[0].copy(), before.steps + 1 if before else 0
+    return _Node(check.states()[0], points, label(points), steps, before, *pull)  # type: ignore[arg-type]
+
+
+def _plan_to(node: _Node, solved: bool, spent: int) -> PullPlan:
+    """Collect the pulls from the root to a node, following the parents back."""
+    line: list[_Node] = [node]
+    while line[-1].before is not None:
+        line.append(line[-1].before)
+    pulls = [one.beads for one in line[::-1]], [one.forces for one in line[::-1]]
+    return PullPlan(np.concatenate(pulls[0]), np.concatenate(pulls[1]), solved, spent)
+
+
+def _drawn(weights: Array, rng: np.random.Generator) -> int:
+    """Draw an index with probability proportional to its weight."""
+    return int(cumulative_shares(weights).searchsorted(rng.random(), side="right"))

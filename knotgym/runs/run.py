@@ -1,0 +1,381 @@
+"""A run is a pure function of its configuration and seed, with a memo on disk.
+
+A recipe is a generator: it yields batches of calls and is sent their results, in the order of the
+calls. Which calls it makes depends on earlier results alone.
+
+    def recipe(place):
+        parts = yield [Call(f"parts {i}", part, (config, i)) for i in range(10)]
+        write(place, joined(parts))
+        return f"{len(parts)} parts"
+
+`run` drives it in a hidden folder `.NAME.partial` beside the output and keeps each result in a
+journal there (`journal`); only a finished output gets the final name. To resume is to run again:
+what the journal holds isn't computed again. Shard i of n computes every n-th call and leaves
+`NAME-shard-i-of-n.journal` beside the output; to merge is to run the command once more, without
+--shard, where the journals of the shards lie. The output is the same, byte for byte, however a run
+was interrupted, divided and merged, and whatever executed it.
+"""
+
+import shutil
+import time
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from contextlib import AbstractContextManager, contextmanager
+from glob import escape
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+from knotgym.common.atomic_files import (
+    move_into_place,
+    remove,
+    require_output,
+    require_own,
+    require_own_tree,
+)
+from knotgym.common.configuration import differences
+from knotgym.common.errors import Failed, InvalidInput, Occupied
+from knotgym.runs.executors import InProcess, executor
+from knotgym.runs.identity import identity_of
+from knotgym.runs.journal import Journal, Result, has_results
+from knotgym.runs.progress import Progress, Status
+from knotgym.runs.run_options import Existing, RunOptions
+from knotgym.runs.shards import WHOLE, Shard
+
+Output = TypeVar("Output")
+
+_AHEAD = 4  # calls in progress for each worker, so that one slow call doesn't leave others idle
+
+
+class Call(NamedTuple):
+    """A piece of work.
+
+    Attributes:
+        key: its name, unique in the run. With the identity of the run it must say everything that
+            determines the result. All but its last word names the stage that progress shows, such
+            as "episodes 0-63".
+        function: a function at the top level of a module; it returns arrays by name.
+        arguments: what it is called with; they travel to other processes.
+    """
+
+    key: str
+    function: Callable[..., Result]
+    arguments: tuple[Any, ...] = ()
+
+
+Recipe = Generator[Sequence[Call], list[Result], Output]
+OnProgress = Callable[[str, int, int, Result | None], None]  # stage, done, total, new result
+
+
+class Memo(Protocol):
+    """Results by key: a Journal, or a dictionary."""
+
+    def __contains__(self, key: str, /) -> bool: ...
+    def __getitem__(self, key: str, /) -> Result: ...
+    def keep(self, key: str, result: Result, /) -> None: ...
+
+
+class Memory(dict[str, Result]):
+    """Results that are kept in memory only, for runs that leave no files."""
+
+    def keep(self, key: str, result: Result, /) -> None:
+        self[key] = result
+
+
+class _SharesMissing(Failed):
+    """The shard is done as far as it can be; it needs results of others to go on."""
+
+
+def compute(
+    recipe: Recipe[Output],
+    journal: Memo | None = None,
+    pool: Executor | None = None,
+    shard: Shard = WHOLE,
+    on_progress: OnProgress | None = None,
+) -> Output:
+    """Drive a recipe to its end and return its output.
+
+    Args:
+        recipe: a new generator.
+        journal: results that are there already; it gets the others. By default they stay in memory.
+        pool: executes the calls; by default they are executed in this process.
+        shard: which share of the calls of each batch is computed.
+        on_progress: called with the stage, how many of its calls are done and to be done, and the
+            result that was added, or None.
+
+    Raises:
+        Failed: results of other shards are missing.
+    """
+    memo = Memory() if journal is None else journal
+    pool = pool or InProcess()
+    results: list[Result] | None = None
+    try:
+        while True:
+            try:
+                calls = next(recipe) if results is None else recipe.send(results)
+            except StopIteration as end:
+                output: Output = end.value
+                return output
+            share = shard.dealt(calls)
+            _complete(share, memo, pool, on_progress)
+            if missing := [call for call in calls if call.key not in memo]:
+                others = {calls.index(call) % shard.of + 1 for call in missing}
+                raise _SharesMissing(
+                    f"{len(missing)} of {len(calls)} results of {_stage(calls[0])!r} are missing:"
+                    f" run --shard {', '.join(f'{one}/{shard.of}' for one in sorted(others))}"
+                )
+            results = [memo[call.key] for call in calls]
+    finally:
+        recipe.close()
+
+
+def run(
+    recipe: Callable[[Path], Recipe[Any]],
+    out: Path,
+    identity: Mapping[str, Any],
+    options: RunOptions,
+    progress: Progress | None = None,
+    *,
+    is_folder: bool = True,
+    prepare: Callable[[Progress], None] | None = None,
+    pool: Callable[[], AbstractContextManager[Executor]] | None = None,
+    count: Callable[[Result], Mapping[str, int]] | None = None,
+    sources: Callable[[], Any] | None = None,
+    made_by: Callable[[Path], Mapping[str, Any] | None] = identity_of,
+) -> Path:
+    """Make an output and return it; a shard returns its journal.
+
+    Args:
+        recipe: where to write the output -> generator, which writes it at its end. If it returns a
+            text, that is the summary to show. Nothing else may be done there; files that later
+            calls need may be written beside it.
+        identity: everything that determines the output, see `identity.identity`.
+        prepare: called before the work, for example to compile kernels.
+        pool: opens the executor; by default that of the options.
+        count: result -> numbers to add up and show, such as {"reached the goal": 3}.
+        sources: returns the digests of the files that are read; the output is only published if
+            they still are those of the identity.
+        made_by: path of an output -> the identity of its run, or None.
+
+    Raises:
+        Occupied: the output exists, another run is making it, or an interrupted one left work.
+        InvalidInput: the run to resume had another identity, or a source has changed.
+        InvalidFile: its journal, or that of a shard, isn't one.
+        Failed: something could not be made.
+    """
+    if progress is None:
+        with Progress(options.quiet) as progress:
+            return run(
+                recipe,
+                out,
+                identity,
+                options,
+                progress,
+                is_folder=is_folder,
+                prepare=prepare,
+                pool=pool,
+                count=count,
+                sources=sources,
+                made_by=made_by,
+            )
+    began, shard = time.perf_counter(), options.shard
+    if shard.is_whole and is_finished(out, identity, options, made_by):
+        if staging_folder(out).exists():  # the run was killed after moving its output into place
+            with staged(out, identity, options):
+                shutil.rmtree(staging_folder(out))
+        progress.say(f"{out} is finished already")
+        return out
+    if shard.is_whole:
+        require_output(out, folder=is_folder, overwrite=options.overwrite)
+    with staged(out, identity, options, shard) as (folder, journal):
+        if options.resume and journal.is_empty:
+            progress.say(f"{out}: there is nothing to resume, starting from the beginning")
+        if prepare is not None:
+            prepare(progress)
+        place, show = folder / "made" / out.name, _shown_on(progress, count)
+        with (pool or (lambda: executor(options.workers, options.scheduler)))() as workers:
+            try:
+                summary = compute(recipe(place), journal, workers, shard, show)
+            except _SharesMissing as missing:
+                if shard.is_whole:
+                    raise
+                progress.say(
+                    f"{journal.path}: shard {shard} is done as far as it can be; {missing}"
+                )
+                summary = None
+        if not journal.is_held:
+            raise Occupied(f"{journal.path} was removed during the run; start the run again")
+        if shard.is_whole:
+            if sources is not None:
+                _require_unchanged(identity.get("source"), sources())
+            progress.stage("writing")
+            move_into_place(place, out, overwrite=options.overwrite)
+        shutil.rmtree(folder)
+    if not shard.is_whole:
+        progress.say(
+            f"{journal.path}: to merge, run the same command without --shard where the journals of"
+            " all shards lie"
+        )
+        return journal.path
+    text = f": {summary}" if isinstance(summary, str) else ""
+    progress.say(f"{out}{text}; {time.perf_counter() - began:.0f} s")
+    return out
+
+
+@contextmanager
+def staged(
+    out: Path, identity: Mapping[str, Any], existing: Existing, shard: Shard = WHOLE
+) -> Iterator[tuple[Path, Journal]]:
+    """Hold the staging folder of an output and its journal; yield both.
+
+    The journal is locked, and with it the folder. The caller removes the folder when the output is
+    in place; after an error it stays if there are results in the journal.
+
+    Raises:
+        Occupied: another run holds it, or it has the work of an interrupted run and `existing`
+            says neither resume nor restart, or a link or another user's file is in its place.
+        InvalidFile, InvalidInput: as `Journal` raises.
+    """
+    path = shard.journal(out)
+    partial = staging_folder(out if shard.is_whole else path)
+    others = [other for other in shard_journals(out) if other != path]
+    path = partial / "journal" if shard.is_whole else path
+    require_own(partial)
+    new = not partial.exists()
+    partial.mkdir(parents=True, exist_ok=True)
+    try:
+        require_own_tree(partial)
+        require_own(path)
+        if has_results(path) and not (existing.resume or existing.restart):
+            raise Occupied(
+                f"an interrupted run of {out if shard.is_whole else path} left its work: --resume"
+                " continues it, --restart deletes it"
+            )
+        journal = Journal(path, identity, others, fresh=not existing.resume)
+    except BaseException:
+        if new:
+            shutil.rmtree(partial)
+        raise
+    with journal:
+        try:
+            for left in partial.iterdir():
+                if left != path:
+                    remove(left)
+            (partial / "made").mkdir()
+            yield partial, journal
+        except BaseException:
+            if journal.is_held and journal.is_empty:
+                shutil.rmtree(partial, ignore_errors=True)
+                remove(path)
+            raise
+
+
+def staging_folder(out: Path) -> Path:
+    """Return the folder `.NAME.partial` beside `out`, which holds a run until it is finished."""
+    return out.parent / f".{out.name}.partial"
+
+
+def shard_journals(out: Path) -> list[Path]:
+    """Return the journals that shards left beside an output."""
+    pattern = f"{escape(out.name)}-shard-*-of-*.journal"
+    return sorted(path for path in out.parent.glob(pattern) if path.is_file())
+
+
+def require_no_interrupted_run(out: Path, existing: Existing, shard: Shard = WHOLE) -> None:
+    """Raise Occupied if an interrupted run left work, unless `existing` says what to do with it."""
+    path = staging_folder(out) / "journal" if shard.is_whole else shard.journal(out)
+    if has_results(path) and not (existing.resume or existing.restart):
+        raise Occupied(
+            f"an interrupted run of {out if shard.is_whole else path} left its work: --resume"
+            " continues it, --restart deletes it"
+        )
+
+
+def is_finished(
+    out: Path,
+    identity: Mapping[str, Any],
+    existing: Existing,
+    made_by: Callable[[Path], Mapping[str, Any] | None] = identity_of,
+) -> bool:
+    """Whether `out` is already the finished output of the run to resume.
+
+    Raises:
+        InvalidInput: it is the output of another run, and `existing` doesn't overwrite it.
+    """
+    # A run that was interrupted while it replaced an older output isn't finished.
+    replaces = existing.overwrite and has_results(staging_folder(out) / "journal")
+    there = made_by(out) if existing.resume and not replaces else None
+    if there is None:
+        return False
+    found = list(differences(dict(there), dict(identity)))
+    if found and not existing.overwrite:
+        raise InvalidInput(
+            f"{out} belongs to a different run: {'; '.join(found[:3])}; give the same options"
+            " again, or --overwrite to replace it"
+        )
+    return not found
+
+
+def _complete(
+    calls: Sequence[Call], memo: Memo, pool: Executor, on_progress: OnProgress | None
+) -> None:
+    """Compute the calls whose results aren't in the journal; keep each as soon as it is there."""
+    done = 0
+
+    def told(call: Call, result: Result | None) -> None:
+        if on_progress is not None:
+            on_progress(_stage(call), done, len(calls), result)
+
+    left = []
+    for call in calls:
+        if call.key in memo:
+            done += 1
+            told(call, memo[call.key])
+        else:
+            left.append(call)
+    waiting, running = iter(left), dict[Future[Result], Call]()
+    ahead = _AHEAD * int(getattr(pool, "workers", 4)) if not isinstance(pool, InProcess) else 1
+    if left:
+        told(left[0], None)
+    while True:
+        for call in islice(waiting, ahead - len(running)):
+            running[pool.submit(call.function, *call.arguments)] = call
+        if not running:
+            return
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            call, result = running.pop(future), future.result()
+            memo.keep(call.key, result)
+            done += 1
+            told(call, result)
+
+
+def _stage(call: Call) -> str:
+    """Return the stage of a call, its key without the last word.
+
+    >>> _stage(Call("episodes 0-63", dict))
+    'episodes'
+    """
+    return call.key.rpartition(" ")[0] or call.key
+
+
+def _shown_on(
+    progress: Progress, count: Callable[[Result], Mapping[str, int]] | None
+) -> OnProgress:
+    totals: Counter[str] = Counter()
+
+    def show(stage: str, done: int, total: int, result: Result | None) -> None:
+        if count is not None and result is not None:
+            totals.update(count(result))
+        facts = {name: str(value) for name, value in totals.items()}
+        progress.stage(stage)
+        progress.show(lambda: Status(done, total, "pieces", facts, even=True), last=done == total)
+
+    return show
+
+
+def _require_unchanged(before: Any, now: Any) -> None:
+    if found := list(differences(before, now, "source")):
+        raise InvalidInput(
+            f"a source of the run has changed while it ran, so nothing is written: {found[0]}"
+        )

@@ -1,0 +1,121 @@
+"""The forces of the relaxation are minus the gradients of the energies that its text gives."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.drawing.layout_relaxation import (
+    LayoutRelaxationConfig,
+    _repel,
+    _square,
+    _stiffen,
+    relax_layout,
+)
+
+Array = NDArray[np.float64]
+# a figure of eight: node 0 is the crossing, the walk passes it twice
+WALK = np.array([0, 1, 2, 3, 0, 4, 5, 6])
+AT = np.array(
+    [[0.0, 0.0], [0.1, 0.03], [0.17, 0.12], [0.05, 0.1]]  # counterclockwise
+    + [[-0.05, -0.11], [-0.16, -0.1], [-0.1, -0.02]]  # clockwise
+)
+VISITS = np.array([[0, 4]])
+
+
+def segments(at: Array) -> Array:
+    found: Array = at[np.roll(WALK, -1)] - at[WALK]
+    return found
+
+
+def lengths(at: Array) -> Array:
+    found: Array = np.linalg.norm(segments(at), axis=1)
+    return found
+
+
+def bending(at: Array) -> float:
+    t = segments(at) / lengths(at)[:, None]
+    cosine = (t * np.roll(t, 1, axis=0)).sum(axis=1)
+    return float((4 * 0.0007 * (1 - cosine) / (lengths(at) + np.roll(lengths(at), 1))).sum())
+
+
+def square(at: Array) -> float:
+    one, other = at[WALK[1]] - at[WALK[7]], at[WALK[5]] - at[WALK[3]]
+    cosine = one @ other / np.linalg.norm(one) / np.linalg.norm(other)
+    return float(2.0 * cosine**2)
+
+
+def gradient(energy: Callable[[Array], float], at: Array) -> Array:
+    found = np.zeros_like(at)
+    for index in np.ndindex(*at.shape):
+        step = np.zeros_like(at)
+        step[index] = 1e-6
+        found[index] = (energy(at + step) - energy(at - step)) / 2e-6
+    return found
+
+
+@pytest.mark.parametrize("name", ["bending", "square"])
+def test_a_force_is_minus_the_gradient_of_its_energy(name: str) -> None:
+    force, stiff = np.zeros_like(AT), np.zeros(len(AT))
+    if name == "bending":
+        _stiffen(AT, WALK, lengths(AT), force, stiff, 0.0007)
+        slope = gradient(bending, AT)
+    else:
+        _square(AT, WALK, VISITS, force, stiff, 2.0)
+        slope = gradient(square, AT)
+    assert np.abs(slope).max() > 1e-3
+    assert np.abs(force + slope).max() < 1e-6 * np.abs(slope).max() + 1e-9
+
+
+def test_the_stiffness_bounds_the_curvature_of_a_node_by_itself() -> None:
+    force, stiff = np.zeros_like(AT), np.zeros(len(AT))
+    _stiffen(AT, WALK, lengths(AT), force, stiff, 0.0007)
+    for node in range(len(AT)):
+        for c in range(2):
+            step = np.zeros_like(AT)
+            step[node, c] = 1e-4
+            second = (bending(AT + step) - 2 * bending(AT) + bending(AT - step)) / 1e-8
+            assert second < 3 * stiff[node]
+
+
+def test_strands_that_come_close_push_each_other_equally_and_apart() -> None:
+    count = len(WALK)
+    arc = np.concatenate([[0.0], np.cumsum(lengths(AT))[:-1]])
+    force, stiff = np.zeros_like(AT), np.zeros(len(AT))
+    pairs, gaps = np.empty((count * count, 2), np.int64), np.empty((count * count, 4))
+    found = _repel(AT, WALK, lengths(AT), arc, force, stiff, 0.1, 1.0, pairs, gaps)
+    assert found > 0 and np.abs(force).max() > 0
+    # action and reaction: neither the sum of the forces nor that of their moments moves the drawing
+    moment = AT[:, 0] * force[:, 1] - AT[:, 1] * force[:, 0]
+    assert np.abs(force.sum(axis=0)).max() < 1e-12 and abs(moment.sum()) < 1e-12
+    for (node, segment), (x, y, far, along) in zip(pairs[:found], gaps[:found], strict=True):
+        a, b = WALK[segment], WALK[(segment + 1) % count]
+        nearest = (1 - along) * AT[a] + along * AT[b]
+        assert np.allclose(AT[node] - nearest, far * np.array([x, y]), atol=1e-12)
+
+
+def test_relaxing_squares_the_crossing_and_keeps_the_faces_of_a_figure_of_eight() -> None:
+    left, right = np.array([0, 2]), np.array([2, 1])  # faces: the two lobes, then the outside
+    config = LayoutRelaxationConfig(first=200, later=100, segments=16)
+    at, walk = relax_layout(AT, WALK, left, right, np.array([1.0, 1.0, 0.0]), config)
+
+    def angle(points: Array, around: NDArray[np.int64]) -> float:
+        half = len(around) // 2
+        one = points[around[1]] - points[around[-1]]
+        other = points[around[half + 1]] - points[around[half - 1]]
+        return abs(float(one @ other / np.linalg.norm(one) / np.linalg.norm(other)))
+
+    def areas(points: Array, around: NDArray[np.int64]) -> list[float]:
+        loops = np.split(points[around], 2)
+        return [
+            float(
+                (loop[:, 0] * np.roll(loop[:, 1], -1) - loop[:, 1] * np.roll(loop[:, 0], -1)).sum()
+            )
+            for loop in loops
+        ]
+
+    assert angle(at, walk) < 0.2 < angle(AT, WALK)
+    before, after = areas(AT, WALK), areas(at, walk)
+    assert np.sign(before).tolist() == np.sign(after).tolist()
+    assert abs(abs(after[0] / after[1]) - 1) < 0.05  # equal shares, equal areas

@@ -1,0 +1,45 @@
+"""The recipes that the contract of runs is tested with; a recipe that lands adds a row.
+
+A row makes an output of a few calls, in a second or so, in any process.
+"""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from knotgym.runs.run import Call, Recipe, run
+from knotgym.runs.run_options import RunOptions
+from knotgym.runs.shards import Shard
+
+
+def drawn(seed: int, number: int, scale: float) -> dict[str, Any]:
+    rng = np.random.default_rng([seed, number])
+    return {"x": scale * rng.normal(size=(50, 3)), "number": np.int64(number)}
+
+
+def toy(place: Path) -> Recipe[str]:
+    """Two batches, of which the second depends on the first."""
+    parts = yield [Call(f"parts {number}", drawn, (0, number, 1.0)) for number in range(30)]
+    scale = float(sum(part["x"].sum() for part in parts))
+    more = yield [Call(f"more {number}", drawn, (1, number, scale)) for number in range(5)]
+    place.mkdir()
+    (place / "manifest.json").write_text("{}")
+    np.save(place / "x.npy", np.concatenate([part["x"] for part in [*parts, *more]]))
+    return f"{len(parts)} parts"
+
+
+def made_toy(out: Path, options: RunOptions) -> Path:
+    return run(toy, out, {"config": {"toy": 0}}, options)
+
+
+RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {"toy": made_toy}
+
+if __name__ == "__main__":  # python -m tests.runs.recipes NAME OUT WORKERS [SHARD]
+    name, out, workers, *shard = sys.argv[1:]
+    options = RunOptions(
+        workers=int(workers), resume=True, quiet=True, shard=Shard.parse("".join(shard))
+    )
+    RECIPES[name](Path(out), options)

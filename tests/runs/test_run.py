@@ -1,0 +1,226 @@
+"""The contract of runs: the same bytes however they are interrupted, divided and executed; nothing
+is lost or replaced unasked.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from knotgym.common.errors import Failed, InvalidInput, Occupied
+from knotgym.runs.run import Call, Journal, Recipe, compute, run, staging_folder
+from knotgym.runs.run_options import RunOptions
+from knotgym.runs.shards import Shard
+
+from .recipes import RECIPES, drawn, made_toy, toy
+
+QUIET = RunOptions(workers=1, quiet=True)
+RESUMED = replace(QUIET, resume=True)
+KILLS = 5
+
+every_recipe = pytest.mark.parametrize("name", RECIPES)
+
+
+def content(out: Path) -> dict[str, bytes]:
+    files = [out] if out.is_file() else sorted(path for path in out.rglob("*") if path.is_file())
+    return {path.relative_to(out.parent).as_posix(): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, dict[str, bytes]]]:
+    folder = tmp_path_factory.mktemp("unbroken")
+    yield {name: content(make(folder / name, QUIET)) for name, make in RECIPES.items()}
+
+
+@every_recipe
+def test_two_processes_make_the_same_bytes(
+    name: str, tmp_path: Path, unbroken: dict[str, dict[str, bytes]]
+) -> None:
+    out = RECIPES[name](tmp_path / name, replace(QUIET, workers=2))
+    assert content(out) == unbroken[name]
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@every_recipe
+def test_a_run_that_is_killed_again_and_again_makes_the_same_bytes(
+    name: str, tmp_path: Path, unbroken: dict[str, dict[str, bytes]]
+) -> None:
+    out, rng, kills = tmp_path / name, random.Random(name), 0
+    journal = staging_folder(out) / "journal"
+    command = [sys.executable, "-m", "tests.runs.recipes", name, str(out), "1"]
+    size = 0
+    for _ in range(KILLS + 1):
+        child = subprocess.Popen(command)
+        while kills < KILLS and child.poll() is None and _size(journal) <= size:
+            time.sleep(0.001)  # until the journal grows
+        if kills < KILLS and child.poll() is None:
+            time.sleep(rng.random() * 0.02)
+            os.kill(child.pid, signal.SIGKILL)
+            kills += 1
+        assert child.wait() in (0, -signal.SIGKILL)
+        size = _size(journal)
+    assert kills
+    assert content(out) == unbroken[name]
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@every_recipe
+def test_three_shards_merge_to_the_same_bytes(
+    name: str, tmp_path: Path, unbroken: dict[str, dict[str, bytes]]
+) -> None:
+    out, make = tmp_path / name, RECIPES[name]
+    for number in (2, 1, 3):
+        left = make(out, replace(QUIET, shard=Shard(number, 3)))
+        assert left == tmp_path / f"{name}-shard-{number}-of-3.journal"
+    for number in (1, 2, 3):  # what depends on the others' results
+        make(out, replace(RESUMED, shard=Shard(number, 3)))
+    assert not out.exists()
+    assert content(make(out, QUIET)) == unbroken[name]
+
+
+def test_a_shard_computes_its_share_alone_and_names_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = made_toy(tmp_path / "a", RunOptions(workers=1, shard=Shard(2, 3)))
+    assert "run --shard 1/3, 3/3" in capsys.readouterr().out
+    with Journal(path, {"config": {"toy": 0}}) as journal:
+        assert list(journal) == [f"parts {number}" for number in range(1, 30, 3)]
+
+
+def test_a_shard_with_results_is_continued_or_deleted_only_on_request(tmp_path: Path) -> None:
+    shard = replace(QUIET, shard=Shard(1, 2))
+    path = made_toy(tmp_path / "a", shard)
+    before = path.read_bytes()
+    with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
+        made_toy(tmp_path / "a", shard)
+    assert path.read_bytes() == before
+    made_toy(tmp_path / "a", replace(shard, restart=True))
+    assert path.read_bytes() == before
+
+
+def test_shards_of_another_run_are_not_merged(tmp_path: Path) -> None:
+    made_toy(tmp_path / "a", replace(QUIET, shard=Shard(1, 2)))
+    with pytest.raises(InvalidInput, match="shard-1-of-2.journal belongs to a different run"):
+        run(toy, tmp_path / "a", {"config": {"toy": 1}}, QUIET)
+    assert [path.name for path in tmp_path.iterdir()] == ["a-shard-1-of-2.journal"]
+
+
+def test_results_stay_in_memory_without_a_journal_and_threads_compute_too() -> None:
+    def recipe() -> Recipe[float]:
+        parts = yield [Call(f"parts {number}", drawn, (0, number, 1.0)) for number in range(5)]
+        return float(sum(part["x"].sum() for part in parts))
+
+    alone = compute(recipe())
+    with ThreadPoolExecutor(2) as pool:
+        assert compute(recipe(), pool=pool) == alone
+    with pytest.raises(Failed, match="run --shard 2/2"):
+        compute(recipe(), shard=Shard(1, 2))
+
+
+@contextmanager
+def interrupted(out: Path, after: int = 7) -> Iterator[None]:
+    """Leave a run that was interrupted after some results."""
+    kept = Journal.keep
+
+    def keep(self: Journal, *arguments: object) -> None:
+        kept(self, *arguments)  # type: ignore[arg-type]
+        if len(self) == after:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Journal, "keep", keep)
+        made_toy(out, QUIET)
+    yield
+
+
+def test_an_interrupted_run_is_continued_or_deleted_only_on_request(tmp_path: Path) -> None:
+    out = tmp_path / "a"
+    with interrupted(out):
+        assert not out.exists()
+        with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
+            made_toy(out, QUIET)
+        with pytest.raises(InvalidInput, match="toy is 0 there and 1 here"):
+            run(toy, out, {"config": {"toy": 1}}, RESUMED)
+        run(toy, out, {"config": {"toy": 1}}, replace(QUIET, restart=True))
+    with pytest.raises(Occupied):
+        made_toy(out, QUIET)
+    assert made_toy(out, replace(QUIET, overwrite=True)) == out
+
+
+def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
+    with interrupted(tmp_path / "a", after=30), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tests.runs.recipes.drawn", None)
+        with pytest.raises(TypeError):  # the next batch calls it
+            made_toy(tmp_path / "a", RESUMED)
+    assert made_toy(tmp_path / "a", RESUMED)
+
+
+def test_a_failure_before_any_result_leaves_nothing(tmp_path: Path) -> None:
+    def recipe(_: Path) -> Recipe[None]:
+        yield [Call("one 1", int, ("no number",))]
+
+    with pytest.raises(ValueError, match="no number"):
+        run(recipe, tmp_path / "a", {}, QUIET)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_source_that_changes_stops_the_publication(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="source.states is 1 there and 2 here"):
+        run(toy, tmp_path / "a", {"source": {"states": 1}}, QUIET, sources=lambda: {"states": 2})
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_finished_run_is_recognized_when_it_is_resumed(tmp_path: Path) -> None:
+    def finish(identity: dict[str, int]) -> Path:
+        return run(toy, tmp_path / "a", identity, RESUMED, made_by=lambda out: {"seed": 0} if out.exists() else None)  # noqa: E501  # fmt: skip
+
+    assert finish({"seed": 0}) == finish({"seed": 0})
+    with pytest.raises(InvalidInput, match="seed is 0 there and 1 here"):
+        finish({"seed": 1})
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
+    def recipe(_: Path) -> Recipe[None]:
+        with pytest.raises(Occupied, match="another run is writing"):
+            made_toy(tmp_path / "a", RESUMED)
+        yield [Call("one 1", drawn, (0, 0, 1.0))]
+        raise Failed("enough")
+
+    with pytest.raises(Failed, match="enough"):
+        run(recipe, tmp_path / "a", {}, QUIET)
+
+
+def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    staging_folder(tmp_path / "a").symlink_to(tmp_path / "other")
+    with pytest.raises(Occupied, match="is a link"):
+        made_toy(tmp_path / "a", QUIET)
+    assert list((tmp_path / "other").iterdir()) == []
+
+
+def test_numbers_of_results_are_added_up_and_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(toy, tmp_path / "a", {}, replace(QUIET, quiet=False), count=lambda one: {"rows": len(one["x"])})  # noqa: E501  # fmt: skip
+    assert "rows 1750" in capsys.readouterr().out
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
+
+
+def test_a_large_result_survives(tmp_path: Path) -> None:
+    with Journal(tmp_path / "j", {}) as journal:
+        journal.keep("big 1", {"x": np.arange(3_000_000)})
+    with Journal(tmp_path / "j", {}) as journal:
+        assert journal["big 1"]["x"][-1] == 2_999_999
