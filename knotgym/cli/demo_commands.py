@@ -74,7 +74,7 @@ def demo(given: Given) -> None:
 @command(lambda: run_options("quiet"))
 def compile_kernels(given: Given) -> None:
     """Compile the numerical kernels ahead of time, in about a minute of CPU time."""
-    from knotgym.control.planner_config import PlannerConfig
+    from knotgym.control.planning import PullPlannerConfig
     from knotgym.control.policies import PolicyConfig
     from knotgym.envs.tasks import TaskConfig
     from knotgym.generate.episodes.collect import CollectConfig, collect
@@ -97,7 +97,7 @@ def compile_kernels(given: Given) -> None:
         progress.stage("compiling the kernels that simulate, plan and render")
         config = CollectConfig(
             task=TaskConfig(task="tie", nx=1, horizon=2, observation="state"),
-            policy=PolicyConfig(policy="expert", planner=PlannerConfig(budget=64)),
+            policy=PolicyConfig(policy="expert", planner=PullPlannerConfig(budget=64)),
             episodes=1,
         )
         arrays(collect(config, folder, options, progress=silent), observation="both")

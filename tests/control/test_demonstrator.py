@@ -21,7 +21,8 @@ from knotgym.control.pass_counts import (
     templates,
 )
 from knotgym.control.pass_play import goals_not_held_out
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram
 from knotgym.control.transition_counts import ELEMENTS, ArcCoordinates

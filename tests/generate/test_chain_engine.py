@@ -17,7 +17,8 @@ import pytest
 
 from knotgym.cli.inspection import film, merge
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import episode_faults, replay, verify_episodes

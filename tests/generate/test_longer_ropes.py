@@ -11,7 +11,8 @@ import knotgym
 from knotgym.cli import run_commands
 from knotgym.cli.run_commands import code_list
 from knotgym.common.errors import InvalidFile, InvalidInput, InvalidPolicy
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policies import PolicyConfig
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import draw, picture_of

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidPolicy
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig

@@ -10,7 +10,8 @@ from knotgym.common.errors import InvalidInput
 from knotgym.control.expert import Expert
 from knotgym.control.old_basic_policies import ConstantPolicy
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
