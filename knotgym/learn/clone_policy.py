@@ -210,7 +210,7 @@ def _choose_block(
         chosen, works = network.rate(looked, macros)
     # the maximum of logits with Gumbel noise is a draw from their softmax
     noise = np.zeros(chosen.shape)
-    for row in np.flatnonzero(temperatures > 0):
+    for row in np.flatnonzero(temperatures > 0).tolist():
         noise[row] = temperatures[row] * rngs[row].gumbel(size=noise.shape[1])
     best = (prior + share * chosen + WORKING * works + torch.from_numpy(noise)).argmax(1)[:count]
     beads, targets, sides = macros[torch.arange(count), best].numpy().T

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
 from knotgym.envs.marked import Marked, mark
 from knotgym.topology.gauss import GaussCode
 
@@ -20,8 +18,8 @@ class Decisions(NamedTuple):
         points: float32 (n, beads, 3), metres, where the macro-action begins.
         goals: str (n,), codes without chirality.
         macros: int64 (n, 3): bead to lead, bead of the strand to pass, +1 over or -1 under.
-        worked: bool (n,), whether a planner chose it in an episode that reached its goal; the others
-            aren't imitated, but the network learns that they don't work there.
+        worked: bool (n,), whether the episode reached its goal; the other decisions aren't
+            imitated, but the network learns that they don't work there.
         episodes: int64 (n,), number of the episode; episodes are held out whole.
     """
 

@@ -87,4 +87,6 @@ def load_picture_policy(folder: str, config: AgentConfig | None = None) -> Pictu
     Raises:
         InvalidFile: there is no checkpoint that this version can read.
     """
-    return PicturePolicy(load_reader(folder), PRETRAINED if folder == PRETRAINED else "learned", config)
+    return PicturePolicy(
+        load_reader(folder), PRETRAINED if folder == PRETRAINED else "learned", config
+    )

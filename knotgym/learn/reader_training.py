@@ -64,7 +64,7 @@ def _drawn(
     are 0.
     """
     rows = rng.integers(len(data.frames), size=count)
-    beads, forces = data.beads[rows], data.forces[rows] / chain.max_force
+    beads, forces = data.beads[rows], data.forces[rows].astype(np.float64)
     begins = beads < 0
     true = data.frames[rows].astype(np.float64)
     # rows - 1 is the state before, except where an episode begins
@@ -88,7 +88,7 @@ def _velocities(data: TrainingData, chain: ChainSimulation, rows: NDArray[np.int
 
     Datasets hold no velocities: the engine repeats the action before, from rest.
     """
-    beads, forces = data.beads[rows], data.forces[rows] / chain.max_force
+    beads, forces = data.beads[rows], data.forces[rows].astype(np.float64)
     begins = beads < 0
     before = data.frames[rows - ~begins].astype(np.float64)
     rest = np.zeros_like(before)

@@ -158,7 +158,9 @@ def _train_clone(
 
 def _demonstrations(config: CloneConfig) -> list[Call]:
     """Return the calls that make the demonstrations of all tasks."""
-    setups = [(task, nx) for task in config.task for nx in config.nx] if config.demonstrations else []
+    setups = (
+        [(task, nx) for task in config.task for nx in config.nx] if config.demonstrations else []
+    )
     return [
         Call(f"demonstrations of {task} {nx} {first}", demonstrate, (config, task, nx, first))
         for task, nx in setups
@@ -169,7 +171,7 @@ def _demonstrations(config: CloneConfig) -> list[Call]:
 def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     """Let the demonstrating policy play some episodes of a task; return the decisions' columns."""
     numbers = range(first, min(first + _TOGETHER, config.demonstrations))
-    place = config.task.index(task), nx  # type: ignore[arg-type]
+    place = config.task.index(task), nx
     seeds = [derived_seed(Stream.DEMONSTRATION, config.seed, *place, k) for k in numbers]
     setup = TaskConfig(
         task=task,

@@ -1,14 +1,9 @@
 """The configurations of `knotgym train`, which can be read without torch."""
 
-<<<<<<< HEAD
 from typing import Literal
 
 from knotgym.common.configuration import Count, Crossings, Positive, Seed, Whole, configuration
 from knotgym.common.errors import InvalidInput
-=======
-from knotgym.common.configuration import Count, Seed, configuration
-from knotgym.rope.engines import MUJOCO, EngineName
->>>>>>> redesign
 
 
 @configuration
@@ -24,7 +19,6 @@ class TrainConfig:
 
     steps: Count = 3000
     batch: Count = 48
-<<<<<<< HEAD
     save_every: Count = 200
     seed: Seed = 0
 
@@ -76,9 +70,3 @@ class CloneConfig(TrainConfig):
     def __post_init__(self) -> None:
         if self.width % 4:
             raise InvalidInput(f"width must be a multiple of 4 attention heads, got {self.width}")
-=======
-    places: Count = 512
-    save_every: Count = 200
-    engine: EngineName = MUJOCO
-    seed: Seed = 0
->>>>>>> redesign

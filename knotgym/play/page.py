@@ -69,6 +69,7 @@ class PlayConfig:
         task: the environment.
         seed: random seed; episode i is the one that `knotgym evaluate` plays with the same seed.
         policy: policy that gives hints and can take over, as in evaluate.
+        player: who plays, in a few words; stored with what is recorded.
         host: host; any but the loopback asks for a token.
         port: port of the page.
     """
@@ -76,6 +77,7 @@ class PlayConfig:
     task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
     seed: Seed = 0
     policy: str = "expert"
+    player: str = ""
     host: str = "127.0.0.1"
     port: Whole = 8080
 
@@ -108,7 +110,7 @@ class Player:
     # what the panel offers ---------------------------------------------------------------
 
     def _panel(self) -> None:
-        gui, task = self._client.gui, self.session.task
+        gui = self._client.gui
         self._status = gui.add_markdown("")
         self._goal = gui.add_image(np.zeros((64, 64, 3), dtype=np.uint8))
         self._lift = gui.add_slider("Height of drags", -1.0, 1.0, 0.1, 0.0)
@@ -325,6 +327,7 @@ class Page:
         self.token = "" if config.host in _LOOPBACK else secrets.token_urlsafe(12)
         self.players: dict[int, Any] = {}
         self._lock = threading.Lock()
+
         class LocalServer(viser.ViserServer):
             """A server that opens no tunnel, whoever asks for it."""
 
@@ -411,11 +414,11 @@ def _guarded_handshakes(host: str) -> Iterator[None]:
 
         return whole(handler, *given, process_request=checked, **named)
 
-    module.serve = serve  # type: ignore[assignment, misc]
+    module.serve = serve
     try:
         yield
     finally:
-        module.serve = whole  # type: ignore[misc]
+        module.serve = whole
 
 
 def is_own_page(headers: Mapping[str, str], host: str) -> bool:

@@ -18,7 +18,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,7 +135,7 @@ class Recorder:
     def note(self, number: int, pulls: Sequence[Pull]) -> None:
         """Note the pulls of an episode that is under way."""
         with self._lock:
-            columns = {
+            columns: dict[str, NDArray[Any]] = {
                 "bead": np.array([pull.bead for pull in pulls], dtype=np.int64),
                 "force": np.array([pull.force for pull in pulls], np.float32).reshape(-1, 3),
                 "helped": np.array([pull.helped for pull in pulls], dtype=bool),

@@ -11,15 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.streams import Stream, generator
-<<<<<<< HEAD
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Player, Policy, Pulls, episode_seed
-=======
-from knotgym.control.old_policies import make_policy
-from knotgym.control.policies import PolicyConfig
-from knotgym.control.policy import Policy
-from knotgym.control.rollouts import EVALUATION, episode_seed
->>>>>>> rollouts
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_actions import MacroActionConfig

@@ -170,7 +170,8 @@ class Chat:
             last = attempt == self._config.attempts
             if not tried.reason or (last and tried.reason == "refusal"):
                 prompt, completion = (
-                    None if None in counts else sum(counts) for counts in zip(*answered, strict=True)
+                    None if None in counts else sum(counts)
+                    for counts in zip(*answered, strict=True)
                 )
                 return Reply(
                     tried.text, tried.reason, tried.finish, prompt, completion, dict(retries)
@@ -290,7 +291,7 @@ def _client(config: ChatConfig, key: str) -> tuple[str, Any]:
     through = host not in _LOOPBACK and not urllib.request.proxy_bypass(host)
     proxy = urllib.request.getproxies().get(parts.scheme, "") if through else ""
 
-    class Bounded(http.SyncByteStream):  # type: ignore[misc, name-defined]
+    class Bounded(http.SyncByteStream):
         """A reply's bytes, up to MOST_BYTES and until a monotonic time."""
 
         def __init__(self, stream: Any) -> None:
@@ -311,7 +312,7 @@ def _client(config: ChatConfig, key: str) -> tuple[str, Any]:
         def close(self) -> None:
             self._stream.close()
 
-    class Limited(http.HTTPTransport):  # type: ignore[misc, name-defined]
+    class Limited(http.HTTPTransport):
         """A transport whose replies are bounded, and never decompressed."""
 
         def handle_request(self, request: Any) -> Any:

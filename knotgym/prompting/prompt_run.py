@@ -10,7 +10,6 @@ from typing import Any
 
 import knotgym
 from knotgym.common.configuration import read_json
-from knotgym.common.errors import InvalidInput
 from knotgym.prompting.chat import Chat
 from knotgym.prompting.prompted_episodes import PromptConfig, flat, packed, play, read, unpacked
 from knotgym.prompting.prompts import as_text
@@ -33,7 +32,6 @@ def run_prompts(
     options: RunOptions,
     *,
     rows: Sequence[Mapping[str, Any]] = (),
-    side_by_side: int = 4,
     progress: Progress | None = None,
 ) -> Path:
     """Ask a model and write the transcripts and totals to the new folder `out`.
@@ -43,15 +41,12 @@ def run_prompts(
         out: folder.
         options: of the run.
         rows: pictures to read, rows of a perception table; in mode read only.
-        side_by_side: concurrent requests to the server, at least 1.
         progress: where to show progress.
 
     Raises:
         Occupied, InvalidInput, InvalidFile: as `runs.run`; or the key is missing or invalid.
         InvalidInput, Failed: as `Chat.ask`; replies are kept for `--resume`.
     """
-    if side_by_side < 1:
-        raise InvalidInput(f"side_by_side must be at least 1, got {side_by_side}")
     settings, stop = flat(config), threading.Event()
     chat = Chat(config.chat, stop)
 
@@ -72,7 +67,7 @@ def run_prompts(
     @contextmanager
     def pool() -> Iterator[Executor]:
         try:
-            yield _Requests(side_by_side, stop)
+            yield _Requests(config.side_by_side, stop)
         finally:
             stop.set()
 

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import Count, NonNegative, Seed, as_json, configuration
 from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, derived_seed
+from knotgym.common.streams import Stream
+from knotgym.control.rollouts import episode_seed
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.answers import read_actions, read_code
@@ -68,6 +69,7 @@ class PromptConfig:
         prompt_price: price of a million prompt tokens.
         completion_price: price of a million completion tokens.
         pictures: in mode read, the split of the pictures, then the SHA-256 of them all.
+        side_by_side: concurrent requests to the server; makes no difference to them.
     """
 
     mode: Literal["open", "stateless", "stateful", "read"] = "stateless"
@@ -80,6 +82,7 @@ class PromptConfig:
     prompt_price: NonNegative | None = None
     completion_price: NonNegative | None = None
     pictures: tuple[str, ...] = ()
+    side_by_side: Count = 4
 
     def __post_init__(self) -> None:
         if (self.prompt_price is None) != (self.completion_price is None):
@@ -92,13 +95,13 @@ def play(config: PromptConfig, ask: Ask) -> Transcripts:
     """Play all episodes of a run; the recipe returns their transcripts."""
     count, most = config.episodes, config.task.horizon
     ids = np.arange(count)
-    seeds = [derived_seed(Stream.EVALUATION_EPISODE, config.seed, number) for number in range(count)]
+    seeds = [episode_seed(config.seed, k, Stream.EVALUATION_EPISODE) for k in range(count)]
     batch = EpisodeBatch(config.task, count)
     batch.begin(ids, seeds)
     begun = batch.infos(ids)
     goals = _pictures(batch, ids, config, goal=True)
     befores = [opening(goal) for goal in goals]
-    episodes = [
+    episodes: list[dict[str, Any]] = [
         {
             "number": number,
             "config": flat(config),
@@ -146,10 +149,10 @@ def play(config: PromptConfig, ask: Ask) -> Transcripts:
                     windows[number] = window[-config.window :]
         # float32, as in policies, so that a replay is the same to the bit
         chosen = [planned[n].pop(0) if planned[n] else _NO_OP for n in playing.tolist()]
-        actions = np.array(chosen, dtype=np.float32)
-        outcome = batch.act(actions, playing)
+        pulls = np.array(chosen, dtype=np.float32)
+        outcome = batch.act(pulls, playing)
         for number, action, code in zip(
-            playing.tolist(), actions, batch.codes_of(playing), strict=True
+            playing.tolist(), pulls, batch.codes_of(playing), strict=True
         ):
             episodes[number]["actions"].append(action.tolist())
             episodes[number]["gauss_code"].append(str(code))
@@ -199,14 +202,13 @@ def unpacked(kept: Result) -> dict[str, Any]:
 def flat(config: PromptConfig) -> dict[str, Any]:
     """Convert settings to the JSON of a transcript; in mode read, without the task."""
     fields = as_json(config)
+    del fields["side_by_side"]
     if config.mode == READ:
         del fields["task"]
     return fields
 
 
-def _calls(
-    requests: Sequence[tuple[int, list[dict[str, Any]]]], turn: int, ask: Ask
-) -> list[Call]:
+def _calls(requests: Sequence[tuple[int, list[dict[str, Any]]]], turn: int, ask: Ask) -> list[Call]:
     """Return a round of requests as calls, named by the digest of what is asked."""
     digests = [hashlib.sha256(json.dumps(asked).encode()).hexdigest() for _, asked in requests]
     return [

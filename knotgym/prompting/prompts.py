@@ -150,8 +150,10 @@ def as_text(conversation: Sequence[dict[str, Any]]) -> tuple[str, dict[str, byte
     lines, pictures = list[str](), dict[str, bytes]()
     for one in conversation:
         lines.append(f"--- {one['role']}")
-        content = one["content"]
-        for part in [{"type": "text", "text": content}] if isinstance(content, str) else content:
+        content: Any = one["content"]
+        if isinstance(content, str):
+            content = [{"type": "text", "text": content}]
+        for part in content:
             if part["type"] == "text":
                 lines.append(part["text"])
             else:

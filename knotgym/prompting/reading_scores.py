@@ -34,7 +34,10 @@ def reading_scores(transcripts: Iterable[Mapping[str, Any]]) -> dict[str, dict[s
         for key in keys:
             groups.setdefault(key, []).append((*scores, edits))
     return {
-        key: {"pictures": len(rows), **dict(zip(HEAD[2:], np.mean(rows, axis=0).tolist(), strict=True))}
+        key: {
+            "pictures": len(rows),
+            **dict(zip(HEAD[2:], np.mean(rows, axis=0).tolist(), strict=True)),
+        }
         for key, rows in sorted(groups.items(), key=lambda item: _by_kind(item[0]))
     }
 

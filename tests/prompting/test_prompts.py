@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from knotgym.prompting.sample_prompt import sample_prompt
 
 from knotgym.datasets.image_table import decode, encode
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompted_episodes import PromptConfig
 from knotgym.prompting.prompts import MODES, as_text, first
-from knotgym.prompting.sample_prompt import sample_prompt
 from knotgym.topology.crossings import label
 
 DOCS = Path(__file__).parents[2] / "docs"
