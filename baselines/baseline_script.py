@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from knotgym.cli.options import words
 from knotgym.common.atomic_files import atomic_write, require_writable
 from knotgym.common.configuration import differences
 from knotgym.common.errors import InvalidInput, KnotgymError, one_line
@@ -73,7 +72,7 @@ def evaluation_settings(given: argparse.Namespace, task: TaskConfig) -> dict[str
     settings: dict[str, Any] = {
         "tasks": (task.task,),
         "nx": (task.nx,),
-        "splits": words(given.split),
+        "splits": given.split.split(","),
         "episodes": given.episodes,
         "task": task,
     }

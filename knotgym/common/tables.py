@@ -112,7 +112,9 @@ class Schema(NamedTuple):
         unknown = set(names) - {column.name for column in self.columns}
         if unknown:
             raise InvalidInput(f"no column {', '.join(sorted(unknown))} in table {self.name!r}")
-        return self._replace(columns=tuple(c for c in self.columns if c.name in names))
+        columns = tuple(c for c in self.columns if c.name in names)
+        words = {word for column in columns for word in column.shape}
+        return Schema(self.name, columns, self.row, tuple(s for s in self.sizes if s[0] in words))
 
     def shape(self, column: Column) -> tuple[int, ...]:
         """Return the shape of a row of a column; all of its words must have values."""
@@ -174,7 +176,7 @@ class Table(Mapping[str, NDArray[Any]]):
                     f" be {c.dtype} {_listed(expected)}"
                 )
             self._columns[c.name] = found
-        self.schema = schema.only(*self._columns).sized(**sizes)
+        self.schema = schema.sized(**sizes).only(*self._columns)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self._columns[name]
@@ -307,7 +309,7 @@ def read(
             for schema in schemas:
                 own = schema.sized(**{**sizes, **dict(schema.sizes)})
                 tables.append(Table(own, _read_columns(file, path, schema)))
-                sizes = dict(tables[-1].schema.sizes)
+                sizes |= dict(tables[-1].schema.sizes)
             return tables, attributes
     except InvalidFile:
         raise
@@ -436,16 +438,18 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
     """Return the schema that tables share: all required columns, and the optional ones of all."""
     if not tables:
         raise InvalidInput("no table to append")
-    first = tables[0].schema
-    shared = tuple(c for c in first.columns if all(c.name in table for table in tables))
-    for other in (table.schema for table in tables):
-        required = {c.name for c in (*first.columns, *other.columns) if not c.optional}
-        if other.sizes != first.sizes or not required <= {c.name for c in shared}:
+    names = [name for name in tables[0] if all(name in table for table in tables)]
+    first = tables[0].schema.only(*names)
+    for table in tables:
+        own = table.schema.only(*names)
+        columns = (*tables[0].schema.columns, *table.schema.columns)
+        required = {column.name for column in columns if not column.optional}
+        if own.sizes != first.sizes or not required <= {*names}:
             raise InvalidInput(
                 f"tables {first.name!r} differ in their columns or sizes: {dict(first.sizes)} and"
-                f" {dict(other.sizes)}"
+                f" {dict(own.sizes)}"
             )
-    return first._replace(columns=shared)
+    return first
 
 
 def _encoded(values: NDArray[np.str_]) -> NDArray[np.bytes_]:

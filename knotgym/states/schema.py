@@ -4,6 +4,8 @@ Reading, writing, merging, verification and the documentation use this schema. T
 are ATTRIBUTES and DIGEST.
 """
 
+from collections.abc import Iterable
+
 from knotgym.common.tables import Column, Schema
 from knotgym.quality.limits import UNITS
 
@@ -40,14 +42,10 @@ _MEASURES = {
     "noise_survival": "share of 64 draws of reset noise that keep the code",
 }
 
-ROOT = (
-    Column(
-        "qpos", "float64", ("nq",), "m, quaternions", "generalized positions, at rest", finite=True
-    ),
-    Column("points", "float64", ("beads", 3), "m", "vertices of the rope, z up", finite=True),
-    Column(
-        "image", "uint8", ("pixels", "pixels", 3), "levels", "RGB, as the environment renders it"
-    ),
+_ROOT = (
+    Column("qpos", "float64", ("nq",), "m, quaternions", "generalized positions, at rest"),
+    Column("points", "float64", ("beads", 3), "m", "vertices of the rope, z up"),
+    Column("image", "uint8", ("pixels", "pixels", 3), "levels", "RGB, as the environment shows it"),
     Column("gauss_code", "text", (), "", "Gauss code, such as `1+,1-,2+,2-`"),
     Column("gauss_code_chiral", "text", (), "", "the same with chirality: `1+a,1-a,2+c,2-c`"),
     Column("pd_code", "text", (), "", "PD code, such as `[[1,1,2,2]]`"),
@@ -56,69 +54,41 @@ ROOT = (
     Column("nx", "int64", (), "crossings", "crossings in the picture", least=0),
     Column("split", "text", (), "", "`train` or `test`"),
 )
-QUALITY = tuple(
-    Column(f"quality/{name}", "float64", (), UNITS[name], doc, optional=True)
-    for name, doc in _MEASURES.items()
+_SOURCE = (
+    Column("start_qpos", "float64", ("nq",), "m, quaternions", "where the rope was laid at rest"),
+    Column("actions", "float32", ("actions", 6), "[-1, 1]", "actions from there, see below"),
+    Column("steps", "int64", (), "actions", "number of actions", least=0),
+    Column("seed", "int64", (5,), "", "key of the row's random stream; each rope has its own"),
+    Column("policy", "text", (), "", "`drawing`, `play`, `random-walk`, `import`, see below"),
+    Column("dataset", "text", (), "", "dataset below `minari/` with the demonstration, or empty"),
+    Column("trajectory", "int64", (), "", "episode of that dataset, or -1; the rope of a walk"),
+    Column("step", "int64", (), "actions", "last state of that episode"),
+    Column("drawing", "text", (), "", "parameters of the drawing of `start_qpos`, JSON, or empty"),
 )
-# A rope laid at rest at start_qpos and stepped with the first `steps` actions ends in the row's
-# qpos bit for bit.
-SOURCE = tuple(
-    column._replace(optional=True)
-    for column in (
-        Column(
-            "source/start_qpos",
-            "float64",
-            ("nq",),
-            "m, quaternions",
-            "where the rope was laid at rest",
-            finite=True,
-        ),
-        Column(
-            "source/actions",
-            "float32",
-            ("actions", 6),
-            "[-1, 1]",
-            "actions from there, padded with zeros; without this column they are drawn from `seed`",
-            finite=True,
-        ),
-        Column("source/steps", "int64", (), "actions", "number of actions", least=0),
-        Column(
-            "source/seed",
-            "int64",
-            (5,),
-            "",
-            "key of the row's random stream; rows with the same key come from one rope",
-        ),
-        Column(
-            "source/policy",
-            "text",
-            (),
-            "",
-            "`drawing`, `play`, `random-walk` or `import`; `demonstrations` in the curated sets",
-        ),
-        Column(
-            "source/dataset",
-            "text",
-            (),
-            "",
-            "id of the dataset below `minari/` with the row's demonstration, empty without one",
-        ),
-        Column(
-            "source/trajectory",
-            "int64",
-            (),
-            "",
-            "episode of that dataset, -1 without one; for random walks the rope",
-        ),
-        Column("source/step", "int64", (), "actions", "last state of that episode"),
-        Column(
-            "source/drawing",
-            "text",
-            (),
-            "",
-            "parameters of the drawing of `start_qpos`, JSON; empty if it was not drawn",
-        ),
+
+
+def _columns(prefix: str, columns: Iterable[Column]) -> tuple[Column, ...]:
+    """Name columns by their group. Positions and actions are finite; groups may be incomplete."""
+    return tuple(
+        column._replace(
+            name=prefix + column.name,
+            optional=bool(prefix),
+            finite=column.dtype[:5] == "float" and prefix != "quality/",
+        )
+        for column in columns
     )
+
+
+STATES = Schema(
+    "",
+    (
+        *_columns("", _ROOT),
+        *_columns(
+            "quality/",
+            (Column(name, "float64", (), UNITS[name], doc) for name, doc in _MEASURES.items()),
+        ),
+        *_columns("source/", _SOURCE),
+    ),
+    "a rope at rest",
 )
-STATES = Schema("", (*ROOT, *QUALITY, *SOURCE), "a rope at rest")
 WITHOUT_IMAGES = STATES.only(*(column.name for column in STATES.columns if column.name != "image"))

@@ -54,11 +54,11 @@ COMMANDS = {
     "generate": ("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", "{}/a"),
     "collect": (
         *("collect", "--task", "unknot", "--nx", 1, "--policy", "random", "--episodes", 1),
-        *("--horizon", 2, "--observation", "state", "--workers", 1, "--out", "{}/b"),
+        *("--set", "task.horizon=2", "--observation", "state", "--workers", 1, "--out", "{}/b"),
     ),
-    "images": ("images", "--nx", 0, "--count", 2, "--test-nx", "none", "--workers", 1)
-    + ("--test-share", 0, "--code-share", 0, "--out", "{}/c"),
-    "evaluate": ("evaluate", "--episodes", 1, "--horizon", 2, "--workers", 1),
+    "images": ("images", "--nx", 0, "--count", 2, "--set", "test_nx=none", "--workers", 1)
+    + ("--set", "test_share=0", "--set", "code_share=0", "--out", "{}/c"),
+    "evaluate": ("evaluate", "--episodes", 1, "--set", "task.horizon=2", "--workers", 1),
     "verify": ("dataset", "verify", "{curated}/states.h5"),
     "merge": ("dataset", "merge", "{curated}", "--out", "{}/m.h5"),
     "export": ("dataset", "export", "{curated}/" + WAYS, "--out", "{}/e.h5"),
@@ -394,7 +394,7 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(
     ("words", "told"),
     [
         (("generate", "--nx", "1,1"), "each number once, got '1,1'"),
-        (("collect", "--policy", "mixed", "--shares", "inf,1,1,1"), "4 finite numbers"),
+        (("collect", "--policy", "mixed", "--set", "policy.shares=inf,1,1,1"), "4 finite numbers"),
         (("evaluate", "--filmed", -1), "filmed must be a whole number of at least 0, got -1"),
         (("generate", "--nx", 0, "--out", "x" * 300), "can't be written: File name too long"),
         (("generate", "--nx", 0, "--out", "/dev/null/x"), "/dev/null/x can't be written"),

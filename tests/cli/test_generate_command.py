@@ -381,7 +381,7 @@ def test_other_options_cannot_resume_it(killed: Path, capfd: pytest.CaptureFixtu
         ("--nx", "0,1", "--count", 5),
         (*WANTED, "--seed", 1),
         ("--nx", 1, "--count", 4),
-        (*WANTED, "--split-by", "code"),
+        (*WANTED, "--set", "split_by=code"),
     ):
         assert knotgym("generate", *options, "--workers", 1, "--out", killed, "--resume") == 2
         (line,) = said(capfd)
@@ -606,7 +606,7 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     hard = json.loads(SETTINGS.read_text())
     hard["limits"] = {"clearance": 1000.0}  # millimetres: no rope has as much
     (tmp_path / "hard.json").write_text(json.dumps(hard))
-    words = ("--nx", 0, "--count", 1, "--attempts", 1, "--settings", tmp_path / "hard.json")
+    words = ("--nx", 0, "--count", 1, "--set", "attempts=1", "--settings", tmp_path / "hard.json")
     out = tmp_path / "runs" / "a"
     assert knotgym("generate", *words, "--workers", 1, "--quiet", "--out", out) == 1
     (line,) = said(capfd)

@@ -210,7 +210,7 @@ def test_overwrite_replaces_a_file_and_never_what_a_link_points_to(
 
 
 def test_overwrite_and_restart_make_a_dataset_anew(typed: Type, tmp_path: Path) -> None:
-    path, small = output_of("collect", tmp_path), ("--episodes", "1", "--horizon", "1")
+    path, small = output_of("collect", tmp_path), ("--episodes", "1", "--set", "task.horizon=1")
     exists("folder", path, tmp_path)
     (staging_folder(path)).mkdir()
     (staging_folder(path) / "kept").write_text("")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from knotgym.common.errors import InvalidFile, InvalidPolicy
 from knotgym.control.demonstrator import Demonstrator
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
+from knotgym.control.old_policies import make_policy
 from knotgym.control.pass_counts import (
     EVERY_CODE,
     PASSES,
@@ -21,7 +22,6 @@ from knotgym.control.pass_counts import (
     templates,
 )
 from knotgym.control.pass_play import goals_not_held_out
-from knotgym.control.old_policies import make_policy
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram

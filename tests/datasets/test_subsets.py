@@ -153,7 +153,7 @@ def test_a_folder_keeps_the_demonstrations_of_its_rows(curated: Path, tmp_path: 
 def episodes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("minari")
     given = ("collect", "--task", "unknot", "--nx", 2, "--policy", "random", "--episodes", 12)
-    more = ("--horizon", 3, "--observation", "state", "--workers", 1, "--id", "x/all-v0")
+    more = ("--set", "task.horizon=3", "--observation", "state", "--workers", 1, "--id", "x/all-v0")
     assert knotgym(*given, *more, "--out", root, "--quiet") == 0
     return root / "x" / "all-v0"
 

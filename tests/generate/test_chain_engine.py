@@ -160,7 +160,17 @@ def test_the_bytes_depend_neither_on_workers_nor_on_company(tmp_path: Path) -> N
 
 @pytest.mark.slow  # compiles for half a minute
 def test_a_fresh_compilation_collects_the_same_bytes_as_a_cached_one(tmp_path: Path) -> None:
-    words = ("collect", "--task", "tie", "--policy", "random", "--episodes", "2", "--horizon", "5")
+    words = (
+        "collect",
+        "--task",
+        "tie",
+        "--policy",
+        "random",
+        "--episodes",
+        "2",
+        "--set",
+        "task.horizon=5",
+    )
     found = []
     for name in ("cold", "warm"):
         subprocess.run(

@@ -219,8 +219,17 @@ def many_views(tmp_path_factory: pytest.TempPathFactory, states_path: str) -> Pa
     root = tmp_path_factory.mktemp("views")
     ended = knotgym(
         *("collect", "--task", "tie", "--nx", 1, "--policy", "scripted", "--episodes", 2),
-        *("--states", states_path, "--horizon", 2, "--image-size", 16, "--observation", "pixels"),
-        *("--views", "top,left,front", "--depth", "--id", VIEWS_ID),
+        *(
+            "--states",
+            states_path,
+            "--set",
+            "task.horizon=2",
+            "--set",
+            "task.image_size=16",
+            "--observation",
+            "pixels",
+        ),
+        *("--set", "task.views=top,left,front", "--set", "task.depth=true", "--id", VIEWS_ID),
         *("--workers", 1, "--quiet", "--out", root),
     )
     assert ended == 0
@@ -253,7 +262,7 @@ def test_a_changed_pixel_of_a_side_view_or_of_the_depth_is_found(
 def test_views_that_are_not_there_are_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert knotgym("collect", "--views", "top,below", "--out", tmp_path / "out") == 2
+    assert knotgym("collect", "--set", "task.views=top,below", "--out", tmp_path / "out") == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "views must be a list of top, left, front" in said
     assert not (tmp_path / "out").exists()
@@ -381,7 +390,15 @@ def test_ten_kills_at_random_moments_leave_nothing_half_written_and_change_no_by
         "--horizon",
         "12",
     ]
-    words += ["--image-size", "32", "--episodes", str(episodes), "--quiet", "--resume", "--out"]
+    words += [
+        "--set",
+        "task.image_size=32",
+        "--episodes",
+        str(episodes),
+        "--quiet",
+        "--resume",
+        "--out",
+    ]
 
     def begun(where: str) -> multiprocessing.process.BaseProcess:
         process = FORK.Process(
@@ -521,7 +538,7 @@ def test_settings_that_make_no_sense_are_refused(
         ["--task", "knit"],
         ["--split", "dev"],
         ["--id", "no version"],
-        ["--shares", "a"],
+        ["--set", "policy.shares=a"],
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(
@@ -535,8 +552,8 @@ def test_a_mistake_is_one_line_and_status_2(
 
 
 def test_a_limit_of_goals_is_kept_stored_and_verified(tmp_path: Path) -> None:
-    words = ("--task", "tie", "--nx", 3, "--max-goals", 2, "--workers", 1, "--quiet")
-    random = ("collect", "--policy", "random", "--episodes", 6, "--horizon", 2)
+    words = ("--task", "tie", "--nx", 3, "--set", "task.max_goals=2", "--workers", 1, "--quiet")
+    random = ("collect", "--policy", "random", "--episodes", 6, "--set", "task.horizon=2")
     assert knotgym(*random, "--observation", "state", *words, "--out", tmp_path) == 0
     (folder,) = tmp_path.glob("knotgym/tie-nx3/random-state-rules*-v0")  # a set of its own
     reader = EpisodeReader(folder)
@@ -553,7 +570,10 @@ def test_a_limit_of_goals_is_kept_stored_and_verified(tmp_path: Path) -> None:
         file.attrs["task"] = json.dumps(task)
     assert any("not of the first 1, max_goals" in fault for fault in verify_episodes(folder))
     scores = tmp_path / "scores.json"
-    assert knotgym("evaluate", "--episodes", 1, "--horizon", 1, *words, "--out", scores) == 0
+    assert (
+        knotgym("evaluate", "--episodes", 1, "--set", "task.horizon=1", *words, "--out", scores)
+        == 0
+    )
     assert json.loads(scores.read_text())["settings"]["task"]["max_goals"] == 2
-    assert knotgym("evaluate", "--max-goals", 0, "--out", tmp_path / "none.json") == 2
+    assert knotgym("evaluate", "--set", "task.max_goals=0", "--out", tmp_path / "none.json") == 2
     assert not (tmp_path / "none.json").exists()

@@ -181,7 +181,7 @@ def test_the_command_prints_the_matrix(
         states_path,
     ]
     with pytest.raises(SystemExit) as left:
-        main([*words, "--horizon", "2", "--workers", "1"])
+        main([*words, "--set", "task.horizon=2", "--workers", "1"])
     assert left.value.code == 0
     assert "success, %" in capsys.readouterr().out
 

@@ -5,11 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
 
 import knotgym
 from knotgym.cli import run_commands
-from knotgym.cli.run_commands import code_list
+from knotgym.cli.generate_command import code_list
 from knotgym.common.errors import InvalidFile, InvalidInput, InvalidPolicy
 from knotgym.control.old_policies import make_policy
 from knotgym.control.policies import PolicyConfig
@@ -105,6 +104,6 @@ def test_a_list_of_codes_may_be_sampled_and_filtered(
     assert read(count=2, seed=3) == read(count=2, seed=3)
     assert read(count=9) == everything  # in the order of the file
     monkeypatch.setattr(run_commands, "MOST_CODES", 4)
-    with pytest.raises(typer.BadParameter, match="more than 4 codes; --count 1000"):
+    with pytest.raises(InvalidInput, match="more than 4 codes; --count 1000"):
         read()
     assert len(read(count=3)) == 3

@@ -119,7 +119,7 @@ def test_a_run_is_taken_up_where_it_was_saved(tmp_path: Path, unit: Walked) -> N
     [
         (("--source", "drawn"), "--source takes drawing or random-walk, got 'drawn'"),
         (("--source", "random-walk", "--knot", "3_1"), "--knot needs --source drawing"),
-        (("--source", "random-walk", "--shard", "1/2"), "support --shard: leave it out"),
+        (("--source", "random-walk", "--set", "run.shard=1/2"), "support --shard: leave it out"),
     ],
 )
 def test_what_goes_with_another_source_is_one_line(

@@ -17,7 +17,7 @@ def episodes(tmp_path_factory: pytest.TempPathFactory, states_path: str) -> Path
     """Three episodes of macro-actions, of the train split."""
     out = tmp_path_factory.mktemp("episodes")
     arguments = ("--task", "tie", "--nx", 3, "--policy", "scripted", "--episodes", 3)
-    settings = ("--horizon", 6, "--observation", "state", "--states", states_path)
+    settings = ("--set", "task.horizon=6", "--observation", "state", "--states", states_path)
     named = ("--id", "knotgym/tie-nx3/scripted-v0")
     assert (
         knotgym("collect", *arguments, *settings, *named, "--out", out, "--workers", 1, "--quiet")

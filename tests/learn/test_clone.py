@@ -12,8 +12,8 @@ import pytest
 
 from knotgym.common.errors import InvalidPolicy, KnotgymError
 from knotgym.control.demonstrator import passes_in_order
-from knotgym.control.pass_counts import shipped_values
 from knotgym.control.old_policies import make_policy
+from knotgym.control.pass_counts import shipped_values
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.envs.tasks import TaskConfig

@@ -9,8 +9,8 @@ import pytest
 from knotgym.common.errors import InvalidInput
 from knotgym.control.expert import Expert
 from knotgym.control.old_basic_policies import ConstantPolicy
-from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.old_policies import make_policy
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader

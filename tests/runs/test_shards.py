@@ -78,7 +78,7 @@ def test_a_part_reads_as_it_is_written() -> None:
 def test_a_shard_with_nothing_to_do_is_refused(
     words: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert knotgym(*words, "--out", tmp_path / "a", "--shard", "3/3", "--workers", 1) == 2
+    assert knotgym(*words, "--out", tmp_path / "a", "--set", "run.shard=3/3", "--workers", 1) == 2
     assert "split the run into fewer shards" in said(capfd)[0]
 
 
@@ -126,7 +126,7 @@ def test_a_shard_of_episodes_verifies_and_resumes_to_itself(
     assert knotgym("dataset", "verify", played[1], "--quiet") == 0
     root, before = played[0].parents[2], bytes_of(played[0])
     assert (
-        knotgym(*COLLECT, "--out", root, "--shard", "1/3", "--resume") == 0
+        knotgym(*COLLECT, "--out", root, "--set", "run.shard=1/3", "--resume") == 0
         and bytes_of(played[0]) == before
     )
     assert "is finished already" in capfd.readouterr().out.replace("\n", " ")
@@ -190,7 +190,7 @@ def test_shards_of_different_runs_are_not_merged(
 @pytest.fixture(scope="module")
 def curated_in_parts(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Two shards that go on from another run's archive, the splits without a code in common."""
-    words = ("generate", "--nx", 1, "--count", 2, "--split-by", "code", "--seed", 5)
+    words = ("generate", "--nx", 1, "--count", 2, "--set", "split_by=code", "--seed", 5)
     archive = ("--archive", curated / "archive.h5")
     return in_parts(2, tmp_path_factory.mktemp("states") / "nx1", *words, *archive)
 
@@ -255,7 +255,7 @@ def test_a_state_that_two_shards_made_is_kept_once(rope: Any) -> None:
 
 # Pictures.
 
-IMAGES = ("images", "--nx", "0,1", "--count", 4, "--test-share", 0.25)
+IMAGES = ("images", "--nx", "0,1", "--count", 4, "--set", "test_share=0.25")
 
 
 @pytest.fixture(scope="module")

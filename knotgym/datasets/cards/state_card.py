@@ -127,5 +127,5 @@ def _counts(states: States, nx: int) -> dict[str, Any]:
         "negative_crossings": signs.count(-1),
         "actions_to_reach": actions,
         "overlap": overlap(states, nx),
-        "spread": spread_of(states.points[rows]).as_json(),
+        "spread": spread_of(states.points[rows]),
     }

@@ -17,7 +17,10 @@ from knotgym.common.atomic_files import require_output, sha256
 from knotgym.common.configuration import Count, Seed, as_json, choice, configuration, differences
 from knotgym.common.errors import InvalidInput
 from knotgym.control.expert import Expert
-from knotgym.control.policies import Effort, PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.planner_config import PlannerConfig
+from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy import Effort
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.machine import machine
@@ -90,7 +93,7 @@ class CollectConfig:
     @property
     def core_seconds(self) -> float:
         """Cost of an episode in core seconds, see `PolicyConfig.core_seconds`."""
-        return self.attempts * (self.policy.core_seconds + 40.0 * bool(self.labels))
+        return self.attempts * (0.5 + 40.0 * bool(self.labels))
 
     @property
     def seen_task(self) -> TaskConfig:
@@ -369,7 +372,7 @@ def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
     Its planning effort is the sum over all rollouts of the episode.
     """
     policy = make_policy(config.policy)
-    labeller = Expert(config.policy.planner) if config.labels else None
+    labeller = Expert(PlannerConfig(budget=config.policy.planner.budget)) if config.labels else None
     attempts = [
         rollout(config.seen_task, policy, numbers, config.seed, attempt=one, labeller=labeller)
         for one in range(config.attempts)

@@ -18,7 +18,8 @@ import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.configuration import Count, Seed, Whole, as_json, configuration, read_json
 from knotgym.common.errors import InvalidInput, Occupied
-from knotgym.control.policies import PolicyConfig, make_policy, training_card
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policies import PolicyConfig, training_card
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.envs.task_states import state_origins
@@ -165,7 +166,7 @@ class EvaluationRecipe(Recipe):
     def batches(self, folder: Path | None) -> Iterator[Batch]:
         numbers, setups = self.numbers, list(self.config.setups())
         for policy, task in setups:
-            count = _PLANNED if policy.core_seconds > 1 else SIDE_BY_SIDE
+            count = _PLANNED if policy.plans else SIDE_BY_SIDE
             for first in range(0, len(numbers), count):
                 few, name = numbers[first : first + count], f"{len(self.played):06d}.json"
                 path = None if folder is None else folder / name
@@ -310,7 +311,7 @@ def run(
             raise InvalidInput(f"a shard {wrong}")
         out = options.shard.file(out)
     recipe = EvaluationRecipe(config, video, options.overwrite, options.shard)
-    spent = sum(policy.core_seconds for policy, _ in config.setups()) * len(recipe.numbers)
+    spent = sum(0.5 for policy, _ in config.setups()) * len(recipe.numbers)
     tell_if_long(progress, spent, options.workers)
     if out is not None:
         run_recipe(recipe, out, options, progress, is_folder=False, made_by=_request_in)

@@ -1,85 +1,28 @@
 """The command `knotgym prompt`."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import typer
-
-from knotgym.cli.options import (
-    ENVIRONMENT,
-    EXISTING,
-    RUN,
-    Given,
-    Option,
-    command,
-    default_folder,
-    option,
-    options_of,
-    run_options,
-)
+from knotgym.cli.options import EXISTING, Given, command, default_folder, extra
+from knotgym.common.errors import InvalidInput
+from knotgym.prompting.prompted_episodes import PromptConfig
 from knotgym.runs.progress import Progress
 
-if TYPE_CHECKING:
-    from knotgym.prompting.prompted_episodes import PromptConfig
 
-_MODEL, _PROMPT = "The model", "The prompt"
-
-
-def _options() -> list[Option]:
-    from knotgym.prompting.chat import ChatConfig
-    from knotgym.prompting.prompted_episodes import PromptConfig
-
-    config = PromptConfig(chat=ChatConfig(model="none"))
-    temperature = {"read": lambda value, _: None if value < 0 else value}
-    pictures = "For mode read: a folder of pictures from `knotgym images`."
-    return [
-        Option(path="pictures_from", metavar="PICTURES", kind=Path, help=pictures),
-        *options_of(config, "mode", _PROMPT),
-        *options_of(
-            config,
-            "chat.model chat.base_url chat.temperature prompt_price completion_price chat.timeout"
-            " chat.attempts chat.backoff",
-            _MODEL,
-            model={"default": ""},
-            temperature=temperature,
-        ),
-        *options_of(config, "task.task task.nx episodes"),
-        option(
-            "--split",
-            str,
-            "Split, as for evaluate; default train, as published, or test for pictures.",
-            default="",
-        ),
-        *options_of(
-            config,
-            "window task.horizon task.image_size tell_centre",
-            _PROMPT,
-            horizon={"names": "--actions", "help": "Maximum actions per episode."},
-            image_size={"help": "Side of each picture in pixels."},
-        ),
-        option(
-            "--show",
-            bool,
-            "Print the whole prompt and send nothing; with --out also write its pictures.",
-            default=False,
-            group=_PROMPT,
-        ),
-        *options_of(
-            config,
-            "task.states task.hold task.tow_limit task.reset_noise task.engine"
-            " task.integrator_steps task.camera",
-            ENVIRONMENT,
-        ),
-        option("--out", Path, "Folder to write."),
-        option("--side-by-side", int, "Concurrent requests to the server.", default=4, group=RUN),
-        *options_of(config, "seed", RUN),
-        *run_options(f"settings {EXISTING}"),
-    ]
-
-
-@command(_options)
+@command(
+    {"": PromptConfig},
+    f"mode chat.model chat.base_url task.task task.nx episodes seed {EXISTING}",
+    extra("PICTURES", Path, "For mode read: a folder of pictures from `knotgym images`."),
+    extra(
+        "split", str, "Split, as for evaluate; default train, as published, or test for pictures."
+    ),
+    extra("out", Path, "Folder to write."),
+    extra(
+        "show",
+        bool,
+        "Print the whole prompt and send nothing; with --out also write its pictures.",
+    ),
+)
 def prompt(given: Given) -> None:
     """Evaluate a vision-language model on episodes, or on reading Gauss codes from pictures.
 
@@ -92,21 +35,21 @@ def prompt(given: Given) -> None:
         knotgym prompt --mode read knotgym-data/images-nx0-4 --model NAME --base-url http://127.0.0.1:8000/v1
     """
     from knotgym.prompting.prompt_run import run
-    from knotgym.prompting.prompted_episodes import PromptConfig, play, read
+    from knotgym.prompting.prompted_episodes import play, read
     from knotgym.prompting.prompts import READ
 
-    pictures, out, split = given["pictures_from"], given["out"], given["split"]
+    pictures, out, split = given["pictures"], given["out"], given["split"]
     usual = {"chat.model": "none" if given["show"] else ""}
     more: dict[str, Any] = {"task.split": split} if split and pictures is None else {}
     config = given.config(PromptConfig, more, usual=usual)
     if (config.mode == READ) != (pictures is not None):
-        raise typer.BadParameter(
+        raise InvalidInput(
             "mode read, and only mode read, takes a folder of pictures; got --mode"
             f" {config.mode} and {'no folder' if pictures is None else pictures}"
         )
     rows = [] if pictures is None else _rows(pictures, split or "test", config.episodes)
     if given["show"]:
-        _show(config, rows, out, given["overwrite"], given.progress)
+        _show(config, rows, out, given.run.overwrite, given.progress)
         return
     if pictures is not None:
         more["pictures"] = (split or "test", _digest(rows))
@@ -128,10 +71,10 @@ def prompt(given: Given) -> None:
         len(rows) or config.episodes,
         folder,
         given.run,
-        side_by_side=given["side_by_side"],
+        side_by_side=config.side_by_side,
         progress=given.progress,
     )
-    if not given["quiet"]:
+    if not given.quiet:
         from knotgym.cli.summaries import print_transcripts
 
         print_transcripts(folder, given.progress.console)
