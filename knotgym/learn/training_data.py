@@ -46,9 +46,11 @@ def states_and_pulls(sets: Sequence[Episodes]) -> TrainingData:
 
 
 def decisions_of(one: Episodes, first: int = 0) -> Decisions:
-    """Return the macro-actions of a set of episodes; the numbers of episodes begin at `first`."""
+    """Return the passes of a set of episodes; the numbers of episodes begin at `first`."""
     steps, episodes = one.steps, one.episodes
-    chosen = np.flatnonzero(steps["macro_start"])
+    # other macro-actions, which the scripted policy has too, pass no strand
+    passes = (steps["macro_side"] != 0) & (steps["macro_target"] < steps["observation"].shape[1])
+    chosen = np.flatnonzero(steps["macro_start"] & passes)
     number = one.episode_of()[chosen]
     macros = [steps[f"macro_{name}"][chosen] for name in ("bead", "target", "side")]
     return Decisions(
