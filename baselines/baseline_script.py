@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from knotgym.common.atomic_files import atomic_write, require_writable
 from knotgym.common.configuration import differences
 from knotgym.common.errors import InvalidInput, KnotgymError, one_line
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig

@@ -9,8 +9,7 @@ from knotgym.cli.options import Given, command
 @command({}, "")
 def compile(given: Given) -> None:
     """Compile the numerical kernels ahead of time, in about a minute of CPU time."""
-    from knotgym.control.planning import PullPlannerConfig
-    from knotgym.control.policies import PolicyConfig
+    from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
     from knotgym.envs.tasks import TaskConfig
     from knotgym.generate.episodes.collect import CollectConfig, collect
     from knotgym.generate.states.generate_config import GenerateConfig

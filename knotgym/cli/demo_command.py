@@ -22,8 +22,9 @@ def demo(given: Given) -> None:
 
     from knotgym.cli.inspection import page
     from knotgym.common.atomic_files import atomic_write, require_output
-    from knotgym.control.policies import PolicyConfig
-    from knotgym.datasets.episode_reader import EpisodeReader
+    from knotgym.control.policy_config import PolicyConfig
+    from knotgym.datasets.episode_dataset import open_episodes
+    from knotgym.envs.observations import observe, picture_config
     from knotgym.envs.tasks import TaskConfig
     from knotgym.generate.episodes.collect import CollectConfig, collect
     from knotgym.generate.episodes.evaluate import film
@@ -45,18 +46,18 @@ def demo(given: Given) -> None:
         progress.stage("the expert plays two episodes of tie with 3 crossings")
         options = RunOptions(workers=1, quiet=True)
         dataset = collect(config, folder / "minari", options, progress=Progress(quiet=True))
-        reader = EpisodeReader(dataset)
-        first = Image.fromarray(reader.observations(0, slice(0, 1), observation="pixels")[0])
+        played = open_episodes(dataset)
+        start = played.episodes.steps["observation"][:1].astype(float)
+        goal = played.episodes.episodes["goal_points"][0].astype(float)
+        first = Image.fromarray(observe(start, goal, "pixels", picture_config(config.task))[0])
         first.resize((4 * first.width, 4 * first.height), Image.Resampling.NEAREST).save(
             folder / "reset.png"
         )
         progress.stage("drawing the film and the page")
-        episodes = list(reader)
-        reader.close()
-        frames = [frame for one in episodes for frame in film(one, config.task)]
+        frames = [frame for row in range(2) for frame in film(played.episodes, config.task, row)]
         write_film(folder / film_name, frames)
         page(str(dataset), folder / "page.html", overwrite=False)
-    reached = sum(bool(one.is_success.any()) for one in episodes)
+    reached = int(played.episodes.episodes["success"].sum())
     progress.say(f"{out / 'reset.png'}: the first observation, with the rope beside its goal")
     progress.say(f"{out / film_name}: the expert reaches the goal in {reached} of 2 episodes")
     progress.say(f"{out / 'page.html'}: the same episodes, to play and rotate in a browser")

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, command, extra, field_help
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig
 
 

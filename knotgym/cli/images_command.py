@@ -33,7 +33,7 @@ def images(given: Given) -> None:
         knotgym images --nx 3,4 --count 100 --style knotbench
     """
     from knotgym.generate.images.image_recipe import make_images
-    from knotgym.rendering.appearance import VARIED
+    from knotgym.rendering.appearance_config import VARIED
 
     states, vary = given["states"], given["vary"]
     vary = {("all",): VARIED, ("none",): ()}.get(vary, vary)

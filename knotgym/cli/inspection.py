@@ -37,7 +37,6 @@ from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, dataset_files, merge_datasets
 from knotgym.datasets.page.page_data import dataset_name, page_data
 from knotgym.datasets.page.page_writer import write_page
-from knotgym.generate.merge_evaluations import merge_evaluations
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.generate.states.imported_curves import write_curves
 from knotgym.prompting.transcripts import transcripts_at
@@ -258,8 +257,6 @@ def page(named: str, out: Path, overwrite: bool) -> str:
 
 def merge(sources: Sequence[str], out: Path, overwrite: bool, count: Count = uncounted) -> str:
     """Merge datasets of one kind, or the shards of one run; return a one-line summary."""
-    if all(Path(source).is_file() and source.endswith(".json") for source in sources):
-        return merge_evaluations([Path(source) for source in sources], out, overwrite=overwrite)
     run_shards = [shard for source in sources if (shard := shard_folder_of(source))]
     if run_shards:
         others = len(sources) - len(run_shards)

@@ -84,9 +84,9 @@ def old_policy(config: Any) -> Any:
 
 
 def make_policy(config: Any) -> Any:
-    from knotgym.control import policies
+    from knotgym.control import policies, policy_config
 
-    if config.policy in ("random", "constant", "scripted", *policies._PLANNED):
+    if config.policy in ("random", "constant", "scripted", *policy_config._PLANNED):
         return old_policy(config)
     made = policies._family(config.policy).make(config)
     return getattr(made, "old", made)

@@ -24,12 +24,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
-from math import inf
 from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import sha256
-from knotgym.common.configuration import Share, configuration
 from knotgym.common.errors import InvalidPolicy, one_line
 from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
 from knotgym.control.old_policies import Adapted
@@ -40,63 +38,16 @@ from knotgym.control.planning import (
     Mixed,
     Noisy,
     PassPlanner,
-    PassPlannerConfig,
     Play,
     PullPlanner,
-    PullPlannerConfig,
     Scripted,
 )
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.recorded_policy import PREFIX as RECORDED
 from knotgym.control.recorded_policy import load_recording, recording_files
 from knotgym.control.rollouts import Policy
 
 GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
-MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
-
-
-@configuration
-class PolicyConfig:
-    """Which policy acts, and its settings.
-
-    Attributes:
-        policy: policy: random, constant, scripted, expert, noisy, play, planner, mixed, pretrained
-            or pretrained-clone; a folder written by `knotgym train`; prompt:FILE or
-            recorded:DATASET, to score transcripts of `knotgym prompt` or a recording; or
-            module:name for your own code: a function of (observation) or (observation, info,
-            generator), or an object with reset and act.
-        noise: probability that a pull of the noisy policy is random.
-        shares: shares of random, scripted, noisy and expert episodes in mixed.
-        expert: settings of the expert.
-        planner: settings of the planner; the scripted policy uses its macro-actions.
-    """
-
-    policy: str = "random"
-    noise: Share = 0.1
-    shares: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
-    expert: PassPlannerConfig = PassPlannerConfig()
-    planner: PullPlannerConfig = PullPlannerConfig()
-
-    def __post_init__(self) -> None:
-        fit = len(self.shares) == len(MIXED) and all(0 <= one < inf for one in self.shares)
-        if not fit or not 0 < sum(self.shares) < inf:
-            raise InvalidPolicy(
-                f"shares must be {len(MIXED)} finite numbers of at least 0, not all 0, for"
-                f" {', '.join(MIXED)}; got {self.shares}"
-            )
-        _family(self.policy)
-
-    @property
-    def plans(self) -> bool:
-        """Whether the policy searches, so that an episode takes far longer than its pulls."""
-        return self.policy in _PLANNED
-
-    @property
-    def short(self) -> str:
-        """A name for dataset ids: letters, digits and dashes."""
-        stem = self.policy
-        if stem not in _constructors:
-            stem = Path(stem.partition(":")[0]).stem.split(".")[-1]
-        return "".join(letter if letter.isalnum() else "-" for letter in stem)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,7 +189,6 @@ def _mixed(config: PolicyConfig) -> Mixed:
     return Mixed(policies, config.shares)
 
 
-_PLANNED = ("expert", "noisy", "play", "planner", "mixed")
 _tables = tuple(path for path in (CHANGES, *PASSES.values()) if path.is_file())
 register_policy("random", lambda config: RandomPolicy())
 register_policy("constant", lambda config: ConstantPolicy())

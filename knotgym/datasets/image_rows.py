@@ -14,7 +14,8 @@ from knotgym.datasets.image_table import encode, write_rows
 from knotgym.envs.tasks import TaskConfig
 from knotgym.quality.difficulty import grade
 from knotgym.quality.measures import Limits, measure, noise_survival
-from knotgym.rendering.appearance import Appearance, AppearanceConfig, appearance, render
+from knotgym.rendering.appearance import Appearance, appearance, render
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rendering.picture import crossing_pixels
 from knotgym.rope.model import Array
 from knotgym.topology.crossings import Crossings, find_crossings

@@ -32,7 +32,8 @@ from knotgym.datasets.image_table import (
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
 from knotgym.datasets.walks_file import read_walks, retrace
 from knotgym.quality.label_limits import at_base, pressed_together, visits_too_close
-from knotgym.rendering.appearance import SIZES, render
+from knotgym.rendering.appearance import render
+from knotgym.rendering.appearance_config import SIZES
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
 from knotgym.states.near_duplicates import pairs_within

@@ -38,7 +38,7 @@ from knotgym.datasets.selectable_rows import (
 )
 from knotgym.datasets.walks_file import read_walks
 from knotgym.states.near_duplicates import families
-from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
+from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.states.state_file import read_states, ships, states_at, write_states
 from knotgym.topology.gauss import GaussCode

@@ -13,7 +13,7 @@ import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output, sha256
 from knotgym.common.errors import InvalidInput, one_line
 from knotgym.datasets.manifest_check import read_manifest
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 
 Rows = NDArray[np.int64]
 

@@ -19,7 +19,7 @@ from knotgym.envs.knot_tasks import start_nx
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import Rope
 from knotgym.states.near_duplicates import NEAR, distances
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped
 
 _MATCH = NEAR / 2  # metres, root mean square over the beads

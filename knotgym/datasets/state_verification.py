@@ -17,14 +17,16 @@ from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
 from knotgym.datasets.trajectory import Episode
-from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
+from knotgym.drawing.drawing_config import DrawingConfig
+from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, require_engine, simulation
 from knotgym.rope.model import Array, Rope, rope_of
 from knotgym.states.derivation import row_faults
 from knotgym.states.near_duplicates import pairs_within, repeated
-from knotgym.states.schema import DRAWING, RANDOM_WALK, STATE_SPLITS, STATES
+from knotgym.states.schema import DRAWING, RANDOM_WALK, STATES
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.state_file import States, read_states
 from knotgym.topology.gauss import GaussCode

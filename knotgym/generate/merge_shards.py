@@ -24,8 +24,7 @@ from knotgym.datasets.finished_folders import finish_images, finish_states
 from knotgym.datasets.image_table import points_of, read_table, shards, write_shards
 from knotgym.datasets.machine import distinct
 from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
-from knotgym.generate.episodes.collect import REPORT, CollectConfig, write_whole
-from knotgym.generate.episodes.tally import Tally
+from knotgym.generate.episodes.old_collect import REPORT, CollectConfig, Tally, write_whole
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
@@ -34,7 +33,7 @@ from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import apart
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import (
     States,

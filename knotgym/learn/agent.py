@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import Count, NonNegative, Share, Whole, configuration
-from knotgym.control.planning import BatchedSearch, PullPlannerConfig, PullSearch, shipped_guide
+from knotgym.control.planning import BatchedSearch, PullSearch, shipped_guide
+from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.reader import Reader
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses, perturb_heights

@@ -41,7 +41,8 @@ from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_actions import LONGEST, MacroActionConfig, WaypointFollower
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import LONGEST, WaypointFollower
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 

@@ -10,7 +10,8 @@ from typing import Any
 
 from knotgym.common.errors import InvalidPolicy, install_command
 from knotgym.control.planning import CHANGES, EVERY_CODE, PASSES
-from knotgym.control.policies import PolicyConfig, PolicyFamily
+from knotgym.control.policies import PolicyFamily
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import Policy
 
 _SHIPPED = "pretrained", "pretrained-clone"

@@ -14,7 +14,8 @@ import knotgym
 from knotgym.common.configuration import read_json
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, derived_seed, generator
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollouts
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.envs.tasks import TaskConfig

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.streams import Stream, generator
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import Player, Policy, Pulls, episode_seed
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.macro_actions import MacroActionConfig
+from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.model import Array
 
 MACRO_PULLS = 10  # most pulls of one foreseen macro-action

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json, differences
 from knotgym.common.errors import InvalidFile, InvalidPolicy
-from knotgym.control.policies import PolicyConfig, PolicyFamily
+from knotgym.control.policies import PolicyFamily
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import Player, Policy, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig

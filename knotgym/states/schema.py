@@ -11,10 +11,6 @@ from knotgym.quality.limits import UNITS
 
 FORMAT = "knotgym-states"
 
-STATE_SPLITS = ("train", "test")
-# parts of "train" and "test" without a common diagram, see `States.rows`
-CODE_SPLITS = ("train-code", "test-code")
-
 ATTRIBUTES = {
     "knotgym": "version of this package",
     "mujoco": "version of MuJoCo",

@@ -32,7 +32,7 @@ from knotgym.cli import main as cli
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
 from knotgym.common.errors import Occupied
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, distinct_id
 from knotgym.generate.episodes.results import Result, reference_lines, show

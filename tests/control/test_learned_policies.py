@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidPolicy
 from knotgym.control.learned_policies import Model, ModelPolicy, load_model
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig

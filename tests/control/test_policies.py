@@ -13,13 +13,8 @@ from knotgym.common.errors import InvalidPolicy, KnotgymError
 from knotgym.control import policies
 from knotgym.control.old_basic_policies import RandomPolicy
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import (
-    MIXED,
-    PolicyConfig,
-    make_policy,
-    policy_digests,
-    register_policy,
-)
+from knotgym.control.policies import make_policy, policy_digests, register_policy
+from knotgym.control.policy_config import MIXED, PolicyConfig
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig

@@ -13,13 +13,8 @@ import pytest
 from knotgym.common.errors import InvalidPolicy
 from knotgym.control import policies
 from knotgym.control.old_basic_policies import ConstantPolicy
-from knotgym.control.policies import (
-    PolicyConfig,
-    PolicyFamily,
-    make_policy,
-    policy_digests,
-    training_card,
-)
+from knotgym.control.policies import PolicyFamily, make_policy, policy_digests, training_card
+from knotgym.control.policy_config import PolicyConfig
 
 from ..fresh_interpreter import ROOT, modules_after
 

@@ -15,7 +15,7 @@ from knotgym.common.errors import InvalidFile
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import decode, encode, read_table, write_rows
 from knotgym.datasets.image_verification import shard_faults
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.gauss import GaussCode
 

@@ -17,7 +17,7 @@ from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import write_rows
 from knotgym.datasets.row_expressions import matching_rows
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.states.near_duplicates import families
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.gauss import GaussCode

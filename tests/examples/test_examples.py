@@ -14,7 +14,7 @@ from knotgym.datasets.image_table import COLUMNS, read_rows, write_rows
 from knotgym.datasets.image_verification import row_faults
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rope.model import Rope
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import read_states, shipped

@@ -18,7 +18,7 @@ import pytest
 from knotgym.cli.inspection import film, merge
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError
 from knotgym.control.old_policies import make_policy
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import episode_faults, replay, verify_episodes

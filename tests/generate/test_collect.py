@@ -20,7 +20,7 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.expert import Expert
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes

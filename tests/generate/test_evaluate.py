@@ -14,7 +14,8 @@ from rich.console import Console
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import DATASET, EVALUATION, episode_seed, rollout
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation

@@ -39,7 +39,7 @@ from knotgym.generate.images.selection import _options
 from knotgym.loaders import images as load
 from knotgym.quality.difficulty import grade
 from knotgym.quality.measures import UNITS, Limits, measure
-from knotgym.rendering.appearance import VARIED, AppearanceConfig
+from knotgym.rendering.appearance_config import VARIED, AppearanceConfig
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
 from knotgym.runs.run_options import RunOptions

@@ -11,7 +11,7 @@ from knotgym.cli import run_commands
 from knotgym.cli.generate_command import code_list
 from knotgym.common.errors import InvalidFile, InvalidInput, InvalidPolicy
 from knotgym.control.old_policies import make_policy
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import draw, picture_of

@@ -7,7 +7,7 @@ import pytest
 
 from knotgym.common.errors import InvalidFile
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import (

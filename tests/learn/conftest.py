@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollouts
 from knotgym.datasets.episodes import Episodes
 from knotgym.datasets.minari_form import MinariMetadata, publish

@@ -12,7 +12,8 @@ import pytest
 
 from knotgym.common.errors import InvalidInput, InvalidPolicy
 from knotgym.control.planning import pass_values, see
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episodes import Episodes, differences
 from knotgym.envs.tasks import TaskConfig

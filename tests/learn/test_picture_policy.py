@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidPolicy
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 

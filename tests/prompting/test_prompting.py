@@ -11,7 +11,8 @@ import pytest
 
 from knotgym.common.errors import Failed, InvalidFile, InvalidInput, InvalidPolicy, Occupied
 from knotgym.common.streams import Stream
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import decode, encode

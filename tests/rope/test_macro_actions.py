@@ -8,10 +8,9 @@ import pytest
 
 from knotgym.common.errors import InvalidInput
 from knotgym.control.action_sequence import step_ropes
+from knotgym.rope.macro_action_config import KINDS, MacroActionConfig
 from knotgym.rope.macro_actions import (
-    KINDS,
     MacroAction,
-    MacroActionConfig,
     WaypointController,
     cumulative_shares,
     pass_strand,

@@ -11,7 +11,7 @@ from knotgym.control.expert import Expert
 from knotgym.control.old_basic_policies import ConstantPolicy
 from knotgym.control.old_policies import make_policy
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from knotgym.common.errors import InvalidInput
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.generate.images.image_recipe import make_images

@@ -18,13 +18,8 @@ from knotgym.control.rollouts import Player, Policy, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import quantized
-from knotgym.rope.macro_actions import (
-    LONGEST,
-    MacroActionConfig,
-    Pass,
-    WaypointFollower,
-    propose,
-)
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import LONGEST, Pass, WaypointFollower, propose
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import GaussCode
 

@@ -10,7 +10,8 @@ import numpy as np
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import state_tables, table
 from knotgym.quality.limits import UNITS
-from knotgym.states.schema import RANDOM_WALK, STATE_SPLITS
+from knotgym.states.schema import RANDOM_WALK
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.spread import spread_of
 from knotgym.states.state_file import States

@@ -45,7 +45,7 @@ from knotgym.datasets.exports.parquet_tables import (
 from knotgym.datasets.gallery import write_gallery, write_picture_gallery
 from knotgym.datasets.image_table import arrow, file_stem, shards
 from knotgym.datasets.page.page_data import dataset_name
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.states.state_file import read_states
 

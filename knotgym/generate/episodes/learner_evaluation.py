@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.control.policies import Policy, PolicyConfig, register_policy
+from knotgym.control.policies import Policy, register_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig, as_text, run
 from knotgym.runs.run_options import RunOptions
 

@@ -9,7 +9,7 @@ from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rope.engines import MUJOCO, EngineName
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX

@@ -20,13 +20,8 @@ from knotgym.quality.difficulty import ease
 from knotgym.quality.label_limits import LabelLimits, pressed_together, visits_too_close
 from knotgym.quality.measures import Limits, measure
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.macro_actions import (
-    MacroAction,
-    MacroActionConfig,
-    WaypointController,
-    move_aside,
-    propose,
-)
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import MacroAction, WaypointController, move_aside, propose
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
 from knotgym.topology.crossings import count_crossings, find_crossings

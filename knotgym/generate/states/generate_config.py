@@ -17,7 +17,7 @@ from knotgym.common.configuration import (
 )
 from knotgym.common.errors import InvalidInput
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.drawing.drawn_curve import DrawingConfig
+from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
 from knotgym.generate.states.search import SearchSettings
 from knotgym.quality.measures import Limits

@@ -30,7 +30,7 @@ from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, EngineName, simulation_of
 from knotgym.rope.model import Array, Rope, RopeConfig
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX, is_unknot

@@ -41,7 +41,8 @@ from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.states.near_duplicates import pairs_within
-from knotgym.states.schema import RANDOM_WALK, STATE_SPLITS
+from knotgym.states.schema import RANDOM_WALK
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import States, write_states
 from knotgym.topology.knots import codes_of
 

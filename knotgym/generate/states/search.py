@@ -21,7 +21,8 @@ from knotgym.control.transition_counts import TransitionCounts, TransitionRecord
 from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
 from knotgym.quality.measures import Limits, base_spacing, measure
 from knotgym.rope.engines import MUJOCO, EngineName, simulation, simulation_of
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import WaypointController, propose
 from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
 from knotgym.runs.engine import Batch
 from knotgym.topology.crossings import find_crossings, label_many

@@ -23,7 +23,8 @@ from knotgym.generate.states.random_walk import WalkState
 from knotgym.quality.measures import UNITS
 from knotgym.rendering.picture import draw_many, picture_of
 from knotgym.rope.model import rope_of
-from knotgym.states.schema import DRAWING, STATE_SPLITS
+from knotgym.states.schema import DRAWING
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import States, demonstrations_id
 from knotgym.topology.gauss import GaussCode
