@@ -94,8 +94,8 @@ def test_garbage_ends_the_tab_that_sent_it(page: Page) -> None:
     until(lambda: len(page.players) == 1)
     player = next(iter(page.players.values()))
     good.socket.recv()
-    player._wants(lambda: player.session.pull(3, (1, 0, 0)))
-    until(lambda: len(player.session.actions) == 1)
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: len(player.session.pulls) == 1)
 
 
 def test_a_flood_delays_nobody_else(page: Page) -> None:
@@ -106,10 +106,10 @@ def test_a_flood_delays_nobody_else(page: Page) -> None:
     until(lambda: len(page.players) == 2)
     for number in range(10_000):
         loud.drag(number % 100, (0.1, 0.1, 0.0))
-    player._wants(lambda: player.session.pull(3, (1, 0, 0)))
-    until(lambda: len(player.session.actions) == 1)
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: len(player.session.pulls) == 1)
     other = page.players[max(page.players)]
-    assert len(other.session.actions) <= TASK.horizon
+    assert len(other.session.pulls) <= TASK.horizon
     quiet.socket.close()
     loud.socket.close()
     until(lambda: not page.players)  # a closed tab frees its rope
@@ -129,8 +129,8 @@ def test_a_drag_of_nonsense_is_harmless(page: Page, bead: Any, place: Any) -> No
         tab.drag(bead, place, "start")
         tab.drag(bead, place)
         tab.drag(bead, place, "end")
-    player._wants(lambda: player.session.pull(3, (1, 0, 0)))
-    until(lambda: player.session.actions or not page.players)
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: player.session.pulls or not page.players)
     assert np.isfinite(player.session.points).all()
 
 
