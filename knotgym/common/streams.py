@@ -53,6 +53,7 @@ class Stream(IntEnum):
     INTERVAL = 27  # bootstraps of confidence intervals
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
+    PLAYED_ROPE = 32  # rope, 0: its random actions, 1: its other pulls
     NOISE_SURVIVAL = 33  # the seed is a digest of the configuration that the noise is added to
     DRAWING = 40  # nx, code, number of the drawing
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
@@ -70,6 +71,7 @@ class Stream(IntEnum):
     DEMONSTRATION_STARTS = 59  # task: the starts of demonstrations
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play
+    DEMONSTRATED = 66  # state, attempt: the seed of the episode that ends in its code
     SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
 
 

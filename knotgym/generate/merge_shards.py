@@ -1,14 +1,12 @@
 """Merge the shards of one run, made by `--shard i/n` in n folders.
 
-Merged episodes have the same bytes as a run without shards. States and pictures differ from that
-run's, but have the same distribution: of near-duplicates in two shards the later one is dropped,
-and states are split again into train and test so that the shares hold.
+Merged episodes have the same bytes as a run without shards. Pictures differ from that run's, but
+have the same distribution: of near-duplicates in two shards the later one is dropped.
 """
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import groupby, product
 from pathlib import Path
 from typing import Any
 
@@ -18,35 +16,20 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import atomic_write, require_no_links, require_output, sha256
 from knotgym.common.configuration import from_json, read_json
 from knotgym.common.errors import InvalidInput, one_line
-from knotgym.common.streams import Stream, generator
-from knotgym.datasets.episode_reader import Chosen
-from knotgym.datasets.finished_folders import finish_images, finish_states
+from knotgym.datasets.finished_folders import finish_images
 from knotgym.datasets.image_table import points_of, read_table, shards, write_shards
 from knotgym.datasets.machine import distinct
 from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
 from knotgym.generate.episodes.old_collect import REPORT, CollectConfig, Tally, write_whole
 from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.generate.states import state_folder
-from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import apart
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.splits import kept_together, split
 from knotgym.states.state_file import (
-    States,
     leads_out,
-    merge_states,
-    merged_order,
-    read_states,
-    write_states,
 )
-from knotgym.topology.gauss import GaussCode
 
 _KINDS: dict[str, tuple[str, type[Any]]] = {  # format of a manifest -> kind, configuration
-    "knotgym-manifest": ("states", GenerateConfig),
     "knotgym-collection": ("episodes", CollectConfig),
     "knotgym-images-manifest": ("images", ImagesConfig),
 }
@@ -58,7 +41,7 @@ class ShardFolder:
     """The output folder of a shard."""
 
     folder: Path
-    kind: str  # "states", "episodes" or "images"
+    kind: str  # "episodes" or "images"
     shard: Shard
     request: dict[str, Any]  # request of the run without the shard; equal for all shards of a run
     manifest: dict[str, Any]  # the folder's manifest; for episodes, collection.json
@@ -106,7 +89,7 @@ def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool =
         distinct(shard.manifest for shard in ordered),
     )
     with atomic_write(folder, overwrite=overwrite) as part:
-        merge = {"states": _states, "episodes": _episodes, "images": _images}[first.kind]
+        merge = {"episodes": _episodes, "images": _images}[first.kind]
         merge(whole, part.with_name("whole")).rename(part)
     return folder
 
@@ -170,102 +153,11 @@ def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
         if first.kind == "episodes":
             return asdict(sum((Tally(**shard.manifest["tally"]) for shard in ordered), Tally()))
         reports = [shard.manifest["report"] for shard in ordered]
-        return _report_of_states(reports) if first.kind == "states" else _report_of_images(reports)
+        return _report_of_images(reports)
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InvalidInput(
             f"{first.folder} and the others say what no shard of ours says: {one_line(error)}"
         ) from error
-
-
-def _states(whole: _Whole, folder: Path) -> Path:
-    config = whole.request["config"]
-    parts = [read_states(file) for file in whole.files("states.h5")]
-    every = merge_states(parts)
-    kept = np.flatnonzero(apart(every.points))
-    from_shard = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    from_shard = from_shard[merged_order(parts)][kept]
-    chosen = every.taken(kept)
-    folder.mkdir(parents=True)
-    merged = _renumbered(chosen, config)
-    write_states(folder / "states.h5", merged)
-    # where the demonstration of each row is, in order
-    roots = whole.files("minari")
-    datasets = [
-        roots[k] / name
-        for k, name in zip(from_shard.tolist(), chosen.source["dataset"], strict=True)
-    ]
-    for nx, name in product(sorted(set(merged.nx.tolist())), STATE_SPLITS):
-        mine = [row for row in merged.rows(nx, name).tolist() if merged.source["dataset"][row]]
-        sources = [
-            Chosen(dataset, [int(chosen.source["trajectory"][row]) for row in rows])
-            for dataset, rows in groupby(mine, datasets.__getitem__)
-        ]
-        if sources:
-            state_folder.publish_demonstrations(
-                *(nx, name, str(merged.knot[0]), merged.engine, sources, len(mine)),
-                *(folder / "minari", folder / "states.h5"),
-            )
-    archives = [Archive.load(file) for file in whole.files("archive.h5") if file.is_file()]
-    if archives:
-        search = from_json(SearchSettings, config["search"])
-        _joined_archive(archives, search).save(folder / "archive.h5")
-    report = {**whole.report, _NEAR: len(every) - len(kept)}
-    finish_states(folder, merged, report, whole.request, whole.machines)
-    return folder
-
-
-def _renumbered(states: States, config: dict[str, Any]) -> States:
-    """Split the states of all shards again, and number the demonstrations of each nx and split."""
-    # wide enough for both names, also if all shards have only one split
-    splits = states.split.astype(np.array(STATE_SPLITS).dtype)
-    codes = [GaussCode.parse(text) for text in states.gauss_code]
-    for nx in config["nx"]:
-        mine = np.flatnonzero(states.nx == nx)
-        rng = generator(Stream.SPLIT, config["seed"], nx)
-        own = [codes[row] for row in mine]
-        splits[mine] = split(own, config["split_by"], config["train_share"], rng)
-    splits = kept_together(splits, states.points, codes)
-    demonstrated = (states.source["dataset"] != "").tolist()
-    knot = str(states.knot[0])
-    numbered = state_folder.demonstrations_of(states.nx, splits, knot, demonstrated)
-    located = {f"source/{name}": values for name, values in numbered.items()}
-    return states.replaced({"split": splits, **located}, config=config)
-
-
-def _joined_archive(archives: Sequence[Archive], search: SearchSettings) -> Archive:
-    """Merge archives; their rounds follow one another."""
-    joined = archives[0]
-    for other in archives[1:]:
-        for elites in other.niches.values():
-            for elite in elites:
-                joined.offer(elite, search.archive)
-        for niche, count in other.visits.items():
-            joined.visits[niche] = joined.visits.get(niche, 0) + count
-        joined.transitions.add(other.transitions, search.most_templates)
-        rounds = len(joined.growth)
-        actions = joined.growth[-1]["actions"] if joined.growth else 0
-        joined.growth += [
-            {**row, "round": rounds + row["round"], "actions": actions + row["actions"]}
-            for row in other.growth
-        ]
-    return joined
-
-
-def _report_of_states(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    rejected: dict[str, Counter[str]] = {}
-    passed: dict[str, list[str]] = {}
-    for report in reports:
-        for nx, reasons in report["rejected"].items():
-            rejected.setdefault(nx, Counter()).update(reasons)
-        for nx, codes in report.get("passed_over", {}).items():
-            passed.setdefault(nx, []).extend(codes)
-    return {
-        **reports[0],
-        **({"passed_over": passed} if passed else {}),
-        **{name: sum(report[name] for report in reports) for name in ("attempts", "actions")},
-        "rejected": {nx: dict(sorted(reasons.items())) for nx, reasons in rejected.items()},
-        "growth": [],  # the curves of separate searches don't add up
-    }
 
 
 def _report_of_images(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidInput
-from knotgym.generate.states.archive import Archive
 from knotgym.rope.engines import MUJOCO, simulation_of
 from knotgym.rope.model import Array, RopeConfig
 from knotgym.rope.simulation import Simulation
@@ -84,23 +83,7 @@ def seed_states(
 
 
 def _archived(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
-    """Return the distinct integration states of an archive's elites."""
-    found_archive = Archive.load(path)
-    niches, made_by = found_archive.niches, found_archive.settings.get("engine")
-    if made_by != simulation.engine:
-        raise InvalidInput(
-            f"{path} was made with engine {made_by}, and walks with engine {simulation.engine}"
-            " can't continue from its states; give the other --engine, or --states"
-        )
-    elites = [elite for niche, elites in niches.items() if niche.nx <= max_nx for elite in elites]
-    found = list({elite.state.tobytes(): elite.state for elite in elites}.values())
-    size = simulation.states().shape[1]
-    if found and len(found[0]) != size:
-        raise InvalidInput(
-            f"{path} was made with another rope: its states have {len(found[0])} numbers, this"
-            f" rope's {size}"
-        )
-    return found
+    raise InvalidInput(f"archives of play are no longer made; give states instead of {path}")
 
 
 def _curated(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
