@@ -134,6 +134,42 @@ def test_a_drag_of_nonsense_is_harmless(page: Page, bead: Any, place: Any) -> No
     assert np.isfinite(player.session.points).all()
 
 
+@pytest.mark.parametrize(
+    "headers",
+    [{"Origin": "https://evil.example"}, {"Host": "evil.example"}],
+    ids=["another site's page", "another site's name for this machine"],
+)
+def test_pages_of_other_sites_are_not_let_in(page: Page, headers: dict[str, str]) -> None:
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    protocols: Any = [f"viser-v{viser.__version__}"]
+    host = headers.pop("Host", "127.0.0.1")
+    with socket.create_connection(("127.0.0.1", port_of(page))) as wire:
+        with pytest.raises(InvalidStatus, match="403"):
+            uri = f"ws://{host}:{port_of(page)}"
+            connect(uri, sock=wire, subprotocols=protocols, additional_headers=headers)
+    Tab(port_of(page))
+    until(lambda: len(page.players) == 1)
+
+
+def test_no_tab_can_open_a_tunnel_to_a_public_host(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from viser import _viser
+
+    opened: list[Any] = []
+    monkeypatch.setattr(_viser, "ViserTunnel", lambda *given: opened.append(given))
+    tab = Tab(port_of(page))
+    until(lambda: page.players)
+    tab.say("ShareUrlRequest")
+    player = page.players[0]
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: player.session.pulls)
+    assert page._server.request_share_url() is None and not opened
+
+
 def test_every_other_host_asks_for_a_token(page: Page) -> None:
     config = PlayConfig(task=page._config.task, host="0.0.0.0", port=free_port())
     with Page(config) as guarded:
