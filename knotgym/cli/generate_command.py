@@ -54,7 +54,7 @@ def generate(given: Given) -> None:
 
         knotgym generate --nx 2-4 --source random-walk
     """
-    from knotgym.datasets.minari_dataset import loading_lines
+    from knotgym.datasets.minari_form import loading_lines
     from knotgym.generate.states.random_walk import RandomWalkConfig
     from knotgym.generate.states.random_walk_recipe import walk_states
     from knotgym.generate.states.state_recipe import generate as run

@@ -85,6 +85,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
     is_last[part.episodes.last()] = True
     columns: dict[str, NDArray[Any]] = {
         **steps,
+        "points": steps["observation"],
         "dataset": np.full(steps.rows, part.name),
         "policy": own["policy"][episode],
         "gauss_code": gauss_codes(steps["visits"]),
