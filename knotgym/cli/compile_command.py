@@ -11,7 +11,8 @@ def compile(given: Given) -> None:
     """Compile the numerical kernels ahead of time, in about a minute of CPU time."""
     from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
     from knotgym.envs.tasks import TaskConfig
-    from knotgym.generate.episodes.collect import CollectConfig, collect
+    from knotgym.generate.episodes.collect import collect
+    from knotgym.generate.episodes.collect_config import CollectConfig
     from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.state_recipe import generate
     from knotgym.loaders import arrays

@@ -12,10 +12,10 @@ if __name__ == "generate":
     )
 
 if TYPE_CHECKING:
-    from knotgym.generate.episodes.collect import CollectConfig as CollectConfig
     from knotgym.generate.episodes.collect import collect as collect
-    from knotgym.generate.episodes.evaluate import EvaluateConfig as EvaluateConfig
+    from knotgym.generate.episodes.collect_config import CollectConfig as CollectConfig
     from knotgym.generate.episodes.evaluate import run as evaluate  # noqa: F401
+    from knotgym.generate.episodes.evaluate_config import EvaluateConfig as EvaluateConfig
     from knotgym.generate.episodes.suite import SuiteConfig as SuiteConfig
     from knotgym.generate.episodes.suite import make_suite as make_suite
     from knotgym.generate.images.image_recipe import make_images as make_images
@@ -31,8 +31,8 @@ else:
     __getattr__, __dir__, __all__ = lazy_exports(
         __name__,
         {
-            "CollectConfig": "knotgym.generate.episodes.collect",
-            "EvaluateConfig": "knotgym.generate.episodes.evaluate",
+            "CollectConfig": "knotgym.generate.episodes.collect_config",
+            "EvaluateConfig": "knotgym.generate.episodes.evaluate_config",
             "GenerateConfig": "knotgym.generate.states.generate_config",
             "ImagesConfig": "knotgym.generate.images.images_config",
             "RandomWalkConfig": "knotgym.generate.states.random_walk",

@@ -34,7 +34,8 @@ from knotgym.cli.summaries import _in_words
 from knotgym.common.errors import Occupied
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, distinct_id
+from knotgym.generate.episodes.collect import distinct_id
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.results import Result, reference_lines, show
 from knotgym.rope.engines import warn_of_compilation
 from knotgym.runs.compilation import compile_first

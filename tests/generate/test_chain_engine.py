@@ -25,9 +25,10 @@ from knotgym.datasets.episode_verification import episode_faults, replay, verify
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.datasets.walks_file import retrace
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect, distinct_id
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.generate.episodes.collect import collect, distinct_id
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.evaluate import run as evaluate
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.suite import SuiteConfig
 from knotgym.generate.episodes.suite_scores import read_scores
 from knotgym.generate.images.seed_states import seed_states

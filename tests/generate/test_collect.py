@@ -29,7 +29,8 @@ from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
 from knotgym.datasets.trajectory import relabel_all
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.generate.episodes.collect import collect
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.loaders import Transitions
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.engine import request_of

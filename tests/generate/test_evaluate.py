@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from knotgym.generate.merge_evaluations import merge_evaluations
 from rich.console import Console
 
 from knotgym.common.atomic_files import sha256
@@ -19,16 +20,9 @@ from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import DATASET, EVALUATION, episode_seed, rollout
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
-from knotgym.generate.episodes.evaluate import (
-    EvaluateConfig,
-    evaluate,
-    film,
-    report,
-    run,
-    sources_of,
-)
+from knotgym.generate.episodes.evaluate import evaluate, film, report, run, sources_of
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import show
-from knotgym.generate.merge_evaluations import merge_evaluations
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.executors import InProcess
 from knotgym.runs.run_options import RunOptions

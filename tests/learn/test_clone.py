@@ -17,7 +17,8 @@ from knotgym.control.pass_counts import shipped_values
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.generate.episodes.collect import collect
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.learn.clone_config import CloneConfig, DemonstrationsConfig, ImproveConfig
 from knotgym.runs.run_options import Existing, RunOptions
 from knotgym.states.state_file import States

@@ -15,8 +15,10 @@ from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, EpisodeRecipe
-from knotgym.generate.episodes.evaluate import EvaluateConfig, run
+from knotgym.generate.episodes.collect import EpisodeRecipe
+from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.evaluate import run
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.runs.run_options import RunOptions
 
 pytestmark = pytest.mark.clients

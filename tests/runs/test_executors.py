@@ -19,7 +19,8 @@ import pytest
 from knotgym.common.errors import InvalidInput
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.generate.episodes.collect import collect
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.run_options import RunOptions

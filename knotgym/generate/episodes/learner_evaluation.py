@@ -11,7 +11,8 @@ from typing import Any
 from knotgym.common.atomic_files import atomic_write
 from knotgym.control.policies import Policy, register_policy
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.generate.episodes.evaluate import EvaluateConfig, as_text, run
+from knotgym.generate.episodes.evaluate import as_text, run
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.runs.run_options import RunOptions
 
 EVALUATION = "evaluation.json"
