@@ -10,6 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes.collect import collect
+from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.evaluate import run as evaluate
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.runs.run import Call, Recipe, run
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
@@ -35,7 +41,25 @@ def made_toy(out: Path, options: RunOptions) -> Path:
     return run(toy, out, {"config": {"toy": 0}}, options)
 
 
-RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {"toy": made_toy}
+CHAIN = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=5)
+
+
+def collected(out: Path, options: RunOptions) -> Path:
+    policy = PolicyConfig(policy="scripted")
+    config = CollectConfig(task=CHAIN, policy=policy, episodes=130, dataset_id=out.name)
+    return collect(config, out.parent, options)
+
+
+def evaluated(out: Path, options: RunOptions) -> Path:
+    evaluate(EvaluateConfig(nx=(1, 2), episodes=70, task=CHAIN), options, out=out)
+    return out if options.shard.is_whole else options.shard.journal(out)
+
+
+RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {
+    "toy": made_toy,
+    "collect-v0": collected,
+    "evaluate.json": evaluated,
+}
 
 if __name__ == "__main__":  # python -m tests.runs.recipes NAME OUT WORKERS [SHARD]
     name, out, workers, *shard = sys.argv[1:]
