@@ -27,7 +27,7 @@ from knotgym.control import pass_counts, transition_counts
 from knotgym.control.learned_policies import load_model
 from knotgym.datasets import episode_reader, image_table
 from knotgym.datasets.cards.fact_tables import overlap_rows
-from knotgym.datasets.verification import OVERLAPS
+from knotgym.control.verification import OVERLAPS
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import recordings
 from knotgym.generate.states import archive

@@ -127,15 +127,13 @@ def merge(
         raise InvalidInput("name what to merge: two datasets at least, or all shards of a run")
     with Progress(quiet, lines=False) as progress:
         from knotgym.cli.inspection import merge as put_together
-        from knotgym.cli.inspection import merge_to_minari
+        from knotgym.datasets.merging import merge as merge_datasets
 
         progress.stage("merging")
-        if dataset_id:
-            progress.say(merge_to_minari(sources, dataset_id, out, overwrite, progress.stage))
-        elif out is None:
-            raise InvalidInput("give an output: --out FILE, or --id for a Minari dataset")
+        if dataset_id or out is None:
+            progress.say(merge_datasets(sources, out, dataset_id, overwrite))
         else:
-            progress.say(put_together(sources, out, overwrite, progress.stage))
+            progress.say(put_together(sources, out, overwrite))
 
 
 @dataset.command
@@ -205,17 +203,18 @@ def export(
     """Convert a dataset to another format, or to a folder ready to upload.
 
     Args:
-        out: Output: a file for curves; an .h5 file for compact, or a folder of them for several
-            datasets; a folder for all other formats.
-        to: Format: compact (states and actions, pictures are rendered on loading), lerobot or
-            ogbench; huggingface or minari for a folder ready to upload; curves for the closed
-            curves of states as .csv, .obj or .npz.
+        out: Output: a file for curves; an .h5 file for compact and recording, or a folder of them
+            for several datasets; a folder for all other formats.
+        to: Format: compact (one compressed file, pictures are rendered on loading), recording
+            (starts and pulls alone) or ogbench; huggingface or minari for a folder ready to upload;
+            curves for the closed curves of states as .csv, .obj or .npz.
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.inspection import export as convert
+        from knotgym.control.verification import replay
+        from knotgym.datasets.exports.exporters import export as convert
 
         progress.stage("exporting")
-        progress.say(f"{out}: {convert(path, out, to, overwrite, progress.stage)}")
+        progress.say(f"{out}: {convert(path, out, to, replay, overwrite=overwrite)}")
 
 
 @dataset.command
@@ -240,8 +239,9 @@ def select(
         knotgym dataset select knotgym/tie-nx3/a-v0 --where "length < 30" --id knotgym/short-v0
 
     Args:
-        where: Condition on the columns: comparisons, and, or, not, in, + - * / %, such as 'nx == 3
-            and success and length < 30'. An unknown column lists those that there are.
+        where: Condition on the columns in SQL, such as "success and length < 30 and policy in
+            ('expert', 'play')". An unknown column lists those that there are. Needs the extra
+            select.
         sample: Keep this many of the rows, drawn at random.
         seed: Seed of the random choice.
     """
@@ -354,8 +354,8 @@ def import_curves(
 
 def _require_own(path: str, out: Path | None, dataset_id: str) -> None:
     """Refuse linked files, and a plain file in Minari's folder."""
-    from knotgym.cli.inspection import refuse_minaris_folder, require_own_files
+    from knotgym.datasets.located import refuse_minaris_folder, sources
 
-    require_own_files(path)
+    sources(path)
     if out is not None and not dataset_id:
         refuse_minaris_folder(out)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import from_json
 from knotgym.common.errors import InvalidFile, KnotgymError, MissingFile, one_line
-from knotgym.datasets.episode_reader import Count, uncounted
+from knotgym.datasets.episode_verification import Count, uncounted
 from knotgym.datasets.image_rows import appearance_of, labels, measures
 from knotgym.datasets.image_table import (
     GRADES,

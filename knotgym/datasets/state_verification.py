@@ -13,10 +13,10 @@ from knotgym.common.configuration import from_json
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, one_line
 from knotgym.common.streams import Stream, generator_of
 from knotgym.common.tables import digest
-from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
-from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
+from knotgym.datasets.episode_verification import Count, Replay, uncounted, verify_episodes
+from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
-from knotgym.datasets.trajectory import Episode
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
@@ -78,7 +78,9 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         yield "states.h5: its columns don't match content_sha256"
 
 
-def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
+def folder_faults(
+    folder: Path, replay: Replay | None = None, count: Count = uncounted
+) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.
@@ -93,12 +95,12 @@ def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
         yield str(error)
         return
     yield from state_faults(states, count)
-    for dataset in sorted(folder.glob("minari/**/main_data.hdf5")):
-        own = verify_episodes(dataset, act_out=True, count=count)
+    for file in sorted(folder.glob(f"minari/**/{FILE}")):
+        own = [*verify_episodes(file, replay, count=count)]
         yield from own
         if not own:
-            name = dataset.relative_to(folder / "minari").parents[1].as_posix()
-            yield from demonstration_faults(states, name, EpisodeReader(dataset))
+            name = file.relative_to(folder / "minari").parents[1].as_posix()
+            yield from demonstration_faults(states, name, open_episodes(file))
     if manifest:
         yield from _split_faults(states, manifest)
 
@@ -119,7 +121,9 @@ def overlap_faults(states: States, stored: Mapping[str, Any], where: str) -> Ite
                 yield f"{where}: nx {nx}: {name} of the overlap is {value}, should be {right}"
 
 
-def demonstration_faults(states: States, name: str, demonstrations: EpisodeReader) -> Iterator[str]:
+def demonstration_faults(
+    states: States, name: str, demonstrations: EpisodeDataset
+) -> Iterator[str]:
     """Yield the rows that name an episode of the dataset `name` that doesn't lead to them.
 
     The episode of a drawn state ends in its code, with that state as its goal; that of any other
@@ -128,27 +132,30 @@ def demonstration_faults(states: States, name: str, demonstrations: EpisodeReade
     source = states.source
     if not {"dataset", "trajectory", "step"} <= source.keys():
         return
+    lengths = demonstrations.episodes.episodes["length"]
     for row in np.flatnonzero(source["dataset"] == name).tolist():
         k, step = int(source["trajectory"][row]), int(source["step"][row])
         where = f"states.h5 row {row}: episode {k} of {name}"
-        if not 0 <= k < len(demonstrations) or not 0 <= step <= demonstrations.lengths[k]:
+        if not 0 <= k < len(lengths) or not 0 <= step <= lengths[k]:
             yield f"{where} has no state {step}"
-        elif fault := _unlike(states, row, demonstrations.episode(k), step):
+        elif fault := _unlike(states, row, demonstrations, k, step):
             yield f"{where} {fault}"
         elif demonstrations.task.split != states.split[row]:
             yield f"{where} is of the {demonstrations.task.split} split, the row of the other"
-    demonstrations.close()
 
 
-def _unlike(states: States, row: int, episode: Episode, step: int) -> str:
-    """How an episode fails to lead to a row, "" if it does."""
+def _unlike(states: States, row: int, dataset: EpisodeDataset, k: int, step: int) -> str:
+    """How episode `k` fails to lead to a row, "" if it does."""
+    own, steps = dataset.episodes
+    at = int(dataset.episodes.offsets[k]) + step
+    points = states.points[row].astype(np.float32)
     if states.source["policy"][row] != DRAWING or not states.nx[row]:
-        if np.array_equal(episode.points[step], states.points[row]):
+        if np.array_equal(steps["observation"][at], points):
             return ""
         return f"doesn't lead to it: its state {step} lies elsewhere"
-    if str(episode.gauss_code[step]) != str(states.gauss_code[row]):
+    if gauss_codes(steps["visits"][at : at + 1])[0] != states.gauss_code[row]:
         return f"doesn't lead to its code: its state {step} shows another"
-    return "" if np.array_equal(episode.goal_points, states.points[row]) else "has another goal"
+    return "" if np.array_equal(own["goal_points"][k], points) else "has another goal"
 
 
 def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from knotgym.common.atomic_files import sha256
+from knotgym.control.verification import OVERLAPS
 from knotgym.datasets.cards.state_card import summary
 from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
-from knotgym.datasets.verification import OVERLAPS
 from knotgym.states.state_file import SHIPPED, States, read_states, shipped, write_states
 
 from ..small_job import knotgym

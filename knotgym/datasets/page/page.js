@@ -369,7 +369,6 @@ function showEpisode() {
     ["code", (code || "loop") + (code === episode.goal ? ", the goal's" : "")],
     ["pull", strength ? `bead ${episode.bead[next]}, ${shortened(strength)} N` + (share < 1 ? `, reduced to ${100 * share} %` : "")
       : share < 1 ? "none: it would have pulled the rope apart" : next <= last ? "none, the rope settles" : "none, the episode ended"],
-    ["why", next <= last && episode.moves ? episode.moves[next] : ""],
     ["reward", now ? `${shortened(episode.rewards[now - 1])}, ${shortened(total)} so far` : "0"],
     ["policy", episode.policy], ["split", episode.split], ["seed", episode.seed], ["dataset", episode.set],
   ]);

@@ -1,4 +1,7 @@
-"""Verify a dataset of any kind: detect what a path or an id holds and run its checks."""
+"""Verify a dataset of any kind: detect what a path or an id holds and run its checks.
+
+Episodes are played again by `rollouts`, which is why this module isn't in `datasets`.
+"""
 
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -6,19 +9,27 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.configuration import read_json
-from knotgym.common.hdf5_files import hdf5_format
-from knotgym.datasets.episode_reader import Count, uncounted
-from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.common.tables import format_of
+from knotgym.control.recorded_policy import RecordedPolicy
+from knotgym.control.rollouts import rollouts
+from knotgym.datasets.episode_dataset import FORMAT as EPISODES_FORMAT
+from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
+from knotgym.datasets.episodes import Episodes
 from knotgym.datasets.image_table import is_images
 from knotgym.datasets.machine import others
 from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
-from knotgym.states.schema import FORMAT
+from knotgym.envs.tasks import TaskConfig
 from knotgym.states.state_file import read_states, shipped
 
-# phrases in the faults of replays, which may differ on another machine because of rounding
-_REPLAYED = ("bit for bit", "replayed, the rope")
+# a phrase in the faults of replays, which may differ on another machine because of rounding
+_REPLAYED = ("bit for bit", "played again")
 OVERLAPS = "overlaps.json"  # beside the shipped sets: file -> nx -> `splits.overlap`
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
+
+
+def replay(episodes: Episodes, task: TaskConfig) -> Episodes:
+    """Play episodes again from their starts and pulls."""
+    return rollouts(RecordedPolicy(episodes), task, episodes.episodes)
 
 
 def verify(source: str | os.PathLike[str]) -> list[str]:
@@ -67,11 +78,11 @@ def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator
 
         yield from image_faults(given, each, count)
     elif given.is_dir() and any((given / n).is_file() for n in ("manifest.json", "states.h5")):
-        yield from folder_faults(given, count)
-    elif given.is_file() and hdf5_format(given) in (FORMAT, None):
+        yield from folder_faults(given, replay, count)
+    elif given.is_file() and format_of(given) != EPISODES_FORMAT:
         states = read_states(given)
         yield from state_faults(states, count)
         stored = read_json(given.with_name(OVERLAPS)) if given.parent == shipped().parent else {}
         yield from overlap_faults(states, stored.get(given.name, {}), OVERLAPS)
     else:
-        yield from verify_episodes(str(source), act_out=True, threads=0, count=count)
+        yield from verify_episodes(str(source), replay, count=count)
