@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from knotgym.generate.images.image_recipe import make_images as make_images
     from knotgym.generate.images.images_config import ImagesConfig as ImagesConfig
     from knotgym.generate.states.generate_config import GenerateConfig as GenerateConfig
-    from knotgym.generate.states.random_walk import RandomWalkConfig as RandomWalkConfig
-    from knotgym.generate.states.random_walk_recipe import walk_states as walk_states
-    from knotgym.generate.states.state_recipe import generate as make_states  # noqa: F401
+    from knotgym.generate.states.state_recipe import make_states as make_states
     from knotgym.runs.run_options import RunOptions as RunOptions
 else:
     from knotgym.common.lazy_exports import lazy_exports
@@ -35,14 +33,12 @@ else:
             "EvaluateConfig": "knotgym.generate.episodes.evaluate_config",
             "GenerateConfig": "knotgym.generate.states.generate_config",
             "ImagesConfig": "knotgym.generate.images.images_config",
-            "RandomWalkConfig": "knotgym.generate.states.random_walk",
             "RunOptions": "knotgym.runs.run_options",
             "SuiteConfig": "knotgym.generate.episodes.suite",
             "collect": "knotgym.generate.episodes.collect",
             "evaluate": "knotgym.generate.episodes.evaluate:run",
             "make_images": "knotgym.generate.images.image_recipe",
-            "make_states": "knotgym.generate.states.state_recipe:generate",
+            "make_states": "knotgym.generate.states.state_recipe",
             "make_suite": "knotgym.generate.episodes.suite",
-            "walk_states": "knotgym.generate.states.random_walk_recipe",
         },
     )

@@ -5,11 +5,14 @@ A row makes an output of a few calls, in a second or so, in any process.
 
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from knotgym.generate.images.image_recipe import make_images
+from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.run import Call, Recipe, run
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
@@ -35,7 +38,14 @@ def made_toy(out: Path, options: RunOptions) -> Path:
     return run(toy, out, {"config": {"toy": 0}}, options)
 
 
+def made_images(out: Path, options: RunOptions) -> Path:
+    config = ImagesConfig(nx=(0, 1), count=8, engine="chain", pulls=4, ropes=2, rows_per_file=2)
+    return make_images(config, out, options)
+
+
 RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {"toy": made_toy}
+if find_spec("pyarrow") is not None:
+    RECIPES["images"] = made_images
 
 if __name__ == "__main__":  # python -m tests.runs.recipes NAME OUT WORKERS [SHARD]
     name, out, workers, *shard = sys.argv[1:]
