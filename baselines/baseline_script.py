@@ -16,7 +16,7 @@ from knotgym.common.errors import InvalidInput, KnotgymError, one_line
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 
 PROGRESS = "progress.json"
 

@@ -11,18 +11,14 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 from knotgym.drawing.drawn_curve import drawn_curve
-from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.search import SearchConfig, new_archive
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.runs.executors import InProcess
 from knotgym.states.state_file import States, read_states, shipped, write_states
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of, knot_type
 
-from .played import advance
 from .small_job import SECONDS, WANTED, begun, knotgym
 
 # Compiling, or another process on the same cores, is no failure.
@@ -113,22 +109,10 @@ def tangled(rope: Rope) -> NDArray[np.float64]:
     return np.concatenate(seen[-5:])
 
 
-SEARCH = SearchConfig(max_nx=3, batch_size=8, steps=8, seed=1)
-
-
-@pytest.fixture(scope="session")
-def searched() -> Archive:
-    """What three short rounds found; copy it before it grows."""
-    archive = new_archive(SEARCH)
-    for _ in range(3):
-        advance(archive, SEARCH, InProcess())
-    return archive
-
-
 @pytest.fixture(scope="session")
 def curated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of the main job: four loops and four states with one crossing; only ever read, harm
-    is done to copies.
+    """A folder of the main job: four loops and four states with one crossing, demonstrated. It is
+    only ever read, harm is done to copies.
     """
     folder = tmp_path_factory.mktemp("curated") / "nx0-1"
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", folder, "--quiet") == 0

@@ -25,13 +25,11 @@ import pytest
 import knotgym
 from knotgym.control import pass_counts, transition_counts
 from knotgym.control.learned_policies import load_model
+from knotgym.control.verification import OVERLAPS
 from knotgym.datasets import episode_reader, image_table
 from knotgym.datasets.cards.fact_tables import overlap_rows
-from knotgym.control.verification import OVERLAPS
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import recordings
-from knotgym.generate.states import archive
-from knotgym.generate.states.archive import Archive
 from knotgym.quality.limits import UNITS
 from knotgym.states import state_file as states
 from knotgym.states.state_file import SHIPPED, shipped
@@ -410,19 +408,6 @@ def test_the_walks_are_as_their_page_says(pictures: Path) -> None:
         assert file.attrs["format"] == "knotgym-walks" and file.attrs["format_version"] == 1
 
 
-def test_the_archive_is_as_its_page_says(searched: Archive, tmp_path: Path) -> None:
-    searched.save(tmp_path / "archive.h5")
-    said = tables(DOCS / "formats/search.md")
-    with h5py.File(tmp_path / "archive.h5") as file:
-        assert names(said["Attributes of archive.h5"]) == {*file.attrs}
-        assert names(said["Datasets of archive.h5"]) == {*file}
-        assert names(said["Datasets of transitions"]) == {*file["transitions"]}
-        kinds = {code_words(row[0])[0]: row[1] for row in said["Datasets of archive.h5"]}
-        for name, data in file.items():
-            if isinstance(data, h5py.Dataset):
-                assert kinds[name].partition(",")[0] == kind_of(data.dtype), name
-
-
 def test_the_recordings_are_as_their_page_says() -> None:
     said = tables(DOCS / "formats/recordings.md")
     with h5py.File(recordings.RECORDINGS) as file:
@@ -449,7 +434,7 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
         module.FORMAT: module.FORMAT_VERSION
         for module in (
             *(states, episode_reader, image_table, recordings),
-            *(archive, transition_counts, pass_counts),
+            *(transition_counts, pass_counts),
         )
     } | {"knotgym-walks": 1, "knotgym-policy": 1}
 

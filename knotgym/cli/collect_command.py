@@ -5,7 +5,7 @@ from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, command, extra
 from knotgym.common.errors import InvalidInput
-from knotgym.generate.episodes.collect import CollectConfig
+from knotgym.generate.episodes.collect_config import CollectConfig
 
 MINARI_ROOT = extra("out", Path, "Minari root to write to; Minari's own by default.")
 
@@ -28,7 +28,7 @@ def collect(given: Given) -> None:
 
         knotgym collect --task unknot --nx 2-4 --policy mine:act
 
-        knotgym collect --policy pretrained --set labels=expert --set policy.planner.budget=2000
+        knotgym collect --policy pretrained --set labels=expert
     """
     from knotgym.datasets.minari_form import loading_lines
     from knotgym.generate.episodes.collect import collect as run

@@ -11,9 +11,10 @@ def compile(given: Given) -> None:
     """Compile the numerical kernels ahead of time, in about a minute of CPU time."""
     from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
     from knotgym.envs.tasks import TaskConfig
-    from knotgym.generate.episodes.collect import CollectConfig, collect
+    from knotgym.generate.episodes.collect import collect
+    from knotgym.generate.episodes.collect_config import CollectConfig
     from knotgym.generate.states.generate_config import GenerateConfig
-    from knotgym.generate.states.state_recipe import generate
+    from knotgym.generate.states.state_recipe import make_states
     from knotgym.loaders import arrays
     from knotgym.rope.engines import CHAIN, compile_engine
     from knotgym.runs.progress import Progress
@@ -26,7 +27,7 @@ def compile(given: Given) -> None:
         folder = Path(temporary)
         progress.stage("compiling the kernels that draw, relax and measure states")
         states = GenerateConfig(nx=(1,), count=1, demonstrations=False)
-        generate(states, folder / "states", options, progress=silent)
+        make_states(states, folder / "states", options, progress=silent)
         progress.stage("compiling the chain engine")
         compile_engine(CHAIN)
         progress.stage("compiling the kernels that simulate, plan and render")

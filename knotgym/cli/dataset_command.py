@@ -104,36 +104,34 @@ def merge(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
-    """Merge the shards of one run, or datasets of one kind. Data is copied, not encoded again.
+    """Merge datasets of one kind. Data is copied, not encoded again.
+
+    Shards of a run are merged by running its command again, without --shard, where the journals of
+    all shards lie.
 
     Examples:
-
-        knotgym dataset merge runs/nx4-shard-*-of-8 --out runs/nx4
-
-        knotgym dataset merge tie-shard-*-of-4.json --out tie.json
 
         knotgym dataset merge a/states.h5 b/states.h5 --out states.h5
 
         knotgym dataset merge knotgym/tie-nx2/a-v0 knotgym/tie-nx2/b-v0 --id knotgym/both-v0
 
     Args:
-        sources: All shards of one run; state files or their folders; or trajectory datasets of one
-            task.
-        out: Output. For shards: the folder to make, or for shards of collect the Minari root. With
-            --id: the Minari root, Minari's own by default. Otherwise: the file, states.h5, or
-            episodes.h5 for trajectories.
+        sources: State files or their folders; or trajectory datasets of one task.
+        out: Output. With --id: the Minari root, Minari's own by default. Otherwise: the file,
+            states.h5, or episodes.h5 for trajectories.
     """
     if not sources:
-        raise InvalidInput("name what to merge: two datasets at least, or all shards of a run")
+        raise InvalidInput("name what to merge: two datasets at least")
+    if any(source.endswith(".journal") for source in sources):
+        raise InvalidInput(
+            "shards of a run are merged by running its command again, without --shard, where their"
+            " journals lie"
+        )
     with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.inspection import merge as put_together
         from knotgym.datasets.merging import merge as merge_datasets
 
         progress.stage("merging")
-        if dataset_id or out is None:
-            progress.say(merge_datasets(sources, out, dataset_id, overwrite))
-        else:
-            progress.say(put_together(sources, out, overwrite))
+        progress.say(merge_datasets(sources, out, dataset_id, overwrite))
 
 
 @dataset.command

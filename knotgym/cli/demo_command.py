@@ -26,7 +26,8 @@ def demo(given: Given) -> None:
     from knotgym.datasets.episode_dataset import open_episodes
     from knotgym.envs.observations import observe, picture_config
     from knotgym.envs.tasks import TaskConfig
-    from knotgym.generate.episodes.collect import CollectConfig, collect
+    from knotgym.generate.episodes.collect import collect
+    from knotgym.generate.episodes.collect_config import CollectConfig
     from knotgym.generate.episodes.evaluate import film
     from knotgym.rendering.video import write_film
     from knotgym.runs.compilation import compile_first

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, command, extra, field_help
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 
 
 @command(

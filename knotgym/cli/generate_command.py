@@ -20,17 +20,9 @@ MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
 
 @command(
     {"": GenerateConfig},
-    f"count every_code demonstrations knot engine {RUN}",
+    f"count source every_code demonstrations knot engine {RUN}",
     extra("nx", str, "Numbers of crossings: 3, 2,3 or 0-4.", "3, or those of --knot"),
     extra("out", Path, "Folder to write; by default knotgym-data/nx3, or nx3-3_1 with --knot 3_1."),
-    extra(
-        "source",
-        str,
-        '"drawing": draw states from their Gauss codes, after readable states found by simulated'
-        ' play; "random-walk": take states from uniform random actions, without over-twisted ones'
-        " and without demonstrations.",
-        "drawing",
-    ),
     extra(
         "codes",
         Path,
@@ -52,42 +44,29 @@ def generate(given: Given) -> None:
 
         knotgym generate --knot 8_19 --count 4
 
-        knotgym generate --nx 2-4 --source random-walk
+        knotgym generate --nx 0-3 --count 200 --source play
     """
     from knotgym.datasets.minari_form import loading_lines
-    from knotgym.generate.states.random_walk import RandomWalkConfig
-    from knotgym.generate.states.random_walk_recipe import walk_states
-    from knotgym.generate.states.state_recipe import generate as run
+    from knotgym.generate.states.state_recipe import make_states
     from knotgym.topology.knot_table import UNKNOT, diagram_of
 
-    options, progress, source, knot = given.run, given.progress, given["source"], given.get("knot")
+    options, progress, knot = given.run, given.progress, given.get("knot")
     codes, every_code, nx = given["codes"], given.get("every_code"), given["nx"]
-    if source not in ("drawing", "random-walk"):
-        raise InvalidInput(f"--source takes drawing or random-walk, got {source!r}")
     if "nx" not in given.typed:
-        is_table_name = knot != UNKNOT and not Path(knot).is_file()
-        nx = str(diagram_of(knot).nx) if is_table_name else "3"
+        nx = str(diagram_of(knot).nx) if knot != UNKNOT else "3"
     usual = {"nx": numbers(nx)}
     folder = given["out"] or default_folder(
         f"nx{nx}",
-        "" if source == "drawing" else source,
-        "" if knot == UNKNOT else Path(knot).stem,
+        "" if given.get("source") == "drawing" else given.get("source"),
+        "" if knot == UNKNOT else knot,
         f"every{every_code}" if every_code else "",
         "" if given.get("split_by") == "state" else f"by-{given.get('split_by')}",
         codes.stem if codes else "",
         "" if given.get("demonstrations") else "states",
-        "" if given.get("engine") == "mujoco" else given.get("engine"),
+        "" if given.get("engine") == "auto" else given.get("engine"),
         "" if given.get("beads") == 100 else f"beads{given.get('beads')}",
         f"seed{given.get('seed')}" if given.get("seed") else "",
     )
-    if source == "random-walk":
-        for name in ("every_code", "split_by", "knot", "codes", "beads", "cycles"):
-            if name in given.typed:
-                dashed = name.replace("_", "-")
-                raise InvalidInput(f"--{dashed} needs --source drawing, not random-walk")
-        walks = given.config(RandomWalkConfig, usual=usual)
-        walk_states(walks, folder, options, progress=progress)
-        return
     more: dict[str, Any] = {}
     if codes is not None:
         wanted = numbers(nx) if "nx" in given.typed else None
@@ -98,8 +77,7 @@ def generate(given: Given) -> None:
         more["codes"] = [str(code) if code.chirality is None else code.chiral for code in found]
         more["every_code"] = every_code or 1
     config = given.config(GenerateConfig, more, usual=usual)
-    run(config, folder, options, progress=progress)
-    root = options.shard.folder(folder) / "minari"
+    root = make_states(config, folder, options, progress=progress) / "minari"
     for dataset in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
         shown = dataset.relative_to(root).as_posix()
         progress.say_how_to_load(loading_lines(shown, root))

@@ -1,7 +1,7 @@
 """The work of the `knotgym dataset` commands on a dataset named by a path or an id."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,10 +31,8 @@ from knotgym.datasets.located import (
     sources,
 )
 from knotgym.datasets.manifest_check import read_manifest
-from knotgym.datasets.merging import merge as merge_datasets
 from knotgym.datasets.page.page_data import page_data
 from knotgym.datasets.page.page_writer import write_page
-from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
 from knotgym.rope.engines import simulation_of
@@ -129,21 +127,6 @@ def page(named: str, out: Path, overwrite: bool) -> str:
     with atomic_write(out, overwrite=overwrite) as temporary:
         write_page(temporary, data)
     return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
-
-
-def merge(sources: Sequence[str], out: Path, overwrite: bool) -> str:
-    """Merge datasets of one kind, or the shards of one run; return a one-line summary."""
-    run_shards = [shard for source in sources if (shard := shard_folder_of(source))]
-    if run_shards:
-        others = len(sources) - len(run_shards)
-        if others:
-            raise InvalidInput(
-                f"shards of a run are only merged with each other; {others} of these"
-                f" {len(sources)} are not shards"
-            )
-        made = merge_shards(run_shards, out, overwrite=overwrite)
-        return f"{made} is the whole run, of {len(run_shards)} shards"
-    return merge_datasets(sources, out, overwrite=overwrite)
 
 
 def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -> str:

@@ -13,7 +13,6 @@ from types import FrameType
 from cyclopts import App, CycloptsError, UnknownOptionError
 
 from knotgym import __version__
-from knotgym.cli.options import APP, settings_named
 from knotgym.common.errors import Failed, KnotgymError, printable
 
 # A command's module is imported when the command is typed. Its summary is also the first line of
@@ -55,7 +54,8 @@ def application() -> App:
         "    knotgym collect --task tie --nx 3 --policy expert --episodes 200\n\n"
         "    knotgym evaluate --task tie --nx 3 --policy random\n\n"
         "    knotgym dataset show knotgym-data/nx3",
-        **{**APP, "version_flags": "--version"},
+        help_format="plaintext",
+        suppress_keyboard_interrupt=False,
         version=f"knotgym {__version__}",
     )
     for name, summary in COMMANDS.items():
@@ -74,6 +74,7 @@ def main_generate(arguments: Sequence[str] | None = None) -> None:
 
     def alone() -> App:
         from knotgym.cli.generate_command import generate
+        from knotgym.cli.options import APP
 
         app = App(
             name="knotgym-generate", help=generate.help, help_epilogue=generate.help_epilogue, **APP
@@ -129,6 +130,8 @@ def _mistake(error: CycloptsError) -> str:
     """Say what is wrong with a command line; a setting typed as an option is said to be one."""
     error.verbose = False
     if isinstance(error, UnknownOptionError):
+        from knotgym.cli.options import settings_named
+
         typed = error.token.keyword or ""
         name = typed.partition("=")[0].removeprefix("--").removeprefix("no-").replace("-", "_")
         sections = getattr(error.target, "sections", {})

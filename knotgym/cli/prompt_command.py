@@ -34,8 +34,7 @@ def prompt(given: Given) -> None:
 
         knotgym prompt --mode read knotgym-data/images-nx0-4 --model NAME --base-url http://127.0.0.1:8000/v1
     """
-    from knotgym.prompting.prompt_run import run
-    from knotgym.prompting.prompted_episodes import play, read
+    from knotgym.prompting.prompt_run import run_prompts
     from knotgym.prompting.prompts import READ
 
     pictures, out, split = given["pictures"], given["out"], given["split"]
@@ -60,20 +59,7 @@ def prompt(given: Given) -> None:
     mark = f"seed{config.seed}" if config.seed else ""
     folder = out or default_folder(f"prompt-{config.mode}-{subject}", stem, mark)
 
-    def ask(number: int, of: Any) -> dict[str, Any]:
-        if rows:
-            return read(config, number, rows[number], of)
-        return play(config, number, of)
-
-    run(
-        config,
-        ask,
-        len(rows) or config.episodes,
-        folder,
-        given.run,
-        side_by_side=config.side_by_side,
-        progress=given.progress,
-    )
+    run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
     if not given.quiet:
         from knotgym.cli.summaries import print_transcripts
 
@@ -107,25 +93,15 @@ def _show(
     overwrite: bool,
     progress: Progress,
 ) -> None:
-    """Print the prompt of the first episode or picture.
-
-    In mode stateful it is the prompt of the second turn, after an answer that moved nothing.
-    """
+    """Print the first request of a run; write its pictures to the folder `out`, if given."""
     from knotgym.common.atomic_files import atomic_write, require_output
-    from knotgym.prompting.prompts import as_text
-    from knotgym.prompting.sample_prompt import sample_prompt
+    from knotgym.prompting.prompt_run import sample_prompt
 
-    messages, shown = sample_prompt(config, rows)
-    pictures = {} if out is None else {out / f"{one.name}.png": one.png for one in shown}
+    text, shown = sample_prompt(config, rows)
+    pictures = {} if out is None else {out / f"{name}.png": png for name, png in shown.items()}
     for path in pictures:
         require_output(path, folder=False, overwrite=overwrite)
-    progress.console.print(
-        as_text(messages, {one.sha256: one.name for one in shown}),
-        end="",
-        soft_wrap=True,
-        highlight=False,
-        markup=False,
-    )
+    progress.console.print(text, end="", soft_wrap=True, highlight=False, markup=False)
     for path, png in pictures.items():
         with atomic_write(path, overwrite=overwrite) as temporary:
             temporary.write_bytes(png)

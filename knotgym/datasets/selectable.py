@@ -19,7 +19,7 @@ from knotgym.common.atomic_files import atomic_write, require_output, sha256
 from knotgym.common.errors import InvalidInput, one_line
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
-from knotgym.datasets.finished_folders import finish_images, finish_states, write_used_walks
+from knotgym.datasets.finished_folders import finish_images, finish_states
 from knotgym.datasets.image_table import (
     COLUMNS,
     arrow,
@@ -32,7 +32,6 @@ from knotgym.datasets.image_table import (
 from knotgym.datasets.located import resolve_dataset
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
-from knotgym.datasets.walks_file import read_walks
 from knotgym.states.near_duplicates import families
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS
@@ -167,9 +166,8 @@ class _Pictures:
 
     def keys(self) -> list[list[Hashable]]:
         near = families(points_of(self.table)).tolist()
-        names = ("source.family", "source.walk")
-        columns = [[(name, one) for one in self.columns[name].tolist()] for name in names]
-        return [[("near", one), *shared] for one, *shared in zip(near, *columns, strict=True)]
+        ropes = zip(self.columns["source.seed"], self.columns["source.rope"], strict=True)
+        return [[("near", one), ("rope", *rope)] for one, rope in zip(near, ropes, strict=True)]
 
     def digested(self) -> Path:
         manifest = self.path / "manifest.json"
@@ -192,8 +190,6 @@ class _Pictures:
         ends = np.cumsum([len(read_table(one, columns=["nx"])) for one in files])[:-1]
         chosen = dict(zip(files, np.split(kept, ends), strict=True))
         written = write_shards(path, chosen, int(manifest["config"]["rows_per_file"]))
-        walks = read_walks(self.path / "walks.h5")
-        write_used_walks(path, written, walks.state, [walks], walks.engine)
         finish_images(path, written, manifest["report"], *_made(manifest, made))
 
 

@@ -244,8 +244,9 @@ def test_the_version_is_told(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr().out.startswith("knotgym ")
 
 
-@pytest.mark.parametrize("words", [("--help",), ("dataset", "--help")])
-def test_help_imports_no_simulator(words: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("name", ["", "collect", "dataset", "evaluate"])
+def test_help_imports_no_simulator(name: str) -> None:
+    words = [*name.split(), "--help"]
     code = f"import sys; sys.argv[1:] = {words!r}; from knotgym.cli.main import main\n"
     code += "try: main()\nexcept SystemExit: print(*sys.modules, file=sys.stderr)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

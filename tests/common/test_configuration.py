@@ -22,7 +22,6 @@ from knotgym.common.configuration import (
 from knotgym.common.errors import InvalidInput, KnotgymError
 from knotgym.drawing.drawing_config import DrawingConfig, LayoutRelaxationConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.quality.label_limits import LabelLimits
 from knotgym.quality.limits import Limits
 from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rendering.camera import PictureConfig
@@ -33,7 +32,6 @@ from knotgym.rope.relaxation import RelaxationConfig
 CONFIGURATIONS = (
     AppearanceConfig,
     DrawingConfig,
-    LabelLimits,
     LayoutRelaxationConfig,
     Limits,
     MacroActionConfig,

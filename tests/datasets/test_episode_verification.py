@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def test_episodes_in_hindsight_are_verified(tmp_path: Path) -> None:
     assert all("starts as" in fault or "its goal" in fault for fault in faults), faults
 
 
-def _first(value: object) -> Change:
+def _first(value: Any) -> Change:
     def change(array: NDArray[np.generic]) -> None:
         array[0] = value
 

@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import minari
@@ -165,6 +166,6 @@ def test_a_dataset_that_is_there_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "wrong", [{"dataset_id": "no version"}, {"ref_min_score": 1.0, "ref_max_score": None}]
 )
-def test_metadata_that_minari_cannot_hold_is_refused(wrong: dict[str, object]) -> None:
+def test_metadata_that_minari_cannot_hold_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput):
         replace(METADATA, **wrong)

@@ -19,7 +19,8 @@ import pytest
 from knotgym.common.errors import InvalidInput
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.generate.episodes.collect import collect
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.run_options import RunOptions
@@ -259,7 +260,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
 @with_arrow
 @pytest.mark.slow
 def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
-    config = ImagesConfig(nx=(0, 1), count=12, steps=4, stride=2, rows_per_file=5)
+    config = ImagesConfig(nx=(0, 1), count=12, pulls=4, stride=2, rows_per_file=5)
     with cluster(tmp_path, 2) as (scheduler, _, _):
         make_images(config, tmp_path / "there", on(scheduler))
     make_images(config, tmp_path / "here", RunOptions(workers=1, quiet=True))

@@ -48,13 +48,13 @@ def _files(given: Sources, out: Path, overwrite: bool, recording: bool, replay: 
     with atomic_write(out, overwrite=overwrite) as target:
         if several:
             target.mkdir()
-        for one in datasets:
+        for path, one in zip(given.episodes, datasets, strict=True):
             if recording:
                 one = replace(one, episodes=one.episodes.recording())
             elif one.episodes.is_recording:
                 one = expanded(one, replay)
-            path = target / f"{name_of(one.path)}.h5" if several else target
-            write_episodes(path, [one.episodes], one.task, one.facts, pack=True)
+            file = target / f"{name_of(path)}.h5" if several else target
+            write_episodes(file, [one.episodes], one.task, one.facts, pack=True)
         files = sorted(target.iterdir()) if several else [target]
         size = sum(file.stat().st_size for file in files)
     episodes = sum(one.episodes.episodes.rows for one in datasets)

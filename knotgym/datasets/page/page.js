@@ -395,7 +395,6 @@ function remember(place) {
 function show() {
   if (state.tab === "states") showState();
   if (state.tab === "episodes") showEpisode();
-  if (state.tab === "run" && DATA.growth.length > 1) drawGrowth(by("growth"), DATA.growth);
   if (state.tab === "run" && Object.keys(DATA.rejected).length) drawRejected(by("rejected"), DATA.rejected);
 }
 
@@ -476,7 +475,6 @@ function start() {
   by("notices").hidden = !DATA.notices.length;
   by("notices").textContent = DATA.notices.join(" ");
   facts(by("about"), DATA.about.map(([name, value]) => [name, unfolding(value)]));
-  by("growth-box").hidden = DATA.growth.length < 2;
   by("rejected-box").hidden = !Object.keys(DATA.rejected).length;
   const has = [["states", "States", states.length], ["episodes", "Episodes", DATA.episodes.length], ["run", "Run", 1]];
   for (const [id, name, count] of has)

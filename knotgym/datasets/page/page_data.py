@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.cards.fact_tables import growth
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import read_table
@@ -31,7 +30,6 @@ MOST_STATES = 1500  # about 1.3 kB each
 MOST_PICTURES = 400  # about 8 kB more each
 MOST_FRAMES = 7000  # states of all episodes, about 1.1 kB each
 MOST_STEPS = 1000  # steps of one episode
-_GROWTH_ROWS = 200
 _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 
 
@@ -55,7 +53,7 @@ def page_data(
     """
     rope = RopeConfig()
     notices: list[str] = []
-    lists = ("measures", "words", "states", "episodes", "growth", "about")
+    lists = ("measures", "words", "states", "episodes", "about")
     data: dict[str, Any] = {
         **{name: [] for name in lists},
         **{"title": title, "unit": UNIT, "points": "", "rejected": {}, "notices": notices},
@@ -107,7 +105,6 @@ def _run(file: Path, notices: list[str]) -> dict[str, Any]:
     return {
         **_states(states, notices),
         "about": _pairs(about),
-        "growth": growth(report, _GROWTH_ROWS),
         "rejected": {nx: counts for nx, counts in report.get("rejected", {}).items() if counts},
     }
 

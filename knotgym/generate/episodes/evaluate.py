@@ -6,7 +6,7 @@ splits, the results are a generalization matrix for policies trained on one of t
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.configuration import Count, Seed, Whole, as_json, configuration, read_json
+from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.common.streams import Stream
 from knotgym.common.tables import Table
@@ -29,6 +29,7 @@ from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result
 from knotgym.generate.episodes.digests import digests, sources
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, show
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.executors import executor
@@ -44,45 +45,6 @@ from knotgym.runs.run_options import RunOptions
 _PLAYED = RECORDED.only("start", "goal", "success", "length", "total", "planned", "failed")
 # fields of a learner's card
 _TRAINING = ("weights_sha256", "seconds", "episodes")
-
-
-@configuration
-class EvaluateConfig:
-    """What to evaluate.
-
-    Attributes:
-        policies: each is evaluated on every task, crossing number and split.
-        tasks: tasks, comma-separated: tie, unknot, convert.
-        nx: numbers of crossings: 3, 2,3 or 2-4.
-        splits: splits, comma-separated: train, test, train-code, test-code.
-        episodes: episodes for each policy, task, split and --nx. Episode i is the same for every
-            policy.
-        seed: random seed; the same seed gives the same episodes, and none of them is in a dataset.
-        task: settings shared by all environments; its task, nx and split are not used.
-        filmed: episodes per setup in the film.
-    """
-
-    policies: tuple[PolicyConfig, ...] = (PolicyConfig(),)
-    tasks: tuple[str, ...] = ("tie",)
-    nx: tuple[int, ...] = (2,)
-    splits: tuple[str, ...] = ("test",)
-    episodes: Count = 256
-    seed: Seed = 0
-    task: TaskConfig = TaskConfig(task="tie", observation="state")
-    filmed: Whole = 0
-
-    def __post_init__(self) -> None:
-        if not all((self.policies, self.tasks, self.nx, self.splits)):
-            raise InvalidInput("give at least one policy, task, number of crossings and split")
-        list(self.setups())  # raises if an environment can't be made
-
-    def setups(self) -> Iterator[tuple[PolicyConfig, TaskConfig]]:
-        """Yield every combination of policy and environment."""
-        for policy in self.policies:
-            for task in self.tasks:
-                for split in self.splits:
-                    for nx in self.nx:
-                        yield policy, replace(self.task, task=task, nx=nx, split=split)
 
 
 def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, film: bool) -> Kept:

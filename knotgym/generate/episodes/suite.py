@@ -27,7 +27,7 @@ from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, plain_id
+from knotgym.generate.episodes.collect_config import CollectConfig, plain_id
 from knotgym.generate.episodes.old_collect import EpisodeRecipe
 from knotgym.generate.episodes.rebuild import RebuildRecipe
 from knotgym.generate.episodes.recordings import RECORDINGS, read_recording, recorded_ids

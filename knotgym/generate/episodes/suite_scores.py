@@ -14,7 +14,7 @@ from knotgym.common.errors import InvalidFile, one_line
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.cards.fact_tables import table
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.runs.intervals import cluster_interval
 
 SUITE: dict[str, Any] = tomllib.loads(
