@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from knotgym.loaders.frame_cache import CachedFrames, FrameCache
 
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
 from knotgym.datasets.exports.minari_export import to_minari
-from knotgym.loaders.frame_cache import CachedFrames, FrameCache
 from knotgym.runs.staging import staging_folder
 
 from ..small_job import knotgym
