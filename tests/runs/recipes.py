@@ -11,11 +11,21 @@ from typing import Any
 
 import numpy as np
 
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes import evaluate
+from knotgym.generate.episodes.collect import collect
+from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
+from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.generate.states.state_recipe import make_states
 from knotgym.runs.run import Call, Recipe, run
 from knotgym.runs.run_options import RunOptions
-from knotgym.runs.shards import Shard
+
+TASK = TaskConfig(task="unknot", nx=1, engine="chain", observation="state", horizon=6)
+RANDOM = PolicyConfig(policy="random")
 
 
 def drawn(seed: int, number: int, scale: float) -> dict[str, Any]:
@@ -38,18 +48,36 @@ def made_toy(out: Path, options: RunOptions) -> Path:
     return run(toy, out, {"config": {"toy": 0}}, options)
 
 
+def made_episodes(out: Path, options: RunOptions) -> Path:
+    config = CollectConfig(task=TASK, policy=RANDOM, episodes=200, dataset_id=out.name)
+    return collect(config, out.parent, options)
+
+
+def made_scores(out: Path, options: RunOptions) -> Path:
+    config = EvaluateConfig(task=TASK, policies=(RANDOM,), tasks=("unknot",), nx=(1,), episodes=200)
+    evaluate.run(config, options, out=out)
+    return out if options.shard.is_whole else options.shard.journal(out)
+
+
+def made_states(out: Path, options: RunOptions) -> Path:
+    config = GenerateConfig(nx=(0, 1), count=4, engine="chain")
+    return make_states(config, out, options)
+
+
 def made_images(out: Path, options: RunOptions) -> Path:
     config = ImagesConfig(nx=(0, 1), count=8, engine="chain", pulls=4, ropes=2, rows_per_file=2)
     return make_images(config, out, options)
 
 
-RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {"toy": made_toy}
+RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {
+    "toy": made_toy,
+    "unknot-v0": made_episodes,  # a Minari id
+    "scores.json": made_scores,
+    "states": made_states,
+}
 if find_spec("pyarrow") is not None:
     RECIPES["images"] = made_images
 
-if __name__ == "__main__":  # python -m tests.runs.recipes NAME OUT WORKERS [SHARD]
-    name, out, workers, *shard = sys.argv[1:]
-    options = RunOptions(
-        workers=int(workers), resume=True, quiet=True, shard=Shard.parse("".join(shard))
-    )
-    RECIPES[name](Path(out), options)
+if __name__ == "__main__":  # python -m tests.runs.recipes NAME OUT WORKERS
+    name, out, workers = sys.argv[1:]
+    RECIPES[name](Path(out), RunOptions(workers=int(workers), resume=True, quiet=True))
