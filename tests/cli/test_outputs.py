@@ -16,8 +16,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
+from knotgym.runs.journal import Journal
 from knotgym.runs.run import staging_folder
 
 from ..small_job import knotgym
@@ -78,11 +80,14 @@ Type = Callable[..., int]
 
 
 @pytest.fixture
-def typed(tmp_path: Path, states_path: str, episodes: Path) -> Type:
+def typed(
+    tmp_path: Path, states_path: str, episodes: Path, monkeypatch: pytest.MonkeyPatch
+) -> Type:
     """Type a command by its name in COMMANDS, with more words; its exit status."""
 
     def type_it(name: str, *more: str) -> int:
         pytest.importorskip(COMMANDS[name].library)
+        monkeypatch.setenv("OPENAI_API_KEY", "none")
         (tmp_path / "none.json").write_text("{}")
         places = {
             "out": tmp_path / "out",
@@ -153,21 +158,24 @@ def test_an_interrupted_run_goes_only_by_a_word_and_no_link_for_it_is_followed(
     name: str, typed: Type, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     staged = staging_folder(output_of(name, tmp_path))
-    exists("folder", staged, tmp_path)
+    staged.mkdir()
+    with Journal(staged / "journal", {"of": "another run"}) as journal:
+        journal.keep("one", {"result": np.zeros(3)})
     for more in ((), ("--overwrite",)):
-        before = everything(tmp_path)
         assert typed(name, *more) == 2
         (line,) = capfd.readouterr().err.splitlines()
         assert "interrupted run" in line and "--resume" in line and "--restart" in line
-        assert everything(tmp_path) == before
+        assert (staged / "journal").is_file()
+    assert typed(name, "--resume") == 2  # a journal of another run
+    capfd.readouterr()
     shutil.rmtree(staged)
+    (tmp_path / "mine").mkdir()
     staged.symlink_to(tmp_path / "mine")
-    before = everything(tmp_path)
     for more in ((), ("--resume",), ("--restart",), ("--overwrite",)):
         assert typed(name, *more) == 2
         (line,) = capfd.readouterr().err.splitlines()
         assert "is a link, and is never followed" in line
-        assert everything(tmp_path) == before
+        assert not list((tmp_path / "mine").iterdir())
 
 
 @pytest.mark.parametrize("kind", ["file", "link to file"])
@@ -181,11 +189,13 @@ def test_overwrite_replaces_a_file_and_never_what_a_link_points_to(
     assert (tmp_path / "mine" / "file").read_text() == "mine"
 
 
-def test_overwrite_and_restart_make_a_dataset_anew(typed: Type, tmp_path: Path) -> None:
-    path, small = output_of("collect", tmp_path), ("--episodes", "1", "--set", "task.horizon=1")
+def test_overwrite_replaces_a_dataset_but_no_folder_of_the_users(
+    typed: Type, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = output_of("collect", tmp_path)
+    words = ("--episodes", "1", "--set", "task.horizon=1", "--workers", "1", "--overwrite")
     exists("folder", path, tmp_path)
-    (staging_folder(path)).mkdir()
-    (staging_folder(path) / "kept").write_text("")
-    assert typed("collect", *small, "--workers", "1", "--overwrite", "--restart") == 0
-    assert [one.name for one in path.parent.iterdir()] == [path.name]
+    assert typed("collect", *words) == 2 and (path / "file").is_file()
+    shutil.rmtree(path)
+    assert typed("collect", *words) == 0 and typed("collect", *words) == 0
     assert [one.name for one in path.iterdir()] == ["data"]
