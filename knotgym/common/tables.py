@@ -233,10 +233,13 @@ def write(
             part, libver=("v110", "v110"), alignment_threshold=1, alignment_interval=8
         ) as file,
     ):
-        file.attrs.update({"format": format, "format_version": version})
-        for name, value in attributes.items():
+        for name, value in {**attributes, "format": format, "format_version": version}.items():
             plain = isinstance(value, str | int | float | np.generic)
-            file.attrs[name] = value if plain else json.dumps(value, sort_keys=True)
+            stored = value if plain else json.dumps(value, sort_keys=True)
+            if isinstance(stored, str):  # of fixed length: damaged heaps make the library hang
+                text = stored.encode()
+                stored = np.array(text, h5py.string_dtype("utf-8", len(text) or 1))
+            file.attrs[name] = stored
         for table in tables:
             _write_table(file, [table] if isinstance(table, Table) else table, pack)
 
@@ -342,11 +345,13 @@ def _require_file(path: str | os.PathLike[str], format: str) -> None:
 
 def _attribute(file: h5py.File, name: str) -> Any:
     """Read an attribute of the file: text, a number, or what its JSON holds."""
+    stored = file.attrs.get_id(name)  # a damaged one may declare any size
+    if stored.shape != () or stored.dtype.kind not in "biufS":
+        raise InvalidInput(
+            f"attribute {name} is {stored.dtype} {stored.shape}, not a text or number"
+        )
     value = file.attrs[name]
-    value = value.item() if isinstance(value, np.generic) else value
-    value = value.decode() if isinstance(value, bytes) else value
-    if not isinstance(value, str | int | float):
-        raise InvalidInput(f"attribute {name} is {type(value).__name__}, not one text or number")
+    value = value.decode() if isinstance(value, bytes) else value.item()
     if not f"{name}{value}".isprintable():
         raise InvalidInput(f"attribute {name!r} holds control characters")
     return json.loads(value) if isinstance(value, str) and value[:1] in ("{", "[") else value
