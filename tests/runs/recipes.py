@@ -13,9 +13,9 @@ import numpy as np
 
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes import evaluate
 from knotgym.generate.episodes.collect import collect
 from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.evaluate import run as evaluate
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
@@ -23,9 +23,7 @@ from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_recipe import make_states
 from knotgym.runs.run import Call, Recipe, run
 from knotgym.runs.run_options import RunOptions
-
-TASK = TaskConfig(task="unknot", nx=1, engine="chain", observation="state", horizon=6)
-RANDOM = PolicyConfig(policy="random")
+from knotgym.runs.shards import Shard
 
 
 def drawn(seed: int, number: int, scale: float) -> dict[str, Any]:
@@ -48,14 +46,17 @@ def made_toy(out: Path, options: RunOptions) -> Path:
     return run(toy, out, {"config": {"toy": 0}}, options)
 
 
-def made_episodes(out: Path, options: RunOptions) -> Path:
-    config = CollectConfig(task=TASK, policy=RANDOM, episodes=200, dataset_id=out.name)
+CHAIN = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=5)
+
+
+def collected(out: Path, options: RunOptions) -> Path:
+    policy = PolicyConfig(policy="scripted")
+    config = CollectConfig(task=CHAIN, policy=policy, episodes=130, dataset_id=out.name)
     return collect(config, out.parent, options)
 
 
-def made_scores(out: Path, options: RunOptions) -> Path:
-    config = EvaluateConfig(task=TASK, policies=(RANDOM,), tasks=("unknot",), nx=(1,), episodes=200)
-    evaluate.run(config, options, out=out)
+def evaluated(out: Path, options: RunOptions) -> Path:
+    evaluate(EvaluateConfig(nx=(1, 2), episodes=70, task=CHAIN), options, out=out)
     return out if options.shard.is_whole else options.shard.journal(out)
 
 
@@ -71,13 +72,16 @@ def made_images(out: Path, options: RunOptions) -> Path:
 
 RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {
     "toy": made_toy,
-    "unknot-v0": made_episodes,  # a Minari id
-    "scores.json": made_scores,
+    "collect-v0": collected,
+    "evaluate.json": evaluated,
     "states": made_states,
 }
 if find_spec("pyarrow") is not None:
     RECIPES["images"] = made_images
 
-if __name__ == "__main__":  # python -m tests.runs.recipes NAME OUT WORKERS
-    name, out, workers = sys.argv[1:]
-    RECIPES[name](Path(out), RunOptions(workers=int(workers), resume=True, quiet=True))
+if __name__ == "__main__":  # python -m tests.runs.recipes NAME OUT WORKERS [SHARD]
+    name, out, workers, *shard = sys.argv[1:]
+    options = RunOptions(
+        workers=int(workers), resume=True, quiet=True, shard=Shard.parse("".join(shard))
+    )
+    RECIPES[name](Path(out), options)
