@@ -45,8 +45,8 @@ class RunOptions(Existing):
         executor: what runs the work: local processes, or dask for a Dask cluster whose workers
             share a file system (needs the extra dask).
         scheduler: address of the Dask scheduler, such as tcp://127.0.0.1:8786.
-        shard: 2/8 makes the second eighth of the run, in NAME-shard-2-of-8; `knotgym dataset merge`
-            joins all eight.
+        shard: 2/8 computes the second eighth of the run and leaves NAME-shard-2-of-8.journal beside
+            the output; the same command without it merges the eight.
         quiet: print errors only.
     """
 
