@@ -30,7 +30,7 @@ def collect(given: Given) -> None:
 
         knotgym collect --policy pretrained --set labels=expert
     """
-    from knotgym.datasets.minari_dataset import loading_lines
+    from knotgym.datasets.minari_form import loading_lines
     from knotgym.generate.episodes.collect import collect as run
     from knotgym.generate.episodes.collect import distinct_id, require_collectable
 

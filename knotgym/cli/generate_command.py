@@ -46,7 +46,7 @@ def generate(given: Given) -> None:
 
         knotgym generate --nx 0-3 --count 200 --source play
     """
-    from knotgym.datasets.minari_dataset import loading_lines
+    from knotgym.datasets.minari_form import loading_lines
     from knotgym.generate.states.state_recipe import make_states
     from knotgym.topology.knot_table import UNKNOT, diagram_of
 

@@ -55,6 +55,7 @@ def application() -> App:
         "    knotgym evaluate --task tie --nx 3 --policy random\n\n"
         "    knotgym dataset show knotgym-data/nx3",
         help_format="plaintext",
+        suppress_keyboard_interrupt=False,
         version=f"knotgym {__version__}",
     )
     for name, summary in COMMANDS.items():

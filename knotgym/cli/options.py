@@ -31,7 +31,11 @@ from knotgym.runs.shards import Shard
 Config = TypeVar("Config")
 Sections = Mapping[str, type]  # of a command's settings; "" is the outermost
 
-APP: dict[str, Any] = {"help_format": "plaintext", "version_flags": []}
+APP: dict[str, Any] = {
+    "help_format": "plaintext",
+    "version_flags": [],
+    "suppress_keyboard_interrupt": False,
+}
 EXISTING = "run.resume run.restart run.overwrite"
 RUN = f"seed run.workers {EXISTING}"  # options of every command that makes data
 Quiet = Annotated[bool, Parameter(show=False, negative="", help="Print errors only.")]

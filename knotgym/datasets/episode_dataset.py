@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common import tables
 from knotgym.common.configuration import as_json, from_json
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, one_line
 from knotgym.datasets.episodes import (
     EPISODES,
     PULLS,
@@ -135,7 +135,12 @@ def open_episodes(source: Any) -> EpisodeDataset:
     schemas = FORMS.get(str(attributes.get("form")))
     if schemas is None:
         raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
-    (rows, steps), _ = tables.read(path, *schemas, format=FORMAT)
+    try:
+        task = from_json(TaskConfig, attributes["task"])
+    except (KnotgymError, KeyError, TypeError) as error:
+        raise InvalidFile(f"{path} has no valid task: {one_line(error)}") from error
+    sized = [schema.sized(beads=task.beads) for schema in schemas]
+    (rows, steps), _ = tables.read(path, *sized, format=FORMAT)
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
@@ -144,10 +149,6 @@ def open_episodes(source: Any) -> EpisodeDataset:
             f"{path} has {steps.rows} rows of steps, and its {rows.rows} episodes have"
             f" {int(lengths.sum()) + rows.rows}"
         )
-    try:
-        task = from_json(TaskConfig, attributes["task"])
-    except (KnotgymError, KeyError, TypeError) as error:
-        raise InvalidFile(f"{path} has no valid task: {error}") from error
     opened = EpisodeDataset(path, Episodes(rows, steps), task, attributes)
     chosen = getattr(source, "episode_indices", None)
     return opened if chosen is None else opened.select(chosen)

@@ -1,16 +1,21 @@
 """Formats that datasets can be exported to, by name."""
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 from knotgym.common.atomic_files import atomic_write, require_output, require_writable
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
+from knotgym.datasets.episode_dataset import open_episodes, write_episodes
 from knotgym.datasets.episode_verification import Replay, expanded
 from knotgym.datasets.exports.curves_export import write_curves
-from knotgym.datasets.located import Sources, name_of, refuse_minaris_folder, sources
-from knotgym.datasets.minari_form import metadata_of
+from knotgym.datasets.located import (
+    Sources,
+    name_of,
+    refuse_minaris_folder,
+    require_apart_from,
+    sources,
+)
 from knotgym.states.state_file import read_states
 
 
@@ -33,12 +38,13 @@ def export(named: str, out: Path, form: str, replay: Replay, *, overwrite: bool 
         raise InvalidInput(f"no format {form!r}; formats are {', '.join(EXPORTERS)}")
     require_writable(out)
     given = sources(named)
+    require_apart_from(out, named)
     if form in _FILES:
-        return _files(given, out, overwrite, None if form == "recording" else replay)
+        return _files(given, out, overwrite, form == "recording", replay)
     return _OTHERS[form](given, out, overwrite)
 
 
-def _files(given: Sources, out: Path, overwrite: bool, replay: Replay | None) -> str:
+def _files(given: Sources, out: Path, overwrite: bool, recording: bool, replay: Replay) -> str:
     """Write packed files of episodes, without pictures; a folder of them for several datasets."""
     datasets = [open_episodes(path) for path in given.episodes]
     if not datasets:
@@ -49,22 +55,17 @@ def _files(given: Sources, out: Path, overwrite: bool, replay: Replay | None) ->
     with atomic_write(out, overwrite=overwrite) as target:
         if several:
             target.mkdir()
-        for one in datasets:
-            _pack(one, target / f"{name_of(one.path)}.h5" if several else target, replay)
+        for path, one in zip(given.episodes, datasets, strict=True):
+            if recording:
+                one = replace(one, episodes=one.episodes.recording())
+            elif one.episodes.is_recording:
+                one = expanded(one, replay)
+            file = target / f"{name_of(path)}.h5" if several else target
+            write_episodes(file, [one.episodes], one.task, one.facts, pack=True)
         files = sorted(target.iterdir()) if several else [target]
         size = sum(file.stat().st_size for file in files)
     episodes = sum(one.episodes.episodes.rows for one in datasets)
     return f"{episodes} episodes{f' in {len(datasets)} files' * several}, {size / 1e6:.1f} MB"
-
-
-def _pack(dataset: EpisodeDataset, path: Path, replay: Replay | None) -> None:
-    metadata = metadata_of(dataset)
-    facts = {**dataset.facts, **({} if metadata is None else {"metadata": asdict(metadata)})}
-    if replay is None:
-        dataset = replace(dataset, episodes=dataset.episodes.recording())
-    elif dataset.episodes.is_recording:
-        dataset = expanded(dataset, replay)
-    write_episodes(path, [dataset.episodes], dataset.task, facts, pack=True)
 
 
 def _ogbench(given: Sources, out: Path, overwrite: bool) -> str:

@@ -32,11 +32,14 @@ _PLACES = (
     Column("is_success", "bool", (), "", "the goal has been shown for long enough"),
     Column("goal_points", "float32", ("beads", 3), "m", "vertices that show the goal"),
 )
-_IMAGE = Column(
-    "image", "uint8", ("height", "width", "channels"), "", "as the environment shows it"
+_IMAGE = Column("image", "uint8", ("height", "width", 3), "", "what the environment shows", True)
+# columns that some datasets lack are left out, because a file's rows have the same columns
+_KEPT = tuple(
+    column._replace(name="points") if column.name == "observation" else column
+    for column in STEPS.columns
+    if column.name not in ("visits", "signs") and not column.optional
 )
-_KEPT = tuple(column for column in STEPS.columns if column.name not in ("visits", "signs"))
-ROWS_OF_STEPS = Schema("steps", (*_TEXTS, *_PLACES, *_KEPT, _IMAGE._replace(optional=True)))
+ROWS_OF_STEPS = Schema("steps", (*_TEXTS, *_PLACES, *_KEPT, _IMAGE))
 
 
 class TableColumn(NamedTuple):
@@ -85,6 +88,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
     is_last[part.episodes.last()] = True
     columns: dict[str, NDArray[Any]] = {
         **steps,
+        "points": steps["observation"],
         "dataset": np.full(steps.rows, part.name),
         "policy": own["policy"][episode],
         "gauss_code": gauss_codes(steps["visits"]),

@@ -1,0 +1,263 @@
+"""Tests of exports: what other libraries read, and that a stranger's text stays text."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_episodes import TINY, episodes, written
+
+from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
+from knotgym.control.verification import replay
+from knotgym.datasets import open_episodes, select
+from knotgym.datasets.cards.citation import citation_file
+from knotgym.datasets.episodes import differences, gauss_codes
+from knotgym.datasets.exports.exporters import EXPORTERS, export
+from knotgym.datasets.exports.huggingface_export import to_huggingface
+from knotgym.datasets.located import Sources, sources
+from knotgym.states.state_file import read_states
+
+EXPERT = str(TINY["expert"])
+ID = "knotgym/tie-nx2/tiny-v0"
+needs_arrow = pytest.mark.skipif(find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+clients = pytest.mark.clients
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A Minari root with one dataset; only ever read."""
+    out = tmp_path_factory.mktemp("root")
+    select(EXPERT, out=out, dataset_id=ID)
+    return out
+
+
+@pytest.fixture(scope="module")
+def huggingface(states_path: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """States and episodes exported for Hugging Face."""
+    out = tmp_path_factory.mktemp("upload") / "hub"
+    to_huggingface(Sources("tiny", Path(states_path), [TINY["expert"], TINY["random"]]), out)
+    return out
+
+
+def output_of(script: str, folder: Path, **variables: str) -> str:
+    """Run a script that doesn't import knotgym in a folder; return what it prints."""
+    known = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    run = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=folder,
+        env={**known, **variables},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def test_a_recording_and_its_compact_form_are_the_columns_again(tmp_path: Path) -> None:
+    export(EXPERT, tmp_path / "r.h5", "recording", replay)
+    assert open_episodes(tmp_path / "r.h5").episodes.is_recording
+    export(str(tmp_path / "r.h5"), tmp_path / "c.h5", "compact", replay)
+    one, other = (open_episodes(path).episodes for path in (EXPERT, tmp_path / "c.h5"))
+    assert differences(one, other) == []
+
+
+def test_several_datasets_become_a_folder_of_files(root: Path, tmp_path: Path) -> None:
+    both = tmp_path / "root"
+    for name in ("a", "b"):
+        select(EXPERT, out=both, dataset_id=f"knotgym/tie-nx2/{name}-v0")
+    assert export(str(both), tmp_path / "files", "compact", replay).startswith("6 episodes in 2")
+    assert sorted(path.name for path in (tmp_path / "files").iterdir()) == [
+        "tie-nx2-a-v0.h5",
+        "tie-nx2-b-v0.h5",
+    ]
+
+
+def test_ogbench_files_hold_every_state_once(tmp_path: Path) -> None:
+    export(EXPERT, tmp_path, "ogbench", replay)
+    dataset = open_episodes(EXPERT)
+    for look in ("", "visual-"):
+        parts = [
+            np.load(tmp_path / f"{look}tie-nx2-expert_chain-v0{end}.npz")
+            for end in ("-train", "-val")
+        ]
+        rows = [part["terminals"] for part in parts]
+        assert sum(map(len, rows)) == dataset.episodes.steps.rows
+        assert [int(one.sum()) for one in rows] == [2, 1]
+    np.testing.assert_array_equal(parts[1]["actions"][-1], np.zeros(6))
+    first = dataset.episodes.select([0, 1]).steps
+    train = np.load(tmp_path / "tie-nx2-expert_chain-v0-train.npz")
+    np.testing.assert_array_equal(train["observations"], first["observation"].reshape(-1, 300))
+    np.testing.assert_array_equal(train["actions"], first["action"])
+
+
+@needs_arrow
+def test_parquet_tables_hold_every_number(states_path: str, huggingface: Path) -> None:
+    import pyarrow.parquet as parquet
+
+    states = read_states(states_path)
+    rows = parquet.read_table(huggingface / "data/states/test-00000-of-00001.parquet").to_pylist()
+    chosen = states.taken(np.flatnonzero(states.split == "test"))
+    assert np.array_equal([row["points"] for row in rows], chosen.points.reshape(len(rows), -1))
+    assert [row["gauss_code"] for row in rows] == chosen.gauss_code.tolist()
+    rows = parquet.read_table(huggingface / "data/steps/train-00000-of-00001.parquet").to_pylist()
+    (own, steps) = open_episodes(EXPERT).episodes
+    assert len(rows) == steps.rows + open_episodes(TINY["random"]).episodes.steps.rows
+    mine = rows[: steps.rows]
+    assert np.array_equal([row["action"] for row in mine], steps["action"])
+    assert [row["gauss_code"] for row in mine] == gauss_codes(steps["visits"]).tolist()
+    assert sum(row["is_last"] for row in mine) == own.rows
+
+
+@needs_arrow
+def test_the_folder_has_card_citation_gallery_and_croissant(huggingface: Path) -> None:
+    assert {"README.md", "CITATION.cff", "gallery.png", "croissant.json", "data"} == {
+        path.name for path in huggingface.iterdir()
+    }
+    card = (huggingface / "README.md").read_text(encoding="utf-8")
+    assert "license: cc-by-4.0" in card and "| `goal_gauss_code` |" in card
+    described = json.loads((huggingface / "croissant.json").read_text(encoding="utf-8"))
+    assert (
+        described["license"].endswith("by/4.0/") and described["rai:personalSensitiveInformation"]
+    )
+
+
+HOSTILE = (
+    '<img src=x onerror=y>"\n---\n# [a](javascript:b) ![c](http://d) `e` | www.f @g $h$ *i* \ud800'
+)
+MARKUP = ("<img", "\n---\n# [", "[a](", "![c]", "http://d", " `e`", " | www", "www.f", "@g", " *i*")
+
+
+@needs_arrow
+def test_cards_show_a_hostile_name_as_text(states_path: str, tmp_path: Path) -> None:
+    to_huggingface(Sources(HOSTILE, Path(states_path)), tmp_path / "hub")
+    card = (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")
+    head, body = card.removeprefix("---\n").split("\n---\n", 1)
+    (name,) = [line for line in head.splitlines() if line.startswith("pretty_name: ")]
+    assert json.loads(name.partition(": ")[2]).startswith("<img")  # one YAML string in quotes
+    assert "onerror" in body and not [one for one in MARKUP if one in body]
+    (title,) = [one for one in citation_file(HOSTILE).splitlines() if one.startswith("title: ")]
+    assert json.loads(title.partition(": ")[2]).startswith("knotgym: <img")
+
+
+def test_minaris_folder_is_a_repository_of_the_same_bytes(root: Path, tmp_path: Path) -> None:
+    export(str(root), tmp_path / "up", "minari", replay)
+    (repository,) = (tmp_path / "up").iterdir()
+    assert {"README.md", "CITATION.cff", "gallery.png"} < {one.name for one in repository.iterdir()}
+    listed = json.loads((repository / "namespace_metadata.json").read_text())["datasets"]
+    assert listed == [ID]
+    for file in (root / ID / "data").iterdir():
+        assert (tmp_path / "up" / ID / "data" / file.name).read_bytes() == file.read_bytes()
+
+
+def test_minaris_form_is_written_where_a_dataset_lacks_it(root: Path, tmp_path: Path) -> None:
+    import shutil
+
+    copy = tmp_path / "root" / ID
+    shutil.copytree(root / ID, copy)
+    for name in ("main_data.hdf5", "metadata.json"):
+        (copy / "data" / name).unlink()
+    export(str(copy), tmp_path / "up", "minari", replay)
+    assert (tmp_path / "up" / ID / "data/main_data.hdf5").is_file()
+
+
+@pytest.mark.parametrize("form", EXPORTERS)
+def test_what_is_there_is_left_alone(tmp_path: Path, states_path: str, form: str) -> None:
+    out = tmp_path / "out.csv"
+    if form == "ogbench":
+        (out / "tie-nx2-expert_chain-v0.npz").mkdir(parents=True)
+    else:
+        out.write_text("mine")
+    source = states_path if form == "curves" else EXPERT
+    with pytest.raises(Occupied):
+        export(source, out, form, replay)
+    assert form == "ogbench" or out.read_text() == "mine"
+
+
+def test_what_has_no_place_in_a_form_is_refused(tmp_path: Path, states_path: str) -> None:
+    one = str(written(tmp_path / "one.h5", episodes([2])))
+    for source, form, says in (
+        (one, "ogbench", "at least 2 episodes"),
+        (one, "minari", "not a Minari dataset"),
+        (one, "curves", "no states"),
+        (states_path, "compact", "no trajectories"),
+        (one, "poem", "formats are compact"),
+    ):
+        with pytest.raises(InvalidInput, match=says):
+            export(source, tmp_path / "out", form, replay)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_link_to_elsewhere_is_not_exported(root: Path, tmp_path: Path) -> None:
+    data = tmp_path / "knotgym/tie-nx2/tiny-v0/data"
+    data.mkdir(parents=True)
+    (data / "episodes.h5").symlink_to(TINY["expert"])
+    with pytest.raises(InvalidFile, match="link"):
+        sources(str(data.parent))
+
+
+def test_a_plain_file_never_lands_in_minaris_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    with pytest.raises(InvalidInput, match="Minari's folder"):
+        export(EXPERT, tmp_path / "a.h5", "compact", replay)
+
+
+@clients
+def test_minari_reads_the_folder_and_never_imports_us(root: Path, tmp_path: Path) -> None:
+    export(str(root), tmp_path / "up", "minari", replay)
+    script = (
+        "import sys, minari\n"
+        f"one = minari.load_dataset({ID!r})\n"
+        "print(one.total_episodes, next(iter(one)).actions.shape[1], 'knotgym' in sys.modules)"
+    )
+    found = output_of(script, tmp_path, MINARI_DATASETS_PATH=str(tmp_path / "up"))
+    assert found == "3 6 False\n"
+
+
+@clients
+@needs_arrow
+def test_datasets_reads_the_folder(huggingface: Path, tmp_path: Path) -> None:
+    if find_spec("dill") is None:  # the bare name "datasets" finds our link here
+        pytest.skip("Hugging Face's datasets isn't installed")
+    script = (
+        "from datasets import load_dataset\n"
+        f"one = load_dataset({str(huggingface)!r}, 'steps')\n"
+        "print(sorted(one), len(one['train'][0]['points']))"
+    )
+    found = output_of(script, tmp_path, HF_HOME=str(tmp_path / "hf"), HF_HUB_OFFLINE="1")
+    assert found == "['train'] 300\n"
+
+
+@clients
+@needs_arrow
+def test_croissant_is_valid_and_a_record_comes_back(huggingface: Path, tmp_path: Path) -> None:
+    if find_spec("mlcroissant") is None:
+        pytest.skip("mlcroissant isn't installed")
+    script = (
+        "import mlcroissant\n"
+        f"one = mlcroissant.Dataset(jsonld={str(huggingface / 'croissant.json')!r})\n"
+        "print(len(one.metadata.ctx.issues.errors))\n"
+        "row = next(iter(one.records('states/train')))\n"
+        "print(len(row['states/train/points']))"
+    )
+    assert output_of(script, tmp_path).split() == ["0", "300"]
+
+
+@clients
+def test_ogbench_reads_its_files_and_makes_their_environment(tmp_path: Path) -> None:
+    ogbench = pytest.importorskip("ogbench")
+    export(EXPERT, tmp_path / "knotgym", "ogbench", replay)
+    for look in ("", "visual-"):
+        env, train, _ = ogbench.make_env_and_datasets(
+            f"knotgym/{look}tie-nx2-expert_chain-v0", dataset_dir=str(tmp_path), image_size=32
+        )
+        assert train["observations"][0].shape == env.reset()[0].shape
+        seen, info = env.reset(options={"task_id": 5, "render_goal": True})
+        assert info["goal"].shape == seen.shape and "success" in env.step(train["actions"][0])[4]

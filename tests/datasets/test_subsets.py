@@ -1,0 +1,248 @@
+"""Tests of select, split, delete and merge: table operations on states and episodes alike."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_episodes import TASK, TINY, episodes, written
+
+from knotgym.common.errors import InvalidInput, MissingExtra, MissingFile, Occupied
+from knotgym.control.verification import replay
+from knotgym.datasets import delete, open_episodes, select, split
+from knotgym.datasets.conditions import matching_rows
+from knotgym.datasets.episodes import differences, merged
+from knotgym.datasets.exports.exporters import export
+from knotgym.datasets.merging import merge
+from knotgym.datasets.minari_form import MinariMetadata, publish
+from knotgym.datasets.subsets import kept, row_numbers
+from knotgym.states.state_file import read_states
+
+COLUMNS = {
+    "row": np.arange(4),
+    "nx": np.array([3, 4, 0, 3]),
+    "policy": np.array(["expert", "play", "random", "play"]),
+    "quality.clearance": np.array([1.0, 2.0, np.nan, 9.0]),
+    "success": np.array([True, False, True, True]),
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [
+        ("nx = 3 and success", [0, 3]),
+        ("nx == 3 and not success", []),
+        ("clearance > 1.5", [1, 3]),
+        ('"quality.clearance" > 1.5', [1, 3]),
+        ("policy in ('play', 'expert') and row % 2 = 1", [1, 3]),
+        ("policy like 'p%'", [1, 3]),
+        ("nx between 3 and 4", [0, 1, 3]),
+        ("10 / clearance > 6", [0]),
+        ("policy = 'select'", []),
+    ],
+)
+def test_a_condition_keeps_the_rows_that_fulfil_it(text: str, rows: list[int]) -> None:
+    assert np.flatnonzero(matching_rows(text, COLUMNS)).tolist() == rows
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("length < 30", "columns are row, nx, policy"),
+        ("nx / 0 > 1", "divides by zero"),
+        ("nx % nx = 0", "divides by zero"),
+        ("10 / nx > 2", "divides by zero"),
+        ("read_csv('/etc/passwd')", "unsupported function"),
+        ("(SELECT count(*) FROM read_csv('/etc/passwd')) > 0", "not a query"),
+        ("exists (select 1)", "not a query"),
+        ("nx", "true or false"),
+        ("avg(nx) > 1", "true or false"),
+        ("1 < nx < 4", "join two conditions by and"),
+        ("nx = 'a'", "cannot compare"),
+        ("nx = 3; drop table x", "invalid expression"),
+        ("__import__('os')", "unsupported function"),
+        ("nx ==", "unable to parse"),
+        ("", "unable to parse"),
+        ("\x1b[2J", "unable to parse"),
+        ("nx = 3 or " * 500 + "nx = 3", "up to 2000 characters"),
+    ],
+)
+def test_any_other_text_is_refused_in_one_line(text: str, says: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        matching_rows(text, COLUMNS)
+    assert says in str(caught.value) and str(caught.value).isprintable()
+
+
+def test_without_polars_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "polars", None)
+    with pytest.raises(MissingExtra, match=r"\.\[select\]"):
+        matching_rows("nx = 3", COLUMNS)
+
+
+def test_selected_episodes_are_those_of_the_source(tmp_path: Path) -> None:
+    made = written(tmp_path / "a.h5", episodes([3, 1, 4, 2]))
+    out = select(made, where="length > 2 and truncated", out=tmp_path / "b.h5")
+    found = open_episodes(out)
+    assert differences(found.episodes, open_episodes(made).episodes.select([0, 2])) == []
+    (how,) = found.attributes["selection"]
+    assert (how["rows"], how["kept"], how["where"]) == (4, 2, "length > 2 and truncated")
+    assert kept(out) == "2 of 4 rows"
+
+
+def test_a_selection_of_a_selection_tells_both(tmp_path: Path) -> None:
+    made = written(tmp_path / "a.h5", episodes([3, 1, 4, 2]))
+    select(made, where="length > 1", out=tmp_path / "b.h5")
+    out = delete(tmp_path / "b.h5", [0], out=tmp_path / "c.h5")
+    assert [one["kept"] for one in open_episodes(out).attributes["selection"]] == [3, 2]
+
+
+def test_a_sample_is_drawn_from_the_seed(tmp_path: Path) -> None:
+    made = written(tmp_path / "a.h5", episodes([1] * 20))
+    lengths = []
+    for name, seed in (("b", 0), ("c", 0), ("d", 1)):
+        out = select(made, sample=5, seed=seed, out=tmp_path / f"{name}.h5")
+        lengths.append(open_episodes(out).episodes.episodes["seed"].tolist())
+    assert lengths[0] == lengths[1] != lengths[2] and len(lengths[0]) == 5
+    with pytest.raises(InvalidInput, match="can't sample 21"):
+        select(made, sample=21, out=tmp_path / "e.h5")
+
+
+def test_a_selection_becomes_a_minari_dataset(tmp_path: Path) -> None:
+    out = select(
+        TINY["expert"], where="length < 10", out=tmp_path, dataset_id="knotgym/tie-nx2/short-v0"
+    )
+    found = open_episodes(out)
+    assert found.episodes.episodes.rows == 1 and (out / "data/main_data.hdf5").is_file()
+    assert found.name == "knotgym/tie-nx2/short-v0"
+    assert "1 of the 3 rows" in str((found.metadata or {})["description"])
+
+
+def test_an_unknown_split_or_row_is_refused(tmp_path: Path) -> None:
+    made = written(tmp_path / "a.h5", episodes([1, 1]))
+    with pytest.raises(InvalidInput, match="splits are train"):
+        select(made, split="test", out=tmp_path / "b.h5")
+    with pytest.raises(InvalidInput, match="no row 2, 7"):
+        delete(made, [2, 7, 0], out=tmp_path / "b.h5")
+    with pytest.raises(InvalidInput, match="is left"):
+        delete(made, [0, 1], out=tmp_path / "b.h5")
+    assert not (tmp_path / "b.h5").exists()
+
+
+def test_split_episodes_share_no_goal(tmp_path: Path) -> None:
+    made = episodes([1] * 40)
+    goals = np.arange(40) // 4
+    made = made._replace(episodes=made.episodes.replaced(goal=goals))
+    path = written(tmp_path / "a.h5", made)
+    parts = split(path, "train=0.7,val=0.3", out=tmp_path / "b.h5")
+    assert [one.name for one in parts] == ["b-train.h5", "b-val.h5"]
+    rows = [open_episodes(one).episodes.episodes for one in parts]
+    shown = [
+        {int(k) for k, code in zip(one["goal"], one["goal_visits"], strict=True) if code.any()}
+        for one in rows
+    ]
+    assert not shown[0] & shown[1]
+    assert rows[0].rows + rows[1].rows == 40 and rows[0].rows > rows[1].rows
+
+
+@pytest.mark.parametrize("parts", ["a=1", "a=0.5,b=0.6", "a=x,b=1", "a=0.5,a=0.5", ""])
+def test_parts_that_are_no_fractions_are_refused(tmp_path: Path, parts: str) -> None:
+    made = written(tmp_path / "a.h5", episodes([1, 1]))
+    with pytest.raises(InvalidInput):
+        split(made, parts, out=tmp_path / "b.h5")
+
+
+def test_states_are_selected_split_and_deleted_by_the_same_functions(
+    states_path: str, tmp_path: Path
+) -> None:
+    states = read_states(states_path)
+    chosen = select(states_path, where="nx >= 1", out=tmp_path / "a.h5")
+    assert read_states(chosen).nx.tolist() == states.nx[states.nx >= 1].tolist()
+    left = read_states(delete(states_path, [0], out=tmp_path / "b.h5"))
+    np.testing.assert_array_equal(left.qpos, states.qpos[1:])
+    assert left.attributes["selection"][0]["deleted"] == [0]
+    train = read_states(select(states_path, split="train", out=tmp_path / "c.h5"))
+    assert set(train.split.tolist()) == {"train"}
+
+
+def test_an_output_that_is_there_is_kept(states_path: str, tmp_path: Path) -> None:
+    (tmp_path / "a.h5").write_text("mine")
+    with pytest.raises(Occupied):
+        select(states_path, where="nx = 0", out=tmp_path / "a.h5")
+    assert (tmp_path / "a.h5").read_text() == "mine"
+
+
+def test_an_id_is_for_episodes(states_path: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="an id is for episodes"):
+        select(states_path, where="nx = 0", out=tmp_path, dataset_id="a/b-v0")
+    with pytest.raises(InvalidInput, match="--out"):
+        select(states_path, where="nx = 0")
+
+
+def test_row_numbers_are_numbers_and_ranges() -> None:
+    assert row_numbers("3, 7-9") == [3, 7, 8, 9]
+    for text in ("", "a", "3-1", "0-99999999999"):
+        with pytest.raises(InvalidInput):
+            row_numbers(text)
+
+
+def test_merged_files_hold_the_episodes_of_all(tmp_path: Path) -> None:
+    parts = [episodes([2, 1]), episodes([3], seed=1)]
+    paths = [str(written(tmp_path / f"{k}.h5", one)) for k, one in enumerate(parts)]
+    merge(paths, tmp_path / "m.h5")
+    assert differences(open_episodes(tmp_path / "m.h5").episodes, merged(parts)) == []
+
+
+def test_merged_datasets_name_their_sources(tmp_path: Path) -> None:
+    folders = []
+    for k in range(2):
+        metadata = MinariMetadata(
+            dataset_id=f"knotgym/tie-nx2/p{k}-v0",
+            algorithm_name=f"p{k}",
+            description="",
+            ref_min_score=-5.0,
+            ref_max_score=5.0,
+            digests={"policy": str(k)},
+        )
+        folders.append(str(publish([episodes([1], k)], TASK, metadata, tmp_path, minari=False)))
+    merge(folders, tmp_path, "knotgym/tie-nx2/both-v0")
+    found = open_episodes(tmp_path / "knotgym/tie-nx2/both-v0").metadata or {}
+    assert found["algorithm_name"].startswith("p0, p1") and found["ref_max_score"] == 5.0
+    assert [*found["digests"]] == ["knotgym/tie-nx2/p0-v0", "knotgym/tie-nx2/p1-v0"]
+
+
+def test_equal_episodes_and_other_tasks_are_not_merged(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    one = str(written(tmp_path / "a.h5", episodes([2])))
+    two = str(written(tmp_path / "b.h5", episodes([2], seed=1), replace(TASK, nx=3)))
+    three = str(written(tmp_path / "c.h5", episodes([2], seed=1).recording()))
+    for given, says in (
+        ([one, one], "are the same"),
+        ([one, two], "one task"),
+        ([one, three], "is a recording"),
+    ):
+        with pytest.raises(InvalidInput, match=says):
+            merge(given, tmp_path / "m.h5")
+    with pytest.raises(MissingFile):
+        merge([one, "nothing"], tmp_path / "m.h5")
+    assert not (tmp_path / "m.h5").exists()
+
+
+def test_states_and_episodes_are_not_merged(states_path: str, tmp_path: Path) -> None:
+    one = str(written(tmp_path / "a.h5", episodes([2])))
+    with pytest.raises(InvalidInput, match="all of states or all of trajectories"):
+        merge([one, states_path], tmp_path / "m.h5")
+
+
+def test_an_output_in_the_way_of_its_source_is_refused(states_path: str, tmp_path: Path) -> None:
+    file = tmp_path / "states.h5"
+    shutil.copy(states_path, file)
+    before = file.read_bytes()
+    for write in (
+        lambda: select(file, where="nx = 3", out=file, overwrite=True),
+        lambda: merge([str(file), states_path], file, overwrite=True),
+        lambda: export(str(file), file, "curves", replay, overwrite=True),
+    ):
+        with pytest.raises(Occupied, match="is, contains or is in its source"):
+            write()
+    assert file.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
