@@ -17,7 +17,7 @@ from typing import Any
 from knotgym.common.errors import Failed, InvalidInput, MissingExtra, install_command
 from knotgym.runs.identity import versions
 
-_TIMEOUT = 10.0  # seconds to wait for the scheduler, and for a first worker
+TIMEOUT = 10.0  # seconds to wait for the scheduler, and for a first worker
 
 # Simulations are cached per process, and two threads of a worker must not share them.
 _one_at_a_time = threading.Lock()
@@ -50,9 +50,15 @@ def cluster(scheduler: str) -> Iterator[Executor]:
         raise MissingExtra(
             "Dask distributed", install_command("dask"), "run.executor=dask"
         ) from error
+    except AttributeError as error:
+        # distributed takes any module `snappy` for the compressor of that name
+        raise InvalidInput(
+            "Dask distributed can't be imported where SnapPy is installed, which has a module of"
+            " the same name as a compressor that Dask looks for: use an environment without SnapPy"
+        ) from error
     try:
-        client = Client(scheduler, timeout=_TIMEOUT, set_as_default=False)
-        client.wait_for_workers(1, timeout=_TIMEOUT)
+        client = Client(scheduler, timeout=TIMEOUT, set_as_default=False)
+        client.wait_for_workers(1, timeout=TIMEOUT)
     except (OSError, ValueError) as error:
         raise InvalidInput(
             f"no Dask scheduler with workers answers at {scheduler}: check the address, or start"
