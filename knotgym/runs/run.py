@@ -12,8 +12,8 @@ calls. Which calls it makes depends on earlier results alone.
 journal there (`journal`); only a finished output gets the final name. To resume is to run again:
 what the journal holds isn't computed again. Shard i of n computes every n-th call and leaves
 `NAME-shard-i-of-n.journal` beside the output; to merge is to run the command once more, without
---shard, where the journals of the shards lie. The output is the same, byte for byte, however a run
-was interrupted, divided and merged, and whatever executed it.
+run.shard, where the journals of the shards lie. The output is the same, byte for byte, however a
+run was interrupted, divided and merged, and whatever executed it.
 """
 
 import shutil
@@ -125,7 +125,7 @@ def compute(
                 others = {calls.index(call) % shard.of + 1 for call in missing}
                 raise _SharesMissing(
                     f"{len(missing)} of {len(calls)} results of {_stage(calls[0])!r} are missing:"
-                    f" run --shard {', '.join(f'{one}/{shard.of}' for one in sorted(others))}"
+                    f" run shard {', '.join(f'{one}/{shard.of}' for one in sorted(others))}"
                 )
             results = [memo[call.key] for call in calls]
     finally:
@@ -202,7 +202,9 @@ def run(
         shown.say(f"{made}{text}; {seconds:.0f} s")
         if shard.is_whole:
             return out
-        shown.say("to merge, run the same command without --shard where all shards' journals lie")
+        shown.say(
+            "to merge, run the same command without a shard where the journals of all shards lie"
+        )
         return journal.path
 
 
