@@ -140,11 +140,13 @@ class Distances:
     def __init__(self, guide: Guide, goal: GaussCode, single_moves: bool) -> None:
         self._goal, self._strange, self._single_moves = goal, guide.strange, single_moves
         self._moves, self._examples = guide.moves, guide.examples
-        reached: set[GaussCode] = set()  # codes to which single moves lead
         self._solve()
-        while single_moves and (codes := self._nearest(reached)):
-            for code in codes:
-                reached.update(images(code))
+        done, moved = set[GaussCode](), 0  # codes to which single moves lead; how many were nearest
+        while single_moves and (near := self._nearest(done)[: _MOST_MOVED - moved]):
+            moved += len(near)
+            # what leads to one of a code's images stands for what leads to all of them
+            codes = [*dict.fromkeys(map(canonical_form, near))]
+            done.update(image for code in codes for image in images(code))
             rows, examples = _single_moves(codes, _NEW + len(self._moves.rows))
             self._moves, self._examples = self._moves.extended(rows), self._examples | examples
             self._solve()
@@ -193,25 +195,21 @@ class Distances:
         sure = np.ones(len(self._chance))
         self._values = moves.values(self._shown, -1 / self._chance, sure, 1000)
 
-    def _nearest(self, reached: set[GaussCode]) -> list[GaussCode]:
+    def _nearest(self, done: set[GaussCode]) -> list[GaussCode]:
         """The codes to which single moves should lead next: the goal's, then the nearest.
 
         All that are about as far as the nearest are taken at once: no single move from one of them
         can shorten the distance of another.
         """
-        if len(reached) >= _MOST_MOVED:
-            return []
         goals = [GaussCode(self._goal.visits, letters) for letters in chiralities(self._goal)]
         left = {
             node.code: -float(self._values[index])
-            for index, node in enumerate(self._moves.nodes)
-            if node.nx > _COUNTED_NX and node.code not in reached
+            for node, index in self._moves.index.items()
+            if node.nx > _COUNTED_NX and node.code not in done
         }
-        left |= {code: 0.0 for code in goals if code.nx > _COUNTED_NX and code not in reached}
-        near = min(left.values(), default=math.inf) + SIDEWAYS_COST
-        codes = [code for code, far in left.items() if far < near]
-        # one of a code's images stands for all
-        return [*dict.fromkeys(map(canonical_form, sorted(codes, key=lambda one: left[one])))]
+        left |= {code: 0.0 for code in goals if code.nx > _COUNTED_NX and code not in done}
+        most = min(left.values(), default=math.inf) + SIDEWAYS_COST
+        return sorted((code for code, far in left.items() if far < most), key=lambda one: left[one])
 
     def _look_up(self, code: GaussCode) -> tuple[float, int | None]:
         if code.matches(self._goal):
