@@ -10,14 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from knotgym.cli.options import words
 from knotgym.common.atomic_files import atomic_write, require_writable
 from knotgym.common.configuration import differences
 from knotgym.common.errors import InvalidInput, KnotgymError, one_line
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 
 PROGRESS = "progress.json"
 
@@ -73,7 +72,7 @@ def evaluation_settings(given: argparse.Namespace, task: TaskConfig) -> dict[str
     settings: dict[str, Any] = {
         "tasks": (task.task,),
         "nx": (task.nx,),
-        "splits": words(given.split),
+        "splits": given.split.split(","),
         "episodes": given.episodes,
         "task": task,
     }

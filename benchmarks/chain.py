@@ -33,8 +33,9 @@ from rich.console import Console
 from knotgym.common.configuration import from_json
 from knotgym.control.rollouts import rollout
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig
-from knotgym.generate.episodes.evaluate import EvaluateConfig, evaluate
+from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.evaluate import evaluate
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.recordings import PulledPolicy, read_recording, recorded_ids
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.chain.solver import SCHEDULE

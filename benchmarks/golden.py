@@ -28,7 +28,7 @@ RUNS = {
     "walks": ("generate", "--source", "random-walk", "--nx", "1", "--count", "2", *CHAIN),
     "episodes": (
         *("collect", "--task", "tie", "--nx", "2", "--policy", "mixed"),
-        *("--episodes", "6", "--budget", "200"),
+        *("--episodes", "6", "--set", "policy.planner.budget=200"),
     ),
     "recorded": ("collect", "--task", "tie", "--policy", "noisy", "--episodes", "4", *CHAIN),
     "pictures": ("images", "--nx", "0-2", "--count", "60", "--vary", "all"),

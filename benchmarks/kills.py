@@ -36,7 +36,7 @@ SMALL = {
     "search": {"batch_size": 4, "steps": 8},
 }
 ID = "knotgym/unknot-nx1/random-v0"
-EPISODES = ("--task", "unknot", "--nx", "1", "--policy", "random", "--horizon", "6")
+EPISODES = ("--task", "unknot", "--nx", "1", "--policy", "random", "--set", "task.horizon=6")
 KINDS: dict[str, tuple[str, ...]] = {
     "generate": ("generate", "--nx", "0,1", "--count", "4"),
     "collect": ("collect", *EPISODES, "--episodes", "16", "--id", ID),

@@ -31,8 +31,8 @@ from knotgym.control.pass_play import (
     searches,
 )
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.macro_actions import MacroActionConfig
-from knotgym.states.schema import CODE_SPLITS
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.states.split_names import CODE_SPLITS
 from knotgym.topology.knot_table import UNKNOT
 from knotgym.topology.knots import codes_of
 

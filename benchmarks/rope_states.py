@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from knotgym.generate.states.random_walk import coil
+from knotgym.generate.states.rope_lives import coil
 from knotgym.rope.engines import CHAIN, simulation_of
 from knotgym.rope.model import Array, RopeConfig
 from knotgym.topology.crossings import count_crossings

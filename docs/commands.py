@@ -5,15 +5,14 @@
 A test compares the page with the commands.
 """
 
-from __future__ import annotations
-
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import typer.main
+from rich.console import Console
 
-from knotgym.cli.main import app
+from knotgym.cli.main import application
 
 PAGE = Path(__file__).with_suffix(".md")
 MARK = "<!-- commands -->\n"
@@ -21,65 +20,33 @@ MARK = "<!-- commands -->\n"
 
 def whole_page() -> str:
     """The page as it should be: what stands above the mark, and every command."""
-    head = PAGE.read_text(encoding="utf-8").partition(MARK)[0]
-    return head + MARK + "\n" + "\n".join(pages()).rstrip() + "\n"
+    head = PAGE.read_text(encoding="utf-8").partition(MARK)[0] + MARK
+    sections = [
+        f"## `{' '.join(words)}`\n\n```text\n{help_of(words)}\n```\n" for words in commands()
+    ]
+    return head + MARK + "\n" + "\n".join(sections)
 
 
-def pages() -> Iterator[str]:
-    """Markdown of every command, one after another."""
-    for name, command in commands("knotgym", typer.main.get_command(app)):
-        yield f"## `{name}`\n"
-        yield f"{_paragraphs(command.help)}\n"
-        yield f"```text\n{_usage(name, command)}\n```\n"
-        yield from map(_item, command.params)
-        yield ""
+def commands() -> Iterator[tuple[str, ...]]:
+    """The words of every command that does something, such as ("knotgym", "dataset", "show")."""
+
+    def below(words: tuple[str, ...], app: Any) -> Iterator[tuple[str, ...]]:
+        names = sorted(name for name in app if not name.startswith("-"))
+        for name in names:
+            yield from below((*words, name), app[name])
+        if not names:
+            yield words
+
+    yield from below(("knotgym",), application())
 
 
-def commands(name: str, command: Any) -> Iterator[tuple[str, Any]]:
-    """Every command that does something, below a command or a group of them, by its whole name."""
-    if not hasattr(command, "commands"):
-        yield name, command
-        return
-    for word in sorted(command.commands):
-        yield from commands(f"{name} {word}", command.commands[word])
-
-
-def _usage(name: str, command: Any) -> str:
-    wanted = [one.metavar or one.name.upper() for one in command.params if _is_argument(one)]
-    return " ".join([name, "[OPTIONS]", *wanted])
-
-
-def _item(parameter: Any) -> str:
-    if _is_argument(parameter):
-        name = parameter.metavar or parameter.name.upper()
-    else:
-        name = " / ".join([", ".join(parameter.opts), *parameter.secondary_opts])
-    default = _default(parameter)
-    return f"- `{name}`{default and f' ({default})'}: {_flowed(parameter.help)}"
-
-
-def _default(parameter: Any) -> str:
-    if parameter.required:
-        return "required"
-    value = parameter.default
-    if isinstance(value, bool):
-        return "on by default" if value else ""
-    return "" if value in (None, "") or callable(value) else f"default `{value}`"
-
-
-def _is_argument(parameter: Any) -> bool:
-    return str(parameter.param_type_name) == "argument"
-
-
-def _paragraphs(text: str | None) -> str:
-    """A help text in Markdown, its examples as code."""
-    parts = [_flowed(part) for part in (text or "").split("\n\n")]
-    return "\n\n".join(f"    {part}" if part.startswith("knotgym ") else part for part in parts)
-
-
-def _flowed(text: str | None) -> str:
-    """A help text in one line, as prose."""
-    return " ".join((text or "").split())
+def help_of(words: tuple[str, ...]) -> str:
+    """What `--help` of a command prints, without frames."""
+    out = io.StringIO()
+    console = Console(file=out, width=98, force_terminal=False, legacy_windows=False)
+    application()([*words[1:], "--help"], console=console, result_action="return_value")
+    lines = (line.strip("╭╮╰╯│─").rstrip() for line in out.getvalue().splitlines())
+    return "\n".join(lines).strip("\n")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from knotgym.common.errors import MissingExtra as MissingExtra
     from knotgym.common.errors import MissingFile as MissingFile
     from knotgym.common.errors import Occupied as Occupied
-    from knotgym.datasets.verification import verify as verify
+    from knotgym.control.verification import verify as verify
     from knotgym.envs.environment import KnotEnv as KnotEnv
     from knotgym.envs.environment import KnotVectorEnv as KnotVectorEnv
     from knotgym.envs.tasks import TaskConfig as TaskConfig
@@ -60,7 +60,7 @@ else:
             "label": "knotgym.topology.crossings",
             "read_states": "knotgym.states.state_file",
             "shipped": "knotgym.states.state_file",
-            "verify": "knotgym.datasets.verification",
+            "verify": "knotgym.control.verification",
         },
         "__version__",
     )

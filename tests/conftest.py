@@ -11,18 +11,14 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 from knotgym.drawing.drawn_curve import drawn_curve
-from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.search import SearchConfig, new_archive
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.runs.executors import InProcess
 from knotgym.states.state_file import States, read_states, shipped, write_states
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of, knot_type
 
-from .played import advance
 from .small_job import SECONDS, WANTED, begun, knotgym
 
 # Compiling, or another process on the same cores, is no failure.
@@ -67,19 +63,21 @@ def small_states() -> States:
     )
     codes = [label(one) for one in points]
     n = len(points)
-    return States(
-        qpos=np.array([rope.qpos(one) for one in points]),
-        points=points,
-        image=np.array([draw(one) for one in points]),
-        gauss_code=np.array([str(code) for code in codes]),
-        gauss_code_chiral=np.array([code.chiral for code in codes]),
-        knot=np.array(["0_1"] * n),
-        nx=np.array([code.nx for code in codes]),
-        split=np.array(["train", "test"] * (n // 2)),
-        quality={"clearance": np.arange(n, dtype=np.float64)},
-        units={"clearance": "m"},
-        source={"seed": np.arange(n)[:, None], "policy": np.array(["curve"] * n)},
-        attributes={"rope": rope.config.fingerprint, "configuration": '{"made": "by hand"}'},
+    return States.of(
+        {
+            "qpos": np.array([rope.qpos(one) for one in points]),
+            "points": points,
+            "image": np.array([draw(one) for one in points]),
+            "gauss_code": np.array([str(code) for code in codes]),
+            "gauss_code_chiral": np.array([code.chiral for code in codes]),
+            "knot": np.array(["0_1"] * n),
+            "nx": np.array([code.nx for code in codes]),
+            "split": np.array(["train", "test"] * (n // 2)),
+            "quality/clearance": np.arange(n, dtype=np.float64),
+            "source/seed": np.arange(n)[:, None] * (1, 0, 0, 0, 0),
+            "source/policy": np.array(["curve"] * n),
+        },
+        {"rope": rope.config.fingerprint, "config": {"made": "by hand"}},
     )
 
 
@@ -111,22 +109,10 @@ def tangled(rope: Rope) -> NDArray[np.float64]:
     return np.concatenate(seen[-5:])
 
 
-SEARCH = SearchConfig(max_nx=3, batch_size=8, steps=8, seed=1)
-
-
-@pytest.fixture(scope="session")
-def searched() -> Archive:
-    """What three short rounds found; copy it before it grows."""
-    archive = new_archive(SEARCH)
-    for _ in range(3):
-        advance(archive, SEARCH, InProcess())
-    return archive
-
-
 @pytest.fixture(scope="session")
 def curated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of the main job: four loops and four states with one crossing; only ever read, harm
-    is done to copies.
+    """A folder of the main job: four loops and four states with one crossing, demonstrated. It is
+    only ever read, harm is done to copies.
     """
     folder = tmp_path_factory.mktemp("curated") / "nx0-1"
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", folder, "--quiet") == 0
@@ -174,14 +160,16 @@ def trefoils(rope: Rope) -> States:
     for number, code in enumerate([code for code in codes for _ in range(2)]):
         points.append(drawn_curve(code, np.random.default_rng(number), rope))
         shown.append(label(points[-1]))
-    return States(
-        qpos=np.array([rope.qpos(one) for one in points]),
-        points=np.array([rope.points(rope.qpos(one)) for one in points]),
-        image=np.array([draw(one) for one in points]),
-        gauss_code=np.array([str(code) for code in shown]),
-        gauss_code_chiral=np.array([code.chiral for code in shown]),
-        knot=np.array([knot_type(code) for code in shown]),
-        nx=np.array([code.nx for code in shown]),
-        split=np.array(["train", "test"] * len(codes)),
-        attributes={"rope": rope.config.fingerprint},
+    return States.of(
+        {
+            "qpos": np.array([rope.qpos(one) for one in points]),
+            "points": np.array([rope.points(rope.qpos(one)) for one in points]),
+            "image": np.array([draw(one) for one in points]),
+            "gauss_code": np.array([str(code) for code in shown]),
+            "gauss_code_chiral": np.array([code.chiral for code in shown]),
+            "knot": np.array([knot_type(code) for code in shown]),
+            "nx": np.array([code.nx for code in shown]),
+            "split": np.array(["train", "test"] * len(codes)),
+        },
+        {"rope": rope.config.fingerprint},
     )

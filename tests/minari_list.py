@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.control.verification import verify
+from knotgym.datasets.episode_dataset import columns_of
+from knotgym.datasets.episodes import Episodes
 
 
 def check_minari(root: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -23,57 +24,37 @@ def check_minari(root: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None
     for command in (["show", name], ["list", "local"]):
         shown = CliRunner().invoke(minari.cli.app, command, env={"COLUMNS": "200"})
         assert shown.exit_code == 0 and name in shown.output
-    assert verify_episodes(root / name, frames=None, act_out=True) == []
-    dataset, reader = minari.load_dataset(name), EpisodeReader(root / name)
-    assert (dataset.total_episodes, dataset.total_steps) == (len(reader), int(reader.lengths.sum()))
-    every = list(dataset.iterate_episodes())
-    assert [episode.id for episode in every] == list(range(len(reader)))
-    assert all(_same(read, reader, read.id) for read in every)
-    sampled = list(dataset.sample_episodes(min(3, len(reader))))
-    assert len(sampled) == min(3, len(reader)) and all(
-        _same(read, reader, read.id) for read in sampled
-    )
+    assert verify(root / name) == []
+    dataset, opened = minari.load_dataset(name), columns_of(root / name)
+    count, steps = opened.episodes.episodes.rows, int(opened.episodes.episodes["length"].sum())
+    assert (dataset.total_episodes, dataset.total_steps) == (count, steps)
     env: Any = dataset.recover_environment()
-    assert env.unwrapped.config == reader.task
-    assert (env.observation_space, env.action_space) == (
-        dataset.observation_space,
-        dataset.action_space,
-    )
+    assert env.unwrapped.config == opened.task
+    assert env.observation_space == dataset.observation_space
+    assert env.action_space == dataset.action_space
+    every = list(dataset.iterate_episodes())
+    assert [episode.id for episode in every] == list(range(count))
+    assert len(list(dataset.sample_episodes(min(3, count)))) == min(3, count)
     for read in every:
-        _play(env, read, reader.episode(read.id))
+        _act_out(env, read, opened.episodes.select([read.id]))
 
 
-def _same(read: Any, reader: EpisodeReader, index: int) -> bool:
-    """Whether Minari reads what our own reader reads."""
-    episode = reader.episode(index)
-    names = ("actions", "rewards", "terminations", "truncations")
-    columns = all(np.array_equal(getattr(read, name), getattr(episode, name)) for name in names)
-    return columns and _equal(read.observations, reader.observations(index))
-
-
-def _equal(one: Any, other: Any) -> bool:
-    if isinstance(one, dict):
-        return sorted(one) == sorted(other) and all(
-            np.array_equal(one[name], other[name]) for name in one
-        )
-    return np.array_equal(one, other)
-
-
-def _play(env: Any, read: Any, episode: Any) -> None:
-    """Act an episode out in the recovered environment, which shows every stored frame; one that no
-    reset begins is left to `verify_episodes`.
+def _act_out(env: Any, read: Any, stored: Episodes) -> None:
+    """Compare what Minari reads with the columns, and act it out in the recovered environment,
+    which shows every stored frame; an episode that no reset begins is left to `verify`.
     """
-    if episode.seed is None or episode.relabelled:
-        seen, _ = env.reset(seed=0)
-        assert env.observation_space.contains(seen)
+    names = {"action": "actions", "reward": "rewards", "terminated": "terminations"}
+    for name, of_minari in {**names, "truncated": "truncations"}.items():
+        assert np.array_equal(stored.steps[name][:-1], getattr(read, of_minari))
+    own = {name: stored.episodes[name][0] for name in ("seed", "start", "goal", "relabelled")}
+    if own["seed"] < 0 or own["relabelled"]:
+        assert env.observation_space.contains(env.reset(seed=0)[0])
         return
-    shown = [
-        env.reset(seed=episode.seed, options=dict(episode.options))[0],
-        *(env.step(action)[0] for action in read.actions),
-    ]
-    stacked = (
-        {name: np.array([one[name] for one in shown]) for name in shown[0]}
-        if isinstance(shown[0], dict)
-        else np.array(shown)
-    )
-    assert _equal(stacked, read.observations)
+    options = {"start": int(own["start"]), "goal": int(own["goal"])}
+    shown = [env.reset(seed=int(own["seed"]), options=options)[0]]
+    shown += [env.step(action)[0] for action in read.actions]
+    if isinstance(shown[0], dict):
+        for name in shown[0]:
+            assert np.array_equal([one[name] for one in shown], read.observations[name])
+    else:
+        assert np.array_equal(shown, read.observations)

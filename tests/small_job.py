@@ -1,9 +1,8 @@
-"""Runs made small enough for tests, by settings alone: shorter rounds of play, smaller waves."""
+"""The main job, small enough for tests, and commands typed in this or another process."""
 
 from __future__ import annotations
 
 import fnmatch
-import json
 import os
 import signal
 import subprocess
@@ -14,21 +13,17 @@ from pathlib import Path
 import pytest
 
 from knotgym.cli import main as cli
-from knotgym.common.configuration import updated
-from knotgym.generate.states.generate_config import GenerateConfig
 
-SETTINGS = Path(__file__).parent / "small.json"
 WANTED = ("--nx", "0,1", "--count", 4)  # what conftest's `curated` folder was asked for
 SECONDS = 120  # in which anything that is waited for must have happened
-SMALL = updated(GenerateConfig(), json.loads(SETTINGS.read_text(encoding="utf-8")))
 
 
 def knotgym(*arguments: object) -> int:
-    """Type a `knotgym` command, small; its exit status."""
+    """Type a `knotgym` command; its exit status."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with pytest.raises(SystemExit) as ended:
-            cli.main(_small(arguments))
+            cli.main([str(one) for one in arguments])
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
@@ -38,7 +33,7 @@ def knotgym(*arguments: object) -> int:
 
 def typed(*arguments: object) -> list[str]:
     """The same as a command line for another process."""
-    return [sys.executable, "-m", "knotgym", *_small(arguments)]
+    return [sys.executable, "-m", "knotgym", *map(str, arguments)]
 
 
 def begun(out: Path, *arguments: object, saved: bool) -> subprocess.Popen[str]:
@@ -53,10 +48,9 @@ def begun(out: Path, *arguments: object, saved: bool) -> subprocess.Popen[str]:
     partial, until = out.parent / f".{out.name}.partial", time.monotonic() + SECONDS
 
     def is_there() -> bool:
-        counters = partial / "run.json"
-        if saved:
-            return counters.is_file() and "wave-" in counters.read_text(encoding="utf-8")
-        return (partial / "lock").exists()
+        journal = partial / "journal"
+        # beyond its first two lines, a journal holds results
+        return journal.is_file() and journal.read_bytes().count(b"\n") > (2 if saved else 0)
 
     while not is_there() and run.poll() is None and time.monotonic() < until:
         time.sleep(0.02)
@@ -72,10 +66,3 @@ def wait_for_file(run: subprocess.Popen[str], folder: Path, pattern: str) -> Non
         if any(fnmatch.filter(names, pattern) for _, _, names in os.walk(folder)):
             return
         time.sleep(0.005)
-
-
-def _small(arguments: tuple[object, ...]) -> list[str]:
-    words = [str(one) for one in arguments]
-    if words[:1] == ["generate"]:
-        words[1:1] = ["--settings", str(SETTINGS)]
-    return words

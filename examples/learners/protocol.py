@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from knotgym.cli.options import numbers, words
+from knotgym.cli.options import numbers
 from knotgym.control.policy import Policy
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.minari_dataset import metadata_of
@@ -98,9 +98,9 @@ def measure(
         given.out,
         training,
         files=[given.out / model for model in models],
-        tasks=words(given.task),
+        tasks=given.task.split(","),
         nx=numbers(given.nx),
-        splits=words(given.split),
+        splits=given.split.split(","),
         episodes=given.episodes,
         task=TaskConfig(task="tie", states=given.states, observation="state", engine=given.engine),
     )

@@ -18,6 +18,7 @@ import argparse
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from torch.nn import functional
 
 from knotgym.datasets.image_table import GRADES
 from knotgym.loaders import images
-from knotgym.prompting.reading_scores import ReadingScores
+from knotgym.prompting.reading_scores import HEAD, reading_scores, score_rows
 from knotgym.topology.gauss import GaussCode
 
 BEADS = 100
@@ -276,16 +277,16 @@ def train(folder: Path, steps: int, batch: int, seed: int) -> Reader:
 
 
 @torch.no_grad()
-def evaluate(net: Reader, folder: Path) -> tuple[dict[str, ReadingScores], list[Misread]]:
+def evaluate(net: Reader, folder: Path) -> tuple[dict[str, Any], list[Misread]]:
     """Return scores by split, and the accepted pictures that were misread."""
-    scores: dict[str, ReadingScores] = {}
+    scores: dict[str, Any] = {}
     missed = []
     for split in SPLITS:
         try:
             data = images(folder, split)
         except ValueError:  # the table has no such split
             continue
-        scores[split] = ReadingScores()
+        readings: list[dict[str, Any]] = []
         for first in range(0, len(data), 50):
             rows = range(first, min(first + 50, len(data)))
             pictures = np.stack([data.picture(row) for row in rows])
@@ -294,9 +295,14 @@ def evaluate(net: Reader, folder: Path) -> tuple[dict[str, ReadingScores], list[
             ):
                 code, accepted = data.codes[row], bool(data.labels["accepted"][row])
                 grade = GRADES[int(data.labels["grade"][row])]
-                exact = scores[split].add(GaussCode.parse(code), read_code, grade, accepted)
+                found = None if read_code is None else str(read_code)
+                readings.append(
+                    {"gauss_code": code, "read": found, "grade": grade, "accepted": accepted}
+                )
+                exact = read_code is not None and read_code.matches(GaussCode.parse(code))
                 if accepted and not exact:
                     missed.append((np.moveaxis(picture, 0, -1), code, str(read_code)))
+        scores[split] = reading_scores(readings)
     return scores, missed
 
 
@@ -322,7 +328,7 @@ def main() -> None:
         "steps": given.steps,
         "batch": given.batch,
         "seed": given.seed,
-        "scores": {split: score.as_json() for split, score in scores.items()},
+        "scores": scores,
     }
     (given.out / "report.json").write_text(json.dumps(report, indent=1))
     if missed:
@@ -330,7 +336,9 @@ def main() -> None:
     else:
         print("nothing was misread, so there is no confusions.png")
     for split, score in scores.items():
-        print("\n".join([split, *score.lines()]))
+        print(split)
+        for row in (HEAD, *score_rows(score)):
+            print("{:16} {:>6} {:>8} {:>9} {:>6}".format(*row))
 
 
 if __name__ == "__main__":

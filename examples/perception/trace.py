@@ -22,7 +22,7 @@ from misread import Misread, page
 from numpy.typing import NDArray
 
 from knotgym.datasets.image_table import decode, read_rows
-from knotgym.prompting.reading_scores import ReadingScores
+from knotgym.prompting.reading_scores import HEAD, reading_scores, score_rows
 from knotgym.rendering.picture import bead_colours
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
@@ -171,7 +171,7 @@ def main() -> None:
         "--page", type=Path, help="file for a page of the accepted pictures that were misread"
     )
     given = parser.parse_args()
-    scores = ReadingScores()
+    readings: list[dict[str, object]] = []
     missed: list[Misread] = []
     for number, row in enumerate(
         read_rows(
@@ -187,14 +187,18 @@ def main() -> None:
         image = decode(row["image"])
         code = read(image)
         true = GaussCode.parse(row["gauss_code"])
-        good = scores.add(true, code, row["grade"], row["accepted"])
+        good = code is not None and code.matches(true)
+        found = None if code is None else str(code)
+        columns = {name: row[name] for name in ("gauss_code", "grade", "accepted")}
+        readings.append({**columns, "read": found})
         if row["accepted"] and not good:
             missed.append((image, row["gauss_code"], "lost" if code is None else str(code)))
             print(
                 f"accepted, misread: row {row['source']['row']}, {row['gauss_code']} read as"
                 f" {missed[-1][2]}"
             )
-    for line in scores.lines():
+    for row in (HEAD, *score_rows(reading_scores(readings))):
+        line = "{:16} {:>6} {:>8} {:>9} {:>6}".format(*row)
         print(line)
     if given.page and missed:
         page(missed, given.page)

@@ -1,151 +1,104 @@
 """The entry points of the command line; a user's mistake prints one line, with exit status 2."""
 
-import copy
 import errno
 import functools
 import os
-import re
 import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor
-from typing import Annotated, Any
+from types import FrameType
 
-import typer
-from rich.markup import escape
-from typer.core import TyperCommand, TyperGroup
+from cyclopts import App, CycloptsError, UnknownOptionError
 
-from knotgym.cli.dataset_commands import dataset_app
-from knotgym.cli.demo_commands import compile_kernels, demo
-from knotgym.cli.learning_commands import train
-from knotgym.cli.options import DerivedCommand
-from knotgym.cli.play_command import play
-from knotgym.cli.policy_commands import collect, evaluate
-from knotgym.cli.prompt_commands import prompt
-from knotgym.cli.run_commands import generate, images
-from knotgym.cli.selection_commands import delete, import_curves, select, split
-from knotgym.cli.suite_command import suite
+from knotgym import __version__
 from knotgym.common.errors import Failed, KnotgymError, printable
 
+# A command's module is imported when the command is typed. Its summary is also the first line of
+# its docstring; a test compares them.
+COMMANDS = {
+    "demo": "Film the expert tying a knot diagram, in about 20 seconds.",
+    "generate": "Generate rope states with train and test splits, and demonstrations of their"
+    " Gauss codes.",
+    "collect": "Roll out a policy and write its episodes as a Minari dataset.",
+    "suite": "Make the fixed benchmark of offline datasets, or a part of it.",
+    "train": "Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`.",
+    "evaluate": "Measure the success rates of policies, with 95 % confidence intervals.",
+    "play": "Pull the rope by hand in a browser, or watch a dataset's episodes.",
+    "images": "Generate labelled pictures for perception.",
+    "prompt": "Evaluate a vision-language model on episodes, or on reading Gauss codes from"
+    " pictures.",
+    "dataset": "Inspect, check and convert datasets.",
+    "compile": "Compile the numerical kernels ahead of time, in about a minute of CPU time.",
+}
 
-class Command(DerivedCommand):
-    """A command whose --help shows flags without a type, keeps square brackets and wraps once."""
-
-    def get_params(self, ctx: Any) -> Any:
-        return _flags_bare(super().get_params(ctx))
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        plain: Any = copy.copy(self)
-        plain.params = [copy.copy(one) for one in self.params]
-        for part in [plain, *plain.params]:
-            unwrapped = re.sub(r"(?<=\S)\n(?=\S)", " ", part.help or "")
-            part.help = escape(unwrapped)  # rich would read '.[video]' as a style
-        TyperCommand.format_help(plain, ctx, formatter)
-
-
-class Group(TyperGroup):
-    """A group of commands whose --help shows flags without a type."""
-
-    def get_params(self, ctx: Any) -> Any:
-        return _flags_bare(super().get_params(ctx))
-
-
-def _flags_bare(parameters: list[Any]) -> list[Any]:
-    for parameter in parameters:
-        if getattr(parameter, "is_flag", False):
-            parameter.metavar = ""
-    return parameters
-
-
-_HELP: dict[str, Any] = {"context_settings": {"help_option_names": ["-h", "--help"]}}
-_APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_enable": False}
-
-app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
-dataset_app.command()(select)
-dataset_app.command()(split)
-dataset_app.command()(delete)
-dataset_app.command("import")(import_curves)
-app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
-for _command in (demo, generate, collect, suite, train, evaluate, play, images, prompt):
-    app.command(cls=Command)(_command)
-app.command("compile", cls=Command)(compile_kernels)
-for _listed in dataset_app.registered_commands:
-    _listed.cls = Command
-generate_app = typer.Typer(**_APP)  # knotgym-generate, one command without a name
-generate_app.command(cls=Command)(generate)
-
-
-def _version(given: bool) -> None:
-    if given:
-        import knotgym
-
-        print(f"knotgym {knotgym.__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def knotgym(
-    version: Annotated[
-        bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
-    ] = False,
-) -> None:
-    """Environments and data for spatial reasoning about knots.
-
-    Examples:
-
-        knotgym demo
-
-        knotgym generate --nx 3 --count 40
-
-        knotgym collect --task tie --nx 3 --policy expert --episodes 200
-
-        knotgym evaluate --task tie --nx 3 --policy random
-
-        knotgym dataset show knotgym-data/nx3
-    """
-
-
-# ClickException, from Click itself or from the copy that typer bundles
-_USAGE: Any = typer.BadParameter.__mro__[2]
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
 _NO_NAME = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_RESUMABLE = {"generate", "collect", "suite", "train", "evaluate", "images", "prompt"}
 _OURS = (
     "this is a bug in knotgym: please report it, with the traceback above, in the repository's"
     " issue tracker"
 )
 
 
+def application() -> App:
+    """Make the application `knotgym`."""
+    app = App(
+        name="knotgym",
+        help="Environments and data for spatial reasoning about knots.",
+        help_epilogue="Every command takes --quiet, to print errors only.\n\nExamples:\n\n"
+        "    knotgym demo\n\n"
+        "    knotgym generate --nx 3 --count 40\n\n"
+        "    knotgym collect --task tie --nx 3 --policy expert --episodes 200\n\n"
+        "    knotgym evaluate --task tie --nx 3 --policy random\n\n"
+        "    knotgym dataset show knotgym-data/nx3",
+        help_format="plaintext",
+        suppress_keyboard_interrupt=False,
+        version=f"knotgym {__version__}",
+    )
+    for name, summary in COMMANDS.items():
+        app.command(f"knotgym.cli.{name}_command:{name}", name=name, help=summary)
+    return app
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `knotgym` and exit, with status 0 only if everything requested was done."""
-    _run(app, "knotgym", arguments)
+    tokens = sys.argv[1:] if arguments is None else [*arguments]
+    _run(application, tokens, bool(_RESUMABLE & {*tokens[:1]}))
 
 
 def main_generate(arguments: Sequence[str] | None = None) -> None:
-    """Run `knotgym-generate`, an alias of `knotgym generate`."""
-    _run(generate_app, "knotgym-generate", arguments)
+    """Run `knotgym-generate`, the same as `knotgym generate`."""
+
+    def alone() -> App:
+        from knotgym.cli.generate_command import generate
+        from knotgym.cli.options import APP
+
+        app = App(
+            name="knotgym-generate", help=generate.help, help_epilogue=generate.help_epilogue, **APP
+        )
+        app.default(generate.default_command)
+        return app
+
+    _run(alone, sys.argv[1:] if arguments is None else [*arguments], True)
 
 
-# typer would rebuild every command from its signature at each call
-_built = functools.cache(typer.main.get_command)
-
-
-def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> None:
-    stopped = functools.partial(_stopped, command, arguments)
+def _run(make: Callable[[], App], tokens: list[str], resumable: bool) -> None:
+    goes_on = ", --resume continues from the last checkpoint" if resumable else ""
+    stopped = f"interrupted; no partial output is left{goes_on}"
     for number in _SIGNALS:
         signal.signal(number, functools.partial(_interrupt, stopped))
     try:
-        result = _built(command)(args=arguments, prog_name=name, standalone_mode=False)
-        status = result if isinstance(result, int) else 0
-        if status == _INTERRUPTED:  # typer returns this after a KeyboardInterrupt
-            _say(stopped(), status)
+        status = make()(
+            tokens, print_error=False, exit_on_error=False, result_action="return_value"
+        )
+        status = status if isinstance(status, int) else 0
+    except CycloptsError as error:
+        status = _say(_mistake(error), _MISTAKEN)
     except Failed as error:
         status = _say(str(error), _FAILED)
-    except _USAGE as error:
-        # an empty message means that the help was shown
-        status = _say(error.format_message(), _MISTAKEN) if error.format_message() else _MISTAKEN
     except KnotgymError as error:
         status = _say(str(error), _MISTAKEN)
     except BrokenExecutor:
@@ -162,17 +115,30 @@ def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> No
     except OSError as error:
         # an impossible file name is the user's mistake
         status = _say(_trouble(error), _MISTAKEN if error.errno in _NO_NAME else _FAILED)
-    except (KeyboardInterrupt, typer.Abort):
-        status = _say(stopped(), _INTERRUPTED)
-    except typer.Exit as ended:
-        status = ended.exit_code
+    except KeyboardInterrupt:
+        status = _say(stopped, _INTERRUPTED)
     except Exception as error:
         if _interrupted(error):
-            status = _say(stopped(), _INTERRUPTED)
+            status = _say(stopped, _INTERRUPTED)
         else:
             traceback.print_exc()
             status = _say(_OURS, _FAILED)
     sys.exit(status)
+
+
+def _mistake(error: CycloptsError) -> str:
+    """Say what is wrong with a command line; a setting typed as an option is said to be one."""
+    error.verbose = False
+    if isinstance(error, UnknownOptionError):
+        from knotgym.cli.options import settings_named
+
+        typed = error.token.keyword or ""
+        name = typed.partition("=")[0].removeprefix("--").removeprefix("no-").replace("-", "_")
+        sections = getattr(error.target, "sections", {})
+        if paths := list(settings_named(sections, name)):
+            ways = " or ".join(f"--set {path}=..." for path in paths)
+            return f"{typed.partition('=')[0]} is a setting: {ways}"
+    return str(error)
 
 
 def _interrupted(error: BaseException | None) -> bool:
@@ -182,36 +148,26 @@ def _interrupted(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _stopped(typed: typer.Typer, arguments: Sequence[str] | None) -> str:
-    """Return the message of an interrupted command, which mentions --resume if it has one."""
-    command: Any = _built(typed)
-    for word in sys.argv[1:] if arguments is None else arguments:
-        command = getattr(command, "commands", {}).get(word, command)
-    resumable = any(parameter.name == "resume" for parameter in command.params)
-    goes_on = ", --resume continues from the last checkpoint" if resumable else ""
-    return f"interrupted; no partial output is left{goes_on}"
-
-
-def _interrupt(stopped: Callable[[], str], number: int, frame: object) -> None:
+def _interrupt(stopped: str, number: int, frame: FrameType | None) -> None:
     for one in _SIGNALS:
         signal.signal(one, functools.partial(_end, stopped))
     sys.unraisablehook = functools.partial(_unraisable, stopped)
     raise KeyboardInterrupt
 
 
-def _unraisable(stopped: Callable[[], str], error: "sys.UnraisableHookArgs") -> None:
+def _unraisable(stopped: str, error: "sys.UnraisableHookArgs") -> None:
     """After an interruption, ignore errors in destructors, but act on a second interruption."""
     if issubclass(error.exc_type, KeyboardInterrupt):
         _end(stopped, 0, None)
 
 
-def _end(stopped: Callable[[], str], number: int, frame: object) -> None:
+def _end(stopped: str, number: int, frame: FrameType | None) -> None:
     """Exit at once when interrupted again during cleanup.
 
     Partial output never has its final name, and workers end with their parent.
     """
     shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # the live table hides the cursor
-    os.write(2, f"{shown}knotgym: {stopped()}\n".encode())
+    os.write(2, f"{shown}knotgym: {stopped}\n".encode())
     os._exit(_INTERRUPTED)
 
 

@@ -1,158 +1,271 @@
-"""Command-line options derived from the configuration dataclasses that they set.
+"""Commands from configuration classes.
 
-The help of an option is the first sentence about its field in the Attributes section of the class,
-its default the field's default, and its type the field's type. A configuration checks its own
-values. Options are made when their command is typed, because configurations import the simulator.
+A command is a function, the configuration classes that it fills, and the fields of these that are
+options; cyclopts makes the rest. The help of an option is the first sentence about its field in the
+class's docstring. What is typed becomes one tree of JSON values, with this precedence,
+
+    typed options  >  --set name=value  >  --settings FILE  >  defaults
+
+which the classes validate once. Fields that aren't options are settings: `--set` and `--settings`
+reach every field, under the same names.
 """
 
+import dataclasses
 import inspect
+import json
 import re
 import tomllib
 import types
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    NamedTuple,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import typer
-from typer.core import TyperCommand
+from cyclopts import App, Group, Parameter
 
-from knotgym.common.configuration import from_json, read_json
+from knotgym.common.configuration import from_json, merged, read_json
 from knotgym.common.errors import InvalidInput
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+Config = TypeVar("Config")
+Sections = Mapping[str, type]  # of a command's settings; "" is the outermost
 
-ENVIRONMENT, ACTING, RUN = "The environment", "Who acts", "How it is run"
-TASK = (
-    "task.states task.observation task.action task.max_goals task.image_size task.views"
-    " task.depth task.horizon task.hold task.endless task.tow_limit task.reset_noise task.engine"
-    " task.beads task.integrator_steps task.camera"
-)  # what collect and evaluate let users set of the environment
-EXECUTION, EXISTING = "workers executor scheduler settings", "resume restart overwrite quiet"
-Config = TypeVar("Config", bound="DataclassInstance")
+APP: dict[str, Any] = {
+    "help_format": "plaintext",
+    "version_flags": [],
+    "suppress_keyboard_interrupt": False,
+}
+EXISTING = "run.resume run.restart run.overwrite"
+RUN = f"seed run.workers {EXISTING}"  # options of every command that makes data
+Quiet = Annotated[bool, Parameter(show=False, negative="", help="Print errors only.")]
+Overwrite = Annotated[
+    bool, Parameter(negative="", help="Replace an existing output once the new one is complete.")
+]
+_GROUP, _RUN_GROUP = (Group.create_ordered(name) for name in ("Options", "How it is run"))
+_METAVARS = {int: "N", float: "X", Path: "PATH", tuple[int, ...]: "N,N", tuple[str, ...]: "A,B"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Option:
-    """An option or an argument of a command.
+class Option(NamedTuple):
+    """An option, or an argument.
 
     Attributes:
-        path: field of the configuration that it sets, such as "task.horizon"; or any name.
-        help: its help text.
-        names: what is typed, such as "--horizon"; "" for an argument.
-        kind: type of the value, for typer.
-        default: value if it isn't typed, in the form in which it would be.
-        group: heading in --help; "" for the first.
-        read: converts what was typed to the field's type; called with the value and `names`.
-        of_config: whether it sets a field of the configuration.
-        metavar, show_default: see `typer.Option`.
+        path: the field that it sets, such as "task.horizon", or the name of an extra option.
+        typed: what is typed, such as "--horizon" or "--keep/--drop"; "" for an argument.
+        kind: type of its value.
+        help: its help.
+        default: the default that is shown.
+        is_field: whether it sets a field of a configuration.
     """
 
     path: str
+    typed: str
+    kind: Any
     help: str
-    names: str = ""
-    kind: Any = str
     default: Any = None
-    group: str = ""
-    read: Callable[[Any, str], Any] | None = None
-    of_config: bool = False
-    metavar: str | None = None
-    show_default: bool | str = True
+    is_field: bool = False
+
+    @property
+    def key(self) -> str:
+        """Its name as a parameter of a function."""
+        return self.path.replace(".", "__")
 
     def parameter(self) -> inspect.Parameter:
-        """Return it as a parameter of a function, as typer reads it."""
-        kind = self.kind | None if self.default is None else self.kind
-        if self.names:
-            info: Any = typer.Option(
-                self.names,
-                help=self.help,
-                rich_help_panel=self.group or None,
-                show_default=self.show_default,
-            )
-        else:
-            info = typer.Argument(help=self.help, metavar=self.metavar)
-        empty = inspect.Parameter.empty
+        """Return it as cyclopts reads it; values are text, but for flags and lists."""
+        name, _, negative = self.typed.partition("/")
+        shown = _as_typed(self.default)
+        in_run = self.path.startswith("run.") or self.path in ("seed", "settings", "set")
+        info = Parameter(
+            name=name or self.path.upper(),
+            metavar=_METAVARS.get(self.kind, "TEXT"),
+            help=self.help,
+            negative=negative,
+            group=_RUN_GROUP if in_run else _GROUP,
+            show_default=(lambda _: shown) if shown else False,
+        )
+        kind = self.kind if self.kind in (bool, list[str]) else str
         return inspect.Parameter(
-            self.path.replace(".", "__"),
-            inspect.Parameter.KEYWORD_ONLY,
-            default=empty if self.default is Ellipsis else self.default,
-            annotation=Annotated[kind, info],
+            self.key,
+            inspect.Parameter.KEYWORD_ONLY if name else inspect.Parameter.POSITIONAL_ONLY,
+            default=None,
+            annotation=Annotated[kind | None, info],
         )
 
 
-def options_of(
-    config: Any, paths: str, group: str = "", **changed: Mapping[str, Any]
-) -> list[Option]:
-    """Return an option for each field of a configuration that `paths` names.
+def extra(name: str, kind: Any, help: str, default: Any = None) -> Option:
+    """Return an option that is no field of a configuration; one in capitals is an argument."""
+    path = name.lower().replace("-", "_")
+    return Option(path, "" if name.isupper() else f"--{name}", kind, help, default)
+
+
+def command(
+    sections: Sections, fields: str, *extras: Option, lines: bool = True
+) -> Callable[[Callable[["Given"], None]], App]:
+    """Make a function a command.
 
     Args:
-        config: the configuration with its defaults.
-        paths: fields, separated by spaces; those of nested configurations as "task.horizon".
-        group: heading in --help.
-        changed: last part of a path -> attributes of `Option` that differ from the derived ones.
+        sections: the configuration classes. The class "" is the command's own; the settings of
+            another are in a section of its name, such as `policy.noise`.
+        fields: the fields that are options, separated by spaces; `tasks=--task` renames one.
+        extras: options that are no fields.
+        lines: see `Progress`.
     """
-    found = []
-    for path in paths.split():
-        *outer, name = path.split(".")
-        owner = config
-        for step in outer:
-            owner = getattr(owner, step)
-        kind, read = _kind_and_reader(get_type_hints(type(owner))[name])
-        value = getattr(owner, name)
-        typed, dashed = _as_typed(value), name.replace("_", "-")
-        option = Option(
-            path=path,
-            names=f"--{dashed}/--no-{dashed}" if value is True else f"--{dashed}",
-            help=field_help(type(owner), name),
-            kind=kind,
-            default=typed if read or not isinstance(value, tuple) else None,
-            group=group,
-            read=read,
-            of_config=True,
-        )
-        found.append(replace(option, **changed.get(name, {})))
-    return found
+    sections = {**sections, "run": RunOptions}
+    options = [*extras, *(_option(sections, *word.split("=")) for word in fields.split())]
+    if "" in sections:
+        options += [
+            extra("settings", Path, "TOML or JSON file of settings."),
+            extra("set", list[str], "One setting, such as task.horizon=30; may be repeated."),
+        ]
+
+    def declare(function: Callable[[Given], None]) -> App:
+        arguments = [option.key for option in options if not option.typed]
+        parameters = [option.parameter() for option in options]
+        parameters.sort(key=lambda one: one.kind)  # arguments first
+        quiet = inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False)
+        parameters.append(quiet.replace(annotation=Quiet))
+
+        def run(*words: str, quiet: bool = False, **values: Any) -> None:
+            values |= dict(zip(arguments, words, strict=False))
+            with Progress(quiet, lines=lines) as progress:
+                function(Given(sections, options, values, progress, quiet))
+
+        run.__annotations__ = {one.name: one.annotation for one in parameters}
+        vars(run).update(__signature__=inspect.Signature(parameters), sections=sections)
+        help = inspect.cleandoc(function.__doc__ or "").partition("\n\n")
+        name = function.__name__.replace("_", "-")
+        app = App(name=name, help=help[0], help_epilogue=help[2], **APP)
+        app.default(run)
+        return app
+
+    return declare
 
 
-def option(
-    name: str, kind: Any, help: str, default: Any = None, group: str = "", **more: Any
-) -> Option:
-    """Return an option that is no field of the configuration; `name` is as typed."""
-    path = name.removeprefix("--").replace("-", "_")
-    return Option(path=path, names=name, kind=kind, help=help, default=default, group=group, **more)
+class Given:
+    """What was typed for a command.
+
+    Attributes:
+        progress: the progress display.
+        quiet: whether only errors are printed.
+        typed: paths of the options that were typed.
+    """
+
+    def __init__(
+        self,
+        sections: Sections,
+        options: list[Option],
+        values: Mapping[str, Any],
+        progress: Progress,
+        quiet: bool,
+    ) -> None:
+        self.progress, self.quiet, self._sections = progress, quiet, sections
+        self._extras: dict[str, Any] = {}
+        self.typed: set[str] = set()
+        fields: dict[str, Any] = {}
+        for option in options:
+            value = values.get(option.key)
+            if value is not None:
+                self.typed.add(option.path)
+                value = read_value(value, option.kind, option.typed.partition("/")[0])
+            if option.is_field and value is not None:
+                fields[option.path] = value
+            elif not option.is_field:
+                self._extras[option.path] = option.default if value is None else value
+        settings = _read_settings(self._extras.get("settings"))
+        for one in self._extras.get("set") or ():
+            path, sign, text = one.partition("=")
+            if not sign:
+                raise InvalidInput(f"--set takes name=value, such as task.horizon=30, got {one!r}")
+            field = _field(sections, path)
+            value = read_value(text, field.hint, f"--set {path}") if field else text
+            settings = merged(settings, _nested({path: value}))
+        self._settings = merged(settings, _nested(fields))
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the value of an option that is no field."""
+        return self._extras[name]
+
+    def has(self, path: str) -> bool:
+        """Return whether a field was typed or set."""
+        return _value_at(self._settings, path) is not None
+
+    def get(self, path: str) -> Any:
+        """Return a field as JSON: what was typed or set, else its default; not yet validated."""
+        found, field = _value_at(self._settings, path), _field(self._sections, path)
+        return found if found is not None or field is None else field.default
+
+    def config(
+        self,
+        kind: type[Config],
+        more: Mapping[str, Any] | None = None,
+        *,
+        usual: Mapping[str, Any] | None = None,
+        section: str = "",
+    ) -> Config:
+        """Make a configuration.
+
+        Args:
+            kind: its class.
+            more: path -> value, which replaces what was typed.
+            usual: path -> value, which replaces defaults of the class.
+            section: the section of the settings that it is made from; "" for what is in no section.
+
+        Raises:
+            InvalidInput: a value is invalid.
+        """
+        if section:
+            own = self._settings.get(section, {})
+        else:
+            own = {name: one for name, one in self._settings.items() if name not in self._sections}
+        return from_json(kind, merged(merged(_nested(usual or {}), own), _nested(more or {})))
+
+    @property
+    def run(self) -> RunOptions:
+        """The options of the run."""
+        values = dict(self._settings.get("run", {}))
+        known = {one.name for one in dataclasses.fields(RunOptions)}
+        if unknown := values.keys() - known:
+            raise InvalidInput(f"a run has no setting {', '.join(sorted(unknown))!r}")
+        if "shard" in values:
+            values["shard"] = Shard.parse(values["shard"])
+        return RunOptions(**values, quiet=self.quiet)
 
 
-def run_options(names: str) -> list[Option]:
-    """Return options of a run, see `RunOptions`; and `settings`, a file of the configuration."""
-    shard = {"kind": str, "default": "", "read": lambda text, _: Shard.parse(text)}
-    fields = names.replace("settings", "")
-    found = {
-        one.path: replace(one, of_config=False)
-        for one in options_of(RunOptions(), fields, RUN, shard=shard)
-    }
-    found["settings"] = option(
-        "--settings",
-        Path,
-        "JSON or TOML file with more settings, using the names of `config` in manifest.json;"
-        " options that are typed take precedence.",
-        group=RUN,
-    )
-    return [found[name] for name in names.split()]
+class Field(NamedTuple):
+    """A field of a configuration: its type, its default, and what its class says about it."""
+
+    hint: Any
+    default: Any
+    help: str
+
+
+def _field(sections: Sections, path: str) -> Field | None:
+    """Find a field by its path, such as "task.horizon" or "run.workers"; None if there is none."""
+    first, _, rest = path.partition(".")
+    section, names = (first, rest) if rest and first in sections else ("", path)
+    hint: Any = sections.get(section)
+    default, help = hint, ""
+    for name in names.split("."):
+        hints = get_type_hints(hint) if dataclasses.is_dataclass(hint) else {}
+        if name not in hints:
+            return None
+        help = field_help(hint, name)
+        hint, default = hints[name], getattr(default, name, None)
+    return Field(hint, default, help)
+
+
+def settings_named(sections: Sections, name: str) -> Iterator[str]:
+    """Yield the paths of all fields whose last part is `name`."""
+
+    def below(kind: type, path: str) -> Iterator[str]:
+        for field, hint in get_type_hints(kind).items():
+            if field == name:
+                yield path + field
+            if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+                yield from below(hint, f"{path}{field}.")
+
+    for section, kind in sections.items():
+        yield from below(kind, f"{section}." if section else "")
 
 
 def field_help(kind: type, name: str) -> str:
@@ -171,212 +284,74 @@ def field_help(kind: type, name: str) -> str:
     return ""
 
 
-def _flag(name: str) -> Any:
-    help = field_help(RunOptions, name)
-    return typer.Option(f"--{name}", help=help, rich_help_panel=RUN)
+def _option(sections: Sections, path: str, typed: str = "") -> Option:
+    """Make the option of a field."""
+    field = _field(sections, path)
+    assert field is not None, path
+    name = f"--{path.rpartition('.')[2].replace('_', '-')}"
+    name += f"/--no-{name[2:]}" if field.default is True else ""
+    return Option(path, typed or name, field.hint, field.help, field.default, is_field=True)
 
 
-OverwriteOption = Annotated[bool, _flag("overwrite")]
-QuietOption = Annotated[bool, _flag("quiet")]
+def read_value(value: Any, hint: Any, name: str) -> Any:
+    """Convert what was typed to the type of a field.
 
+    Args:
+        value: text, a flag or a list of texts; all but text is returned as it is.
+        hint: the type.
+        name: the option, for messages.
 
-class Given:
-    """What was typed for a command.
+    Raises:
+        InvalidInput: the text isn't of this type.
 
-    Attributes:
-        progress: the progress display, which is shown already.
+    >>> read_value("0-2,4", tuple[int, ...], "--nx")
+    (0, 1, 2, 4)
     """
-
-    def __init__(self, context: typer.Context, options: Sequence[Option]) -> None:
-        self.progress: Progress = context.obj
-        self._options = {option.path: option for option in options}
-        self._values: dict[str, Any] = {}
-        self.typed: set[str] = set()  # paths of the options that aren't left at their default
-        for path in self._options:
-            name = path.replace(".", "__")
-            self._values[path] = context.params[name]
-            source = context.get_parameter_source(name)
-            if source is not None and source.name != "DEFAULT":
-                self.typed.add(path)
-
-    def __getitem__(self, path: str) -> Any:
-        """Return the value of an option, converted to the type of its field."""
-        option, value = self._options[path], self._values[path]
-        return value if option.read is None or value is None else option.read(value, option.names)
-
-    def text(self, path: str) -> Any:
-        """Return an option as it was typed."""
-        return self._values[path]
-
-    def config(
-        self,
-        kind: type[Config],
-        more: Mapping[str, Any] | None = None,
-        *,
-        usual: Mapping[str, Any] | None = None,
-        under: str = "",
-    ) -> Config:
-        """Make a configuration of what was typed, else of a --settings file, else of defaults.
-
-        Args:
-            kind: class of the configuration; options that it has no field for are ignored.
-            more: path -> value, which replaces what was typed.
-            usual: path -> value, which replaces defaults of the class.
-            under: the fields have this prefix, and there is no --settings file for them.
-
-        Raises:
-            KnotgymError: a value is invalid.
-        """
-        known = {field.name for field in fields(kind)}
-        typed = {
-            path.removeprefix(under): self[path]
-            for path, option in self._options.items()
-            if path in self.typed and option.of_config and path.startswith(under)
-        }
-        typed = {path: value for path, value in typed.items() if path.split(".")[0] in known}
-        settings = _nested(usual or {})
-        for values in (self.settings if not under else {}, _nested({**typed, **(more or {})})):
-            settings = _merged(settings, values)
-        return from_json(kind, settings)
-
-    @cached_property
-    def settings(self) -> dict[str, Any]:
-        """The content of the --settings file."""
-        return read_settings(self._values.get("settings"))
-
-    @property
-    def run(self) -> RunOptions:
-        """The options of the run."""
-        names = "workers executor scheduler shard resume restart overwrite quiet".split()
-        return RunOptions(**{name: self[name] for name in names if name in self._options})
+    if not isinstance(value, str):
+        return value
+    if get_origin(hint) in (Union, types.UnionType):
+        if value == "none":
+            return None
+        (hint, *_) = (one for one in get_args(hint) if one is not type(None))
+    if get_origin(hint) is tuple:
+        (kind, *_) = get_args(hint)
+        if kind is int:
+            return numbers(value, name)
+        return tuple(read_value(word.strip(), kind, name) for word in value.split(","))
+    reader, expected = _READERS.get(hint, (str, ""))
+    try:
+        return reader(value)
+    except (KeyError, ValueError):
+        raise InvalidInput(f"{name} takes {expected}, got {value!r}") from None
 
 
-class Declared(NamedTuple):
-    """A command with derived options.
-
-    Attributes:
-        function: what it does.
-        options: return its options; may import anything.
-        lines: see `Progress`.
-    """
-
-    function: Callable[[Given], None]
-    options: Callable[[], list[Option]]
-    lines: bool
-
-
-def command(
-    options: Callable[[], list[Option]], *, lines: bool = True
-) -> Callable[[Callable[[Given], None]], Callable[[], None]]:
-    """Declare a function as a command with derived options, to be registered with typer."""
-
-    def declare(function: Callable[[Given], None]) -> Callable[[], None]:
-        def placeholder() -> None: ...
-
-        placeholder.__name__, placeholder.__doc__ = function.__name__, function.__doc__
-        vars(placeholder)["declared"] = Declared(function, options, lines)
-        return placeholder
-
-    return declare
-
-
-class DerivedCommand(TyperCommand):
-    """A typer command whose options are made when they are needed.
-
-    The progress display starts first, because making them imports the simulator.
-    """
-
-    _made: list[Option]
-    _params: list[Any]
-
-    @property
-    def _declared(self) -> Declared | None:
-        return getattr(self.callback, "declared", None)
-
-    @property
-    def params(self) -> list[Any]:
-        if self._declared is not None and not self._params:
-            self._made = self._declared.options()
-            app = typer.Typer(add_completion=False)
-
-            def typed(**_: Any) -> None: ...
-
-            parameters = [option.parameter() for option in self._made]
-            vars(typed)["__signature__"] = inspect.Signature(parameters)
-            typed.__annotations__ = {one.name: one.annotation for one in parameters}
-            app.command()(typed)
-            self._params = list(typer.main.get_command(app).params)
-        return self._params
-
-    @params.setter
-    def params(self, value: list[Any]) -> None:
-        self._params = value
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        if self._declared is not None and not {"--help", "-h"} & set(args):
-            progress = Progress("--quiet" in args, lines=self._declared.lines)
-            ctx.obj = ctx.with_resource(progress)
-        try:
-            return list(super().parse_args(ctx, args))
-        except BaseException:
-            ctx.close()
-            raise
-
-    def invoke(self, ctx: Any) -> Any:
-        if self._declared is None:
-            return super().invoke(ctx)
-        return self._declared.function(Given(ctx, self._made))
-
-
-def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return {"task": {"nx": 3}} for {"task.nx": 3}."""
-    found: dict[str, Any] = {}
-    for path, value in values.items():
-        *outer, name = path.split(".")
-        inner = found
-        for step in outer:
-            inner = inner.setdefault(step, {})
-        inner[name] = value
-    return found
-
-
-def _merged(first: dict[str, Any], last: dict[str, Any]) -> dict[str, Any]:
-    """Return a nested dict with the values of both, the last one's where both have one."""
-    found = {**first, **last}
-    for name in first.keys() & last.keys():
-        if isinstance(first[name], dict) and isinstance(last[name], dict):
-            found[name] = _merged(first[name], last[name])
-    return found
+_READERS: dict[Any, tuple[Callable[[str], Any], str]] = {
+    bool: ({"true": True, "false": False}.__getitem__, "true or false"),
+    int: (int, "a whole number"),
+    float: (float, "a number"),
+    Path: (Path, "a path"),
+    Mapping[str, int]: (json.loads, 'an object such as {"expert": 3}'),
+}
 
 
 def numbers(text: str, name: str = "--nx") -> tuple[int, ...]:
     """Read "3", "2,3" or "0-4".
 
+    Raises:
+        InvalidInput: it is none of them, or a number is there twice.
+
     >>> numbers("0-2,4")
     (0, 1, 2, 4)
     """
-    out: list[int] = []
+    found: list[int] = []
     for word in text.split(","):
-        low, dash, high = word.strip().partition("-")
-        if (
-            not low.isdecimal()
-            or (dash and not high.isdecimal())
-            or len(word.strip()) > 9
-            or (dash and int(high) < int(low))
-            or max(len(low), len(high)) > 4
-        ):
-            raise typer.BadParameter(
-                f"{name} takes whole numbers such as 3, 2,3 or 0-4, got {text!r}"
-            )
-        out += range(int(low), int(high if dash else low) + 1)
-    if len(set(out)) < len(out):
-        raise typer.BadParameter(f"{name} takes each number once, got {text!r}")
-    return tuple(out)
-
-
-def words(text: str, name: str = "") -> tuple[str, ...]:
-    """Split "tie,unknot" at its commas and drop duplicates."""
-    return tuple(dict.fromkeys(listed(text, name)))
+        parts = re.fullmatch(r"\s*(\d{1,4})(?:-(\d{1,4}))?\s*", word, re.ASCII)
+        if parts is None or int(parts[2] or parts[1]) < int(parts[1]):
+            raise InvalidInput(f"{name} takes whole numbers such as 3, 2,3 or 0-4, got {text!r}")
+        found += range(int(parts[1]), int(parts[2] or parts[1]) + 1)
+    if len(set(found)) < len(found):
+        raise InvalidInput(f"{name} takes each number once, got {text!r}")
+    return tuple(found)
 
 
 def default_folder(name: str, *marks: str) -> Path:
@@ -388,7 +363,35 @@ def default_folder(name: str, *marks: str) -> Path:
     return Path("knotgym-data") / "-".join([name.replace(" ", ""), *filter(None, marks)])
 
 
-def read_settings(path: Path | None) -> dict[str, Any]:
+def _as_typed(value: Any) -> str:
+    """Return a value as it would be typed: (0, 1, 2) is "0-2"; "" for what isn't worth showing."""
+    if isinstance(value, bool):
+        return "yes" if value else ""
+    if not isinstance(value, tuple):
+        return "" if value is None else str(value)
+    if len(value) > 2 and value == tuple(range(len(value))):
+        return f"0-{value[-1]}"
+    return ",".join(map(str, value))
+
+
+def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return {"task": {"nx": 3}} for {"task.nx": 3}."""
+    found: dict[str, Any] = {}
+    for path, value in values.items():
+        for name in reversed(path.split(".")):
+            value = {name: value}
+        found = merged(found, value)
+    return found
+
+
+def _value_at(settings: Any, path: str) -> Any:
+    """Return the value at a path of nested settings; None if there is none."""
+    for name in path.split("."):
+        settings = settings.get(name) if isinstance(settings, dict) else None
+    return settings
+
+
+def _read_settings(path: Path | None) -> dict[str, Any]:
     """Read a --settings file; an empty dict without one.
 
     Raises:
@@ -407,42 +410,3 @@ def read_settings(path: Path | None) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise InvalidInput(f"--settings {path} must hold an object, got {found!r}")
     return found
-
-
-def listed(text: str, name: str) -> tuple[str, ...]:
-    return tuple(word.strip() for word in text.split(","))
-
-
-def _floats(text: str, name: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(word) for word in text.split(","))
-    except ValueError:
-        raise typer.BadParameter(f"{name} takes comma-separated numbers, got {text!r}") from None
-
-
-_LISTS: dict[type, Callable[[str, str], tuple[Any, ...]]] = {
-    int: numbers,
-    float: _floats,
-    str: listed,
-}
-
-
-def _kind_and_reader(hint: Any) -> tuple[Any, Callable[[str, str], Any] | None]:
-    """Return the type that typer parses for a field, and what converts it further."""
-    if get_origin(hint) in (Union, types.UnionType):
-        (hint,) = (one for one in get_args(hint) if one is not type(None))
-    if get_origin(hint) is tuple:
-        return str, _LISTS[get_args(hint)[0]]
-    return hint, None
-
-
-def _as_typed(value: Any) -> Any:
-    """Return a field's value as it would be typed: (0, 1, 2) is "0-2", ("a", "b") is "a,b"."""
-    if not isinstance(value, tuple):
-        return value
-    is_range = (
-        len(value) > 2
-        and isinstance(value[0], int)
-        and value == tuple(range(value[0], value[-1] + 1))
-    )
-    return f"{value[0]}-{value[-1]}" if is_range else ",".join(map(str, value))

@@ -4,60 +4,24 @@ import importlib.util
 import time
 from contextlib import ExitStack, suppress
 
-from knotgym.cli.options import (
-    ACTING,
-    ENVIRONMENT,
-    RUN,
-    Given,
-    Option,
-    command,
-    option,
-    options_of,
-    run_options,
-)
-from knotgym.cli.policy_commands import MINARI_ROOT
+from knotgym.cli.collect_command import MINARI_ROOT
+from knotgym.cli.options import Given, command, extra
 from knotgym.common.errors import MissingExtra, install_command
-
-_RECORDING, _PAGE = "Recording", "The page"
-
-
-def _options() -> list[Option]:
-    from knotgym.play.page import PlayConfig
-
-    config = PlayConfig()
-    return [
-        Option(
-            path="dataset",
-            help="A dataset to watch, by path or id; without one, you pull the rope.",
-            default=None,
-        ),
-        *options_of(config, "task.task task.nx task.split"),
-        *options_of(config, "task.states task.horizon task.tow_limit task.engine", ENVIRONMENT),
-        *options_of(config, "policy compared", ACTING, compared={"names": "--compare"}),
-        option(
-            "--record",
-            bool,
-            "Write finished and abandoned episodes to a Minari dataset, which later sessions"
-            " continue.",
-            default=False,
-            group=_RECORDING,
-        ),
-        option(
-            "--id",
-            str,
-            "Its id; by default such as knotgym/tie-nx3/human-v0.",
-            default="",
-            group=_RECORDING,
-        ),
-        option("--player", str, "Who plays, in a few words; stored.", default="", group=_RECORDING),
-        MINARI_ROOT,
-        *options_of(config, "host port", _PAGE),
-        *options_of(config, "seed", RUN),
-        *run_options("quiet"),
-    ]
+from knotgym.play.page import PlayConfig
 
 
-@command(_options)
+@command(
+    {"": PlayConfig},
+    "task.task task.nx policy port",
+    extra("DATASET", str, "A dataset to watch, by path or id; without one, you pull the rope."),
+    extra(
+        "record",
+        bool,
+        "Write finished and abandoned episodes to a Minari dataset, which later sessions continue.",
+    ),
+    extra("id", str, "Its id; by default such as knotgym/tie-nx3/human-v0."),
+    MINARI_ROOT,
+)
 def play(given: Given) -> None:
     """Pull the rope by hand in a browser, or watch a dataset's episodes.
 
@@ -72,7 +36,7 @@ def play(given: Given) -> None:
     """
     if importlib.util.find_spec("viser") is None:
         raise MissingExtra("viser", install_command("play"), "knotgym play")
-    from knotgym.play.page import Page, PlayConfig
+    from knotgym.play.page import Page
     from knotgym.play.recorder import Recorder
     from knotgym.play.watch import WatchPage
     from knotgym.runs.compilation import compile_first
@@ -86,7 +50,7 @@ def play(given: Given) -> None:
             mark = "" if task.split == "train" else f"-{task.split}"
             wanted = given["id"] or f"knotgym/{task.task}-nx{task.nx}/human{mark}-v0"
             recorder = stack.enter_context(
-                Recorder(task, config.seed, wanted, given["player"], given["out"])
+                Recorder(task, config.seed, wanted, config.player, given["out"])
             )
             progress.say(f"episodes are recorded in {recorder.folder}")
             if recorder.recovered:

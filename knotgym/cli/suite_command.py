@@ -1,61 +1,26 @@
 """The command `knotgym suite`."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import typer
+from knotgym.cli.collect_command import MINARI_ROOT
+from knotgym.cli.options import RUN, Given, command, extra
+from knotgym.common.errors import InvalidInput
+from knotgym.generate.episodes.suite import SuiteConfig
 
-from knotgym.cli.options import (
-    ENVIRONMENT,
-    EXECUTION,
-    EXISTING,
-    Given,
-    Option,
-    command,
-    option,
-    options_of,
-    run_options,
-    words,
+
+@command(
+    {"": SuiteConfig},
+    f"tasks=--task nx policies=--policy splits=--split states recorded {RUN}",
+    MINARI_ROOT,
+    extra(
+        "episodes",
+        tuple[str, ...],
+        "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default as many"
+        " as the benchmark has.",
+    ),
+    extra("scores", list[str], "Results of `knotgym evaluate --out` to add to the card's table."),
 )
-from knotgym.cli.policy_commands import MINARI_ROOT
-
-
-def _options() -> list[Option]:
-    from knotgym.generate.episodes.suite import SuiteConfig
-
-    config, listed = SuiteConfig(), {"read": words}
-    return [
-        *options_of(config, "tasks", tasks={**listed, "names": "--task"}),
-        *options_of(config, "nx policies", policies=listed),
-        *options_of(
-            config,
-            "splits states",
-            ENVIRONMENT,
-            splits={**listed, "names": "--split"},
-            states=listed,
-        ),
-        option(
-            "--episodes",
-            str,
-            "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; others"
-            " keep their default.",
-            default="",
-            show_default="by nx",
-        ),
-        *options_of(config, "engine observation", ENVIRONMENT),
-        MINARI_ROOT,
-        option(
-            "--scores",
-            list[Path],
-            "Results of `knotgym evaluate --out` to add to the card's table, besides those in"
-            " the folder `evaluations` next to the card; may be repeated.",
-        ),
-        *options_of(config, "seed recorded"),
-        *run_options(f"{EXECUTION} {EXISTING}"),
-    ]
-
-
-@command(_options)
 def suite(given: Given) -> None:
     """Make the fixed benchmark of offline datasets, or a part of it.
 
@@ -68,28 +33,29 @@ def suite(given: Given) -> None:
 
         knotgym suite --recorded --task tie --nx 2
 
-        knotgym suite --task tie --nx 3 --states readable --policies expert,random --resume
+        knotgym suite --task tie --nx 3 --states readable --policy expert,random --resume
     """
-    from knotgym.generate.episodes.suite import SuiteConfig, make_suite
+    from knotgym.generate.episodes.suite import make_suite
 
-    more: dict[str, Any] = {}
+    more = {}
     if given["episodes"]:
-        more["episodes"] = _sizes(given["episodes"], given["policies"])
-    config, scores = given.config(SuiteConfig, more), given["scores"] or ()
+        more["episodes"] = sizes(given["episodes"], given.get("policies"))
+    config, scores = given.config(SuiteConfig, more), map(Path, given["scores"] or ())
     make_suite(config, given["out"], given.run, scores=tuple(scores), progress=given.progress)
 
 
-def _sizes(text: str, policies: tuple[str, ...]) -> dict[str, int]:
+def sizes(words: Sequence[str], policies: Sequence[str]) -> dict[str, int]:
     """Read "100", for every policy, or "expert=3000,random=100".
 
-    >>> _sizes("100", ("random", "expert"))
+    >>> sizes(["100"], ("random", "expert"))
     {'random': 100, 'expert': 100}
     """
-    pairs = [word.partition("=") for word in words(text)]
+    pairs = [word.partition("=") for word in words]
     if len(pairs) == 1 and not pairs[0][1]:
         pairs = [(policy, "=", pairs[0][0]) for policy in policies]
     if not all(name and count.isdecimal() and len(count) < 10 for name, _, count in pairs):
-        raise typer.BadParameter(
-            f"--episodes takes a number, or one per policy (expert=3000,random=100); got {text!r}"
+        raise InvalidInput(
+            "--episodes takes a number, or one per policy (expert=3000,random=100); got"
+            f" {','.join(words)!r}"
         )
     return {name: int(count) for name, _, count in pairs}

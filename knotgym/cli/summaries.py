@@ -14,7 +14,7 @@ from knotgym.datasets.cards.state_card import summary as state_summary
 from knotgym.datasets.episode_verification import show_episodes
 from knotgym.datasets.image_table import shards
 from knotgym.datasets.manifest_check import read_manifest, run_report
-from knotgym.prompting.reading_scores import HEAD, ReadingScores
+from knotgym.prompting.reading_scores import HEAD, reading_scores, score_rows
 from knotgym.prompting.summary import summarize
 from knotgym.prompting.transcripts import read_transcripts, transcripts_at
 from knotgym.runs.tables import narrow_table
@@ -75,14 +75,17 @@ def print_transcripts(path: Path, console: Console) -> None:
         )
     else:
         table = narrow_table(HEAD, left=HEAD[:1])
-        for row in ReadingScores.of(found).rows():
+        for row in score_rows(reading_scores(found)):
             table.add_row(*row)
         console.print(table)
     for name in ("answers", "retries"):
         _say(console, f"{name:20} {_in_words(facts[name]) or 'none'}")
-    tokens = (facts["prompt_tokens"], facts["completion_tokens"])
+    tokens = [facts[f"{name}_tokens"] for name in ("prompt", "completion")]
+    prompt, completion = ("unknown" if one is None else one for one in tokens)
     cost = "" if facts["cost"] is None else f", cost {facts['cost']:.4g}"
-    _say(console, f"{'tokens':20} prompt {tokens[0]}, completion {tokens[1]}{cost}")
+    _say(console, f"{'tokens':20} prompt {prompt}, completion {completion}{cost}")
+    if facts["truncated"]:
+        _say(console, f"{'cut off':20} {facts['truncated']} answers")
 
 
 def _in_words(value: Any) -> str:

@@ -24,20 +24,9 @@ from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, Occup
 
 # what identifies a folder as an output of this package, so that --overwrite may replace it
 _OUTPUT_MARKS = (
-    "manifest.json",
-    "policy.json",
-    "suite.json",
-    "croissant.json",
-    "page.html",
-    "*.h5",
-    "*.tar",
-    "data/episodes.h5",
-    "data/main_data.hdf5",
-    "meta/info.json",
-    "*/namespace_metadata.json",
-    "*/*/data/main_data.hdf5",
-    "*/*/*/data/main_data.hdf5",
-)
+    "manifest.json policy.json suite.json croissant.json page.html *.h5 *.tar meta/info.json"
+    " data/episodes.h5 data/main_data.hdf5 */*/data/main_data.hdf5 */*/*/data/main_data.hdf5"
+).split()
 _AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2(2)
 
 
@@ -91,12 +80,11 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
         raise Occupied(f"{target} is a device or a pipe, which is never replaced")
     if folder and Path.cwd().is_relative_to(target.resolve()):
         raise Occupied(f"{target} contains the current folder; choose another --out")
-    if folder and any(target.iterdir()):
-        if not any(next(target.glob(mark), None) for mark in _OUTPUT_MARKS):
-            raise Occupied(
-                f"{target} isn't an output of this package, so it isn't replaced; choose another"
-                " --out"
-            )
+    marks = [mark for mark in _OUTPUT_MARKS if folder and any(target.glob(mark))]
+    if folder and not marks and any(target.iterdir()):
+        raise Occupied(
+            f"{target} isn't an output of this package, so it isn't replaced; choose another --out"
+        )
 
 
 def require_writable(path: str | os.PathLike[str]) -> None:

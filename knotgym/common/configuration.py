@@ -72,13 +72,13 @@ def _as_tuple(value: Any) -> Any:
 
 def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
     if pair[0] > pair[1]:
-        raise ValueError("must have the smaller number first")
+        raise InvalidInput("must have the smaller number first")
     return pair
 
 
 def _distinct(values: tuple[int, ...]) -> tuple[int, ...]:
     if not values or len(set(values)) < len(values):
-        raise ValueError("must be at least one number, each once")
+        raise InvalidInput("must be at least one number, each once")
     return values
 
 
@@ -87,7 +87,7 @@ def choice(*known: str) -> AfterValidator:
 
     def checked(value: str) -> str:
         if value not in known:
-            raise ValueError(f"must be one of {', '.join(name or repr(name) for name in known)}")
+            raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in known)}")
         return value
 
     return AfterValidator(checked)
@@ -146,7 +146,7 @@ def updated(config: Config, changes: Mapping[str, Any]) -> Config:
     >>> updated(TaskConfig(task="tie"), {"nx": 3}).nx
     3
     """
-    return _validated(type(config), _merged(as_json(config), changes))
+    return _validated(type(config), merged(as_json(config), changes))
 
 
 def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
@@ -162,7 +162,15 @@ def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
         for field in dataclasses.fields(kind)  # type: ignore[arg-type]
         if dataclasses.is_dataclass(field.default)
     }
-    return _validated(kind, _merged(nested, values))
+    return _validated(kind, merged(nested, values))
+
+
+def merged(below: Any, above: Any) -> Any:
+    """JSON with the values of `above`, and those of `below` that it lacks, object by object."""
+    if not (isinstance(below, Mapping) and isinstance(above, Mapping)):
+        return above
+    common = {name: merged(below[name], above[name]) for name in above if name in below}
+    return {**below, **above, **common}
 
 
 def _validated(kind: type[Config], values: Any) -> Config:
@@ -183,31 +191,22 @@ def _jsonable(value: Any) -> Any:
         return dataclasses.asdict(value)
     if isinstance(value, (np.integer, np.floating)):
         return value.item()
-    raise TypeError(f"{value!r} isn't one")
-
-
-def _merged(below: Any, above: Any) -> Any:
-    """JSON with the values of `above`, and those of `below` that it lacks, object by object."""
-    if not (isinstance(below, Mapping) and isinstance(above, Mapping)):
-        return above
-    common = {name: _merged(below[name], above[name]) for name in above if name in below}
-    return {**below, **above, **common}
+    raise InvalidInput(f"{value!r} isn't one")
 
 
 def _refuse(error: ValidationError, kind: type) -> NoReturn:
     """Raise the first problem of a validation as an error of ours, in one line."""
     problems = error.errors(include_url=False)
-    first = problems[0]
-    cause = first.get("ctx", {}).get("error")
-    if isinstance(cause, KnotgymError):
-        raise cause from None  # by the configuration's own check: a whole sentence
-    path: list[str] = []
+    first, path, is_field = problems[0], list[str](), False
     for name in map(str, first["loc"]):  # beyond a field: an index, or a member of a union
         path.append(name)
         inner = _configuration_in(get_type_hints(kind).get(name))
-        if inner is None:
+        if is_field := inner is None:
             break
         kind = inner
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, KnotgymError) and not is_field:
+        raise cause from None  # by the configuration's own check: a whole sentence
     where = ".".join(path) or kind.__name__
     if first["type"] == "unexpected_keyword_argument":
         known = ", ".join(field.name for field in dataclasses.fields(kind))

@@ -38,13 +38,12 @@ class Stream(IntEnum):
     SEARCH_REPLAYS = 10  # round, wave of the planner after it
     EPISODE = 13  # episode number: the seed of its environment, in datasets
     POLICY = 14  # episode number, rollout of the episode: the policy's draws, in datasets
-    IMAGE_WALK = 15  # walk number
-    IMAGE_WAVE = 16  # wave: start states of its walks
-    IMAGE_CHOICE = 17  # frame number
+    IMAGE_WALK = 15  # rope: the seed of its policy
+    IMAGE_WAVE = 16  # wave: start states of its ropes
+    IMAGE_CHOICE = 17  # rope, pulls: the symmetries of a frame
     IMAGE_CODES = 18  # nx: the codes held out for split test-code
-    IMAGE_FAMILIES = 19  # nx: splits of the start states of walks
+    IMAGE_FAMILIES = 19  # nx: splits of the start states of ropes
     IMAGE_ORDER = 20  # split: order of the rows
-    IMAGE_NOISE = 21  # row: its noise survival
     IMAGE_APPEARANCE = 22  # row
     IMAGE_GRAIN = 23  # pixel noise of one picture, whose seed is stored
     EXPERT_LABEL = 24  # episode number, step: the plan that gives the expert action
@@ -53,6 +52,8 @@ class Stream(IntEnum):
     INTERVAL = 27  # bootstraps of confidence intervals
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
+    PLAYED_ROPE = 32  # rope, 0: its random actions, 1: its other pulls
+    NOISE_SURVIVAL = 33  # the seed is a digest of the configuration that the noise is added to
     DRAWING = 40  # nx, code, number of the drawing
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
     START = 42  # the drawing of a knot that action sequences begin at
@@ -69,6 +70,7 @@ class Stream(IntEnum):
     DEMONSTRATION_STARTS = 59  # task: the starts of demonstrations
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play
+    DEMONSTRATED = 66  # state, attempt: the seed of the episode that ends in its code
     SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
 
 

@@ -11,7 +11,6 @@ column only after checking its type, shape and size.
 import hashlib
 import json
 import os
-import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import prod
 from pathlib import Path
@@ -24,17 +23,6 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common.atomic_files import atomic_write, new_hdf5
 from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile, one_line
 
-# errors that h5py and NumPy raise on corrupted or foreign files
-_FOREIGN = (
-    OSError,
-    LookupError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    MemoryError,
-    ArithmeticError,
-)
 # A column may be this many times as large as its stored bytes: gzip expands at most 1032-fold.
 _MOST_EXPANDED, _SMALL = 1100, 1 << 20  # columns of up to _SMALL bytes are always read
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
@@ -112,7 +100,9 @@ class Schema(NamedTuple):
         unknown = set(names) - {column.name for column in self.columns}
         if unknown:
             raise InvalidInput(f"no column {', '.join(sorted(unknown))} in table {self.name!r}")
-        return self._replace(columns=tuple(c for c in self.columns if c.name in names))
+        columns = tuple(c for c in self.columns if c.name in names)
+        words = {word for column in columns for word in column.shape}
+        return Schema(self.name, columns, self.row, tuple(s for s in self.sizes if s[0] in words))
 
     def shape(self, column: Column) -> tuple[int, ...]:
         """Return the shape of a row of a column; all of its words must have values."""
@@ -174,7 +164,7 @@ class Table(Mapping[str, NDArray[Any]]):
                     f" be {c.dtype} {_listed(expected)}"
                 )
             self._columns[c.name] = found
-        self.schema = schema.only(*self._columns).sized(**sizes)
+        self.schema = schema.sized(**sizes).only(*self._columns)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self._columns[name]
@@ -292,7 +282,7 @@ def read(
         MissingFile: there is no such file.
         InvalidFile: it is damaged, of another format or version, or doesn't fit the schemas.
     """
-    _require_readable(path, format)
+    _require_file(path, format)
     try:
         with h5py.File(path, "r", locking=False) as file:
             attributes = {name: _attribute(file, name) for name in file.attrs}
@@ -302,26 +292,31 @@ def read(
                     f"{path} has format {found[0]!r} version {found[1]!r}; this version reads"
                     f" {format!r} version {version}"
                 )
+            items: dict[str, Any] = {}
+            file.visititems(items.__setitem__)  # follows no links but hard ones
             tables: list[Table] = []
             sizes: dict[str, int] = {}
             for schema in schemas:
-                own = schema.sized(**{**sizes, **dict(schema.sizes)})
-                tables.append(Table(own, _read_columns(file, path, schema)))
-                sizes = dict(tables[-1].schema.sizes)
+                names = {c: f"{schema.name}/{c.name}".lstrip("/") for c in schema.columns}
+                columns = {c.name: _read(c, items[n], path) for c, n in names.items() if n in items}
+                tables.append(Table(schema.sized(**{**sizes, **dict(schema.sizes)}), columns))
+                sizes |= dict(tables[-1].schema.sizes)
             return tables, attributes
     except InvalidFile:
         raise
-    except _FOREIGN as error:
-        raise InvalidFile(f"{path} isn't a whole {format} file: {one_line(error)}") from error
+    except Exception as error:  # there is no end to what foreign bytes make h5py and NumPy raise
+        # trouble of access, which has a number, isn't damage
+        fault = "can't be read" if getattr(error, "errno", None) else f"isn't a whole {format} file"
+        raise InvalidFile(f"{path} {fault}: {one_line(error)}") from error
 
 
 def format_of(path: str | os.PathLike[str]) -> str | None:
     """Return the format that a file claims to have; None if it isn't one of ours."""
     try:
-        _require_readable(path, "")
+        _require_file(path, "")
         with h5py.File(path, "r", locking=False) as file:
             return str(_attribute(file, "format"))
-    except (InvalidFile, *_FOREIGN):
+    except Exception:
         return None
 
 
@@ -337,70 +332,47 @@ def digest(table: Table) -> str:
     return whole.hexdigest()
 
 
-def _require_readable(path: str | os.PathLike[str], format: str) -> None:
-    """Check that a path is a regular file that can be opened; reading a pipe may never end."""
-    try:
-        opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise MissingFile(f"no {format} file at {path}") from error
-    except OSError as error:  # trouble with access isn't damage
-        raise InvalidFile(f"{path} can't be opened: {error.strerror}") from error
-    mode = os.fstat(opened).st_mode
-    os.close(opened)
-    if not stat.S_ISREG(mode):
-        error_class = MissingFile if stat.S_ISDIR(mode) else InvalidFile
-        raise error_class(f"{path} isn't a regular file; a {format} file is read here")
+def _require_file(path: str | os.PathLike[str], format: str) -> None:
+    """Check that a path is a regular file; reading a pipe may never end."""
+    if not Path(path).exists() or Path(path).is_dir():
+        raise MissingFile(f"no {format} file at {path}")
+    if not Path(path).is_file():
+        raise InvalidFile(f"{path} isn't a regular file; a {format} file is read here")
 
 
 def _attribute(file: h5py.File, name: str) -> Any:
     """Read an attribute of the file: text, a number, or what its JSON holds."""
-    kind, shape = file.attrs.get_id(name).dtype, file.attrs.get_id(name).shape
-    if shape != () or not (kind.kind in "biufS" or h5py.check_string_dtype(kind)):
-        raise InvalidInput(f"attribute {name} is {kind} {shape}, should be one text or number")
     value = file.attrs[name]
+    value = value.item() if isinstance(value, np.generic) else value
     value = value.decode() if isinstance(value, bytes) else value
-    if not isinstance(value, str):
-        return value.item()
-    if not (name + value).isprintable():
+    if not isinstance(value, str | int | float):
+        raise InvalidInput(f"attribute {name} is {type(value).__name__}, not one text or number")
+    if not f"{name}{value}".isprintable():
         raise InvalidInput(f"attribute {name!r} holds control characters")
-    return json.loads(value) if value[:1] in ("{", "[") else value
+    return json.loads(value) if isinstance(value, str) and value[:1] in ("{", "[") else value
 
 
-def _read_columns(
-    file: h5py.File, path: str | os.PathLike[str], schema: Schema
-) -> dict[str, NDArray[Any]]:
-    """Read or map the columns of a table that are in a file, checking all but their shapes."""
-    columns = {}
-    for c in schema.columns:
-        data = _member(file, f"{schema.name}/{c.name}".lstrip("/"))
-        if data is None:
-            continue
-        if not isinstance(data, h5py.Dataset) or data.shape is None:
-            raise InvalidInput(f"column {c.name} should be a dataset")
-        stored = data.dtype
-        if h5py.check_enum_dtype(stored) is not None or stored.hasobject:
-            raise InvalidInput(f"column {c.name} is {_type_name(stored)}, should be {c.dtype}")
-        _require_stored_here(data, c.name)
-        values = _mapped(path, data) if stored.kind != "S" else np.asarray(data[()])
-        if stored.kind == "S":
-            values = np.strings.decode(values, "utf-8").astype(np.str_)
-        if c.has_dtype(values.dtype):
-            c.require_values(values)
-        columns[c.name] = values
-    return columns
-
-
-def _member(file: h5py.File, name: str) -> Any:
-    """Return what is in a file under a name, without following links; None if there is nothing."""
-    found: Any = file
-    for part in name.split("/"):
-        link = found.get(part, getlink=True) if isinstance(found, h5py.Group) else None
-        if link is None:
-            return None
-        if not isinstance(link, h5py.HardLink):
-            raise InvalidInput(f"column {name} is a link, should be stored in the file itself")
-        found = found[part]
-    return found
+def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[Any]:
+    """Return the values of a column, all checked but for their shape: mapped if contiguous."""
+    if not isinstance(data, h5py.Dataset) or data.shape is None:
+        raise InvalidInput(f"column {column.name} should be a dataset")
+    if h5py.check_enum_dtype(data.dtype) is not None or data.dtype.hasobject:
+        raise InvalidInput(
+            f"column {column.name} is {_type_name(data.dtype)}, should be {column.dtype}"
+        )
+    _require_stored_here(data, column.name)
+    offset = data.id.get_offset()
+    if data.dtype.kind == "S":
+        values: NDArray[Any] = np.strings.decode(np.asarray(data[()]), "utf-8").astype(np.str_)
+    elif offset is None or not data.size:
+        values = np.asarray(data[()])
+    else:
+        # a plain array over the mapped bytes: unlike np.memmap itself, it is fast to slice
+        mapped = np.memmap(Path(path), data.dtype, "r", offset, data.shape)
+        values = np.require(np.asarray(mapped), None, "A")
+    if column.has_dtype(values.dtype):
+        column.require_values(values)
+    return values
 
 
 def _require_stored_here(data: h5py.Dataset, name: str) -> None:
@@ -421,31 +393,19 @@ def _require_stored_here(data: h5py.Dataset, name: str) -> None:
         )
 
 
-def _mapped(path: str | os.PathLike[str], data: h5py.Dataset) -> NDArray[Any]:
-    """Return the values of a dataset: mapped if it is contiguous, otherwise read."""
-    offset = data.id.get_offset()
-    if offset is None or not data.size:
-        return np.asarray(data[()])
-    # a plain array over the mapped bytes: unlike np.memmap itself, it is fast to slice
-    return np.require(
-        np.asarray(np.memmap(Path(path), data.dtype, "r", offset, data.shape)), None, "A"
-    )
-
-
 def _shared_schema(tables: Sequence[Table]) -> Schema:
     """Return the schema that tables share: all required columns, and the optional ones of all."""
     if not tables:
         raise InvalidInput("no table to append")
-    first = tables[0].schema
-    shared = tuple(c for c in first.columns if all(c.name in table for table in tables))
-    for other in (table.schema for table in tables):
-        required = {c.name for c in (*first.columns, *other.columns) if not c.optional}
-        if other.sizes != first.sizes or not required <= {c.name for c in shared}:
-            raise InvalidInput(
-                f"tables {first.name!r} differ in their columns or sizes: {dict(first.sizes)} and"
-                f" {dict(other.sizes)}"
-            )
-    return first._replace(columns=shared)
+    names = [name for name in tables[0] if all(name in table for table in tables)]
+    schemas = list({table.schema.only(*names): None for table in tables})
+    required = {c.name for table in tables for c in table.schema.columns if not c.optional}
+    if len(schemas) > 1 or not required <= {*names}:
+        raise InvalidInput(
+            f"tables {schemas[0].name!r} differ in their columns or sizes:"
+            f" {' and '.join(str(dict(schema.sizes)) for schema in schemas)}"
+        )
+    return schemas[0]
 
 
 def _encoded(values: NDArray[np.str_]) -> NDArray[np.bytes_]:

@@ -26,13 +26,8 @@ from knotgym.control.policy import NO_MACRO, Choice, Effort, Policy
 from knotgym.control.seen_diagrams import seen_diagram
 from knotgym.control.transition_counts import ArcCoordinates
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.rope.macro_actions import (
-    LONGEST,
-    MacroActionConfig,
-    Pass,
-    WaypointController,
-    pass_straight,
-)
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import LONGEST, Pass, WaypointController, pass_straight
 from knotgym.rope.model import Array
 from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import find_crossings

@@ -12,13 +12,8 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_actions import (
-    LONGEST,
-    MacroActionConfig,
-    Pass,
-    WaypointController,
-    pass_straight,
-)
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import LONGEST, Pass, WaypointController, pass_straight
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label_many

@@ -10,7 +10,8 @@ from knotgym.control.policy import NO_MACRO, Choice, Effort, Policy, UnplannedPo
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import choices, quantized
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import WaypointController, propose
 from knotgym.topology.gauss import GaussCode
 
 NOISE = "noise"  # reason for a random pull

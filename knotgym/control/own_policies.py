@@ -1,4 +1,4 @@
-"""Policies from user code: module:name is a function, an object, or a class.
+"""Policies from user code: module:name is a function, an object, a class, or a `Policy`.
 
     def act(observation): ...
     def act(observation, info, generator): ...
@@ -10,10 +10,9 @@
 Actions are those of the task's action view, by default six numbers in [-1, 1]. Episodes are played
 side by side, so each gets its own deep copy of the object; a class is called once, without
 arguments, to make the object to copy. Random draws should come from the episode's generator, or the
-run can't be repeated.
+run can't be repeated. A `control.rollouts.Policy` acts in many episodes at once.
 """
 
-import ast
 import copy
 import importlib
 import importlib.util
@@ -26,22 +25,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from knotgym.common.errors import InvalidPolicy, one_line
-from knotgym.control.policy import Choice, UnplannedPolicy, checked
+from knotgym.control.basic_policies import ActionPlayer, Generators
+from knotgym.control.rollouts import Ids, Policy
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 
-_PROTOCOL = (
-    "must be a function of (observation) or of (observation, info, generator), or an object with"
-    " reset and act"
-)
 
+class OwnPolicy:
+    """A user's function, or a user's object copied for each episode.
 
-class OwnPolicy(UnplannedPolicy):
-    """A user's function, or a user's object copied for each episode."""
+    Attributes:
+        name: module:name.
+    """
 
     def __init__(self, given: Any, name: str) -> None:
         """Wrap a function, an object, or a class.
@@ -49,7 +45,7 @@ class OwnPolicy(UnplannedPolicy):
         Raises:
             InvalidPolicy: it doesn't have the signature of a policy.
         """
-        super().__init__(name)
+        self.name = name
         reset_takes: int | None = None
         if inspect.isclass(given):
             with _user_code(name):
@@ -63,104 +59,87 @@ class OwnPolicy(UnplannedPolicy):
         else:
             takes = _takes(given, (3, 1)) if callable(given) else None
         if takes is None:
-            raise InvalidPolicy(f"policy {name} {_PROTOCOL}")
-        self._given, self._takes, self._reset_takes = given, takes, reset_takes
-        self._own: dict[int, Any] = {}  # by episode
+            raise InvalidPolicy(
+                f"policy {name} must be a function of (observation) or of (observation, info,"
+                " generator), or an object with reset and act"
+            )
+        self.given, self.takes, self.reset_takes = given, takes, reset_takes
 
-    def suited(self, task: TaskConfig) -> TaskConfig:
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Any task."""
         return task
 
-    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
-        super().begin(episodes, index, rng)
-        self._own[index] = self._given
-        if self._reset_takes is not None:
-            with _user_code(self._name):
-                own = copy.deepcopy(self._given)
-                own.reset(*[rng][: self._reset_takes])
-            self._own[index] = own
+    def player(self, batch: EpisodeBatch) -> ActionPlayer:
+        """Return a player for the lanes of a batch."""
+        return _OwnPlayer(batch, self)
 
-    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        actions = []
+
+class _OwnPlayer(ActionPlayer):
+    def __init__(self, batch: EpisodeBatch, policy: OwnPolicy) -> None:
+        super().__init__(batch, policy.name)
+        self._policy = policy
+        self._own = [policy.given] * batch.count
+
+    def begin(self, ids: Ids, rngs: Generators) -> None:
+        super().begin(ids, rngs)
+        if self._policy.reset_takes is not None:
+            for index in ids.tolist():
+                with _user_code(self.name):
+                    self._own[index] = copy.deepcopy(self._policy.given)
+                    self._own[index].reset(*[self.rngs[index]][: self._policy.reset_takes])
+
+    def choose(self, ids: Ids) -> Any:
+        batch, takes, actions = self.batch, self._policy.takes, []
         for index in ids.tolist():
             own = self._own[index]
-            function = own if self._reset_takes is None else own.act
-            seen = (episodes.observation(index), episodes.info(index), self._rngs[index])
-            with _user_code(self._name):
-                actions.append(function(*seen[: self._takes]))
-        return checked(actions, episodes, ids, self._name)
+            function = own if self._policy.reset_takes is None else own.act
+            seen = [batch.observation(index)]
+            if takes > 1:
+                seen += [batch.info(index), self.rngs[index]]
+            with _user_code(self.name):
+                actions.append(function(*seen))
+        return actions
 
 
-def load_own(module: str, name: str) -> Any:
-    """Import a module and return its attribute `name`.
+def load_own(name: str) -> Policy:
+    """Import a module and make a policy of its attribute; `name` is module:name.
 
     A module that isn't installed is looked for in the current folder. That folder is on the path
     only during this import, so the module must import its neighbours at the top, not in functions.
 
     Raises:
-        InvalidPolicy: the module or attribute doesn't exist, or importing the module fails.
+        InvalidPolicy: the module or attribute doesn't exist, isn't a policy, or importing the
+            module fails.
     """
+    module, _, attribute = name.partition(":")
     try:
         with _current_folder(module.partition(".")[0]):
-            return getattr(importlib.import_module(module), name)
+            given = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, SyntaxError) as error:
-        raise InvalidPolicy(f"no policy {module}:{name}: {error}") from error
+        raise InvalidPolicy(f"no policy {name}: {one_line(error)}") from error
     except Exception as error:
-        raise _invalid(f"{module}:{name}", error) from error
+        raise _invalid(name, error) from error
+    if callable(getattr(given, "player", None)) and not inspect.isclass(given):
+        made: Policy = given
+        return made
+    return OwnPolicy(given, name)
 
 
-def module_files(module: str) -> dict[str, Path]:
-    """Find a module's file and the files that it imports, directly or indirectly, from its folder.
+def module_files(name: str) -> dict[str, Path]:
+    """Return the source file of a policy module:name, by its name; files it imports aren't found.
 
-    For an installed module, only files of its own package are returned. Imports are read from the
-    source, including those inside functions. Data files, and modules whose names are computed at
-    run time, aren't found.
-
-    Returns:
-        Paths relative to the folder -> paths.
+    For a module in a package, these are all source files of the top package.
     """
-    top, *parts = module.split(".")
-    with _user_code(module), _current_folder(top):
+    top, *parts = name.partition(":")[0].split(".")
+    with _user_code(name), _current_folder(top):
         spec = importlib.util.find_spec(top)
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
         return {}
     own = Path(spec.origin)
-    root = own.parent.parent if spec.submodule_search_locations else own.parent
-    installed = "site-packages" in root.parts
-    found: dict[str, Path] = {}
-    left = [".".join([top, *parts[:count]]) for count in range(len(parts) + 1)]
-    while left:
-        name = left.pop()
-        if not name or (installed and name.split(".")[0] != top):
-            continue
-        place = root.joinpath(*name.split("."))
-        for path in (place.with_name(f"{place.name}.py"), place / "__init__.py"):
-            inside = path.relative_to(root).as_posix()
-            if path.is_file() and inside not in found:
-                found[inside] = path
-                package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-                left += _imported(path.read_bytes(), package)
-    return found
-
-
-def _imported(source: bytes, package: str) -> Iterator[str]:
-    """Yield the modules that a source file imports, and the packages that contain them."""
-    names: list[str] = []
-    try:
-        tree = ast.parse(source)
-    except (SyntaxError, ValueError):  # importing it reports the error
-        return
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names += [one.name for one in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            # one dot is the package itself, each further dot a package higher
-            above = package.split(".")[: len(package.split(".")) + 1 - node.level]
-            base = ".".join([*(above if node.level else []), *filter(None, [node.module])])
-            # `from a import b` may import a module a.b, or a name in a
-            names += [base, *(f"{base}.{one.name}".lstrip(".") for one in node.names)]
-    for name in names:
-        parts = name.split(".")
-        yield from (".".join(parts[:count]) for count in range(1, len(parts) + 1))
+    if not spec.submodule_search_locations:
+        return {own.name: own}
+    files = sorted(own.parent.rglob("*.py"))
+    return {path.relative_to(own.parent.parent).as_posix(): path for path in files}
 
 
 @contextmanager

@@ -30,7 +30,7 @@ from knotgym.common.hdf5_files import Column, opened_hdf5, read_attribute
 from knotgym.control.seen_diagrams import SeenDiagram, canonical_image
 from knotgym.control.transition_counts import ELEMENTS, ArcCoordinates, content_digest, read_columns
 from knotgym.rope.macro_actions import Pass
-from knotgym.states.schema import CODE_SPLITS
+from knotgym.states.split_names import CODE_SPLITS
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import images
 

@@ -2,7 +2,7 @@
 
 from knotgym.common.configuration import Count, NonNegative, Positive, Share, Whole, configuration
 from knotgym.control.transition_graph import TransitionGraphConfig
-from knotgym.rope.macro_actions import MacroActionConfig
+from knotgym.rope.macro_action_config import MacroActionConfig
 
 
 @configuration

@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import Column, opened_hdf5, read_attribute, read_column
-from knotgym.rope.macro_actions import KINDS, MacroAction
+from knotgym.rope.macro_action_config import KINDS
+from knotgym.rope.macro_actions import MacroAction
 from knotgym.topology.crossings import Crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, images, shifted_base

@@ -26,10 +26,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 import knotgym
 from knotgym.common import tables
 from knotgym.common.configuration import as_json, from_json
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, one_line
 from knotgym.datasets.episodes import (
     EPISODES,
     PULLS,
@@ -56,12 +59,19 @@ class EpisodeDataset:
         episodes: its episodes, mapped into memory where the file isn't packed.
         task: the environment.
         attributes: attributes of the file.
+        rows: int64 (n,), which of the file's episodes these are; None for all.
+
+    Pickling one keeps the path alone: each process maps the file itself.
     """
 
     path: Path
     episodes: Episodes
     task: TaskConfig
     attributes: Mapping[str, Any]
+    rows: NDArray[np.int64] | None = None
+
+    def __reduce__(self) -> Any:
+        return _opened, (self.path, self.rows)
 
     @property
     def metadata(self) -> dict[str, Any] | None:
@@ -83,7 +93,10 @@ class EpisodeDataset:
 
     def select(self, rows: Any) -> "EpisodeDataset":
         """Return the dataset with some of its episodes, by a mask or by their numbers."""
-        return replace(self, episodes=self.episodes.select(rows))
+        count = self.episodes.episodes.rows
+        known = np.arange(count) if self.rows is None else self.rows
+        chosen = known[np.asarray(rows) if np.size(rows) else slice(0)]
+        return replace(self, episodes=self.episodes.select(rows), rows=chosen)
 
     def states_path(self) -> Path:
         """Return the path of the state file that the episodes were reset from; it may not exist.
@@ -109,7 +122,7 @@ def open_episodes(source: Any) -> EpisodeDataset:
 
     Args:
         source: as for `episode_file`, or a dataset that is open already. A `minari.MinariDataset`
-            restricts it to its episodes.
+            gives its own episodes alone.
 
     Raises:
         MissingFile: there is no such file.
@@ -122,7 +135,12 @@ def open_episodes(source: Any) -> EpisodeDataset:
     schemas = FORMS.get(str(attributes.get("form")))
     if schemas is None:
         raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
-    (rows, steps), _ = tables.read(path, *schemas, format=FORMAT)
+    try:
+        task = from_json(TaskConfig, attributes["task"])
+    except (KnotgymError, KeyError, TypeError) as error:
+        raise InvalidFile(f"{path} has no valid task: {one_line(error)}") from error
+    sized = [schema.sized(beads=task.beads) for schema in schemas]
+    (rows, steps), _ = tables.read(path, *sized, format=FORMAT)
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
@@ -131,13 +149,14 @@ def open_episodes(source: Any) -> EpisodeDataset:
             f"{path} has {steps.rows} rows of steps, and its {rows.rows} episodes have"
             f" {int(lengths.sum()) + rows.rows}"
         )
-    try:
-        task = from_json(TaskConfig, attributes["task"])
-    except (KnotgymError, KeyError, TypeError) as error:
-        raise InvalidFile(f"{path} has no valid task: {error}") from error
     opened = EpisodeDataset(path, Episodes(rows, steps), task, attributes)
     chosen = getattr(source, "episode_indices", None)
     return opened if chosen is None else opened.select(chosen)
+
+
+def _opened(path: Path, rows: NDArray[np.int64] | None) -> EpisodeDataset:
+    opened = open_episodes(path)
+    return opened if rows is None else opened.select(rows)
 
 
 def columns_of(source: Any) -> EpisodeDataset:

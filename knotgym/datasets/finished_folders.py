@@ -7,10 +7,7 @@ from typing import Any
 from knotgym.common.atomic_files import atomic_write
 from knotgym.datasets.cards import image_card, state_card
 from knotgym.datasets.gallery import write_gallery
-from knotgym.datasets.image_table import read_table
 from knotgym.datasets.manifest_check import write_manifest
-from knotgym.datasets.walks_file import MadeWalks, walks_of, write_walks
-from knotgym.rope.model import Array
 from knotgym.states.state_file import States
 
 
@@ -44,7 +41,7 @@ def finish_images(
     machines: Sequence[dict[str, str]] | None = None,
     edit_card: Callable[[str], str] = str,
 ) -> None:
-    """Write card and manifest into a folder that has its Parquet files and walks.
+    """Write card and manifest into a folder that has its Parquet files.
 
     Arguments are those of `finish_states`; for `report` see `image_card.card`.
     """
@@ -52,18 +49,6 @@ def finish_images(
     _write_card(folder, edit_card(image_card.card(facts, request["config"], report, size)))
     name = "knotgym-images-manifest"
     write_manifest(folder, name, request, machines, report=report, summary=facts)
-
-
-def write_used_walks(
-    folder: Path, shards: Sequence[Path], states: Array, walks: Sequence[MadeWalks], engine: str
-) -> None:
-    """Write the walks that rows of `shards` come from; for the others see `walks_of`."""
-    used = {
-        source["walk"]
-        for path in shards
-        for source in read_table(path, columns=["source"])["source"].to_pylist()
-    }
-    write_walks(folder / "walks.h5", walks_of(states, walks, used, engine))
 
 
 def _write_card(folder: Path, text: str) -> None:

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_dataset import columns_of
+from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import decode, read_rows
-from knotgym.datasets.page.page_data import dataset_name
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.video import OUTCOMES
 from knotgym.states.state_file import States
-from knotgym.topology.crossings import label
 
 SHOWN = 64  # maximum number of episodes or pictures in a gallery
 WHITE = (225, 225, 225)
@@ -98,13 +97,14 @@ def write_episode_gallery(
     """Write a PNG of the final states of the first SHOWN episodes; return how many there are."""
     tiles: list[Tile] = []
     for dataset in datasets:
-        reader, name = EpisodeReader(dataset), dataset_name(dataset).removeprefix("knotgym/")
-        for row in range(min(len(reader), SHOWN - len(tiles))):
-            points = reader.column(row, "points")[-1]
-            outcome = "reached" if reader.column(row, "is_success").any() else "failed"
-            captions = (label(points).chiral or "loop", f"{name}  episode {row}", outcome)
+        opened = columns_of(dataset)
+        (own, steps), last = opened.episodes, opened.episodes.last()[: SHOWN - len(tiles)]
+        codes = gauss_codes(steps["visits"][last], steps["signs"][last])
+        for row, code in enumerate(codes.tolist()):
+            outcome = "reached" if own["success"][row] else "failed"
+            captions = (code or "loop", f"{opened.name}  episode {row}", outcome)
+            points = steps["observation"][last[row]].astype(np.float64)
             tiles.append(Tile(draw_diagram(points), captions, OUTCOMES[outcome]))
-        reader.close()
     if tiles:
         write_png(path, contact_sheet(tiles, columns))
     return len(tiles)

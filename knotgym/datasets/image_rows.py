@@ -1,131 +1,93 @@
-"""Rows of a perception table: label, measure, render and write configurations.
+"""Rows of a perception table: a configuration, what follows from it, and its picture.
 
 The same rows give the same bytes on any worker.
 """
 
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any, NamedTuple
 
-from knotgym.common.atomic_files import atomic_write, sha256
+import numpy as np
+
 from knotgym.common.errors import Failed
 from knotgym.common.streams import Stream, generator
-from knotgym.datasets.image_table import encode, write_rows
-from knotgym.envs.tasks import TaskConfig
+from knotgym.datasets.image_table import encode, parquet, table_of
 from knotgym.quality.difficulty import grade
-from knotgym.quality.measures import Limits, measure, noise_survival
-from knotgym.rendering.appearance import Appearance, AppearanceConfig, appearance, render
+from knotgym.quality.limits import LEGIBLE, Quality
+from knotgym.rendering.appearance import Appearance, appearance, render
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rendering.picture import crossing_pixels
 from knotgym.rope.model import Array
-from knotgym.topology.crossings import Crossings, find_crossings
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import knot_type
-from knotgym.topology.notation import dt_text, pd_text
+from knotgym.runs.journal import Result
+from knotgym.states.derivation import derived_row
+from knotgym.topology.crossings import find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 
 _RGB = ("first", "last", "background")
-NOISE = TaskConfig.reset_noise  # noise level at which `noise_survival` is measured
+_QUALITY = "quality/"
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """A picture to render."""
+class Row(NamedTuple):
+    """A picture to render.
 
-    points: Array  # float64 (beads, 3), metres
-    code: GaussCode  # the Gauss code that it must show, with chirality
+    Attributes:
+        points: float64 (beads, 3), metres.
+        split: one of IMAGE_SPLITS.
+        source: as in `image_table.COLUMNS`; `seed` and `row` seed the appearance.
+    """
+
+    points: Array
     split: str
-    # as in `image_table.COLUMNS`; `seed` and `row` seed its appearance and its noise.
     source: dict[str, Any]
 
 
-@dataclass(frozen=True, eq=False)
-class TableFile:
-    """A file to write, and a file for its checksum, which shows that it is complete on resume."""
-
-    path: Path
-    seal: Path
-    rows: tuple[Row, ...]
-    appearance: AppearanceConfig
-
-
-def write_table_file(file: TableFile) -> Path:
-    """Write a file of the table atomically, unless it exists with the right checksum."""
-    if not (
-        file.path.is_file()
-        and file.seal.is_file()
-        and file.seal.read_bytes() == sha256(file.path).encode()
-    ):
-        write_rows(file.path, [record(row, file.appearance) for row in file.rows])
-        with atomic_write(file.seal) as temporary:
-            temporary.write_text(sha256(file.path))
-    return file.path
+def drawn(rows: Sequence[Row], config: AppearanceConfig) -> Result:
+    """Render rows; the result has the bytes of their Parquet file."""
+    table = table_of([record(row, config) for row in rows])
+    return {"parquet": np.frombuffer(parquet(table), dtype=np.uint8)}
 
 
 def record(row: Row, config: AppearanceConfig) -> dict[str, Any]:
-    """Return all columns of a row by name, `image` as PNG bytes."""
-    crossings, second = find_crossings(row.points), pyknotid_code(row.points)
-    if not crossings.code == second == row.code:
+    """Return all columns of a row by name, `image` as PNG bytes.
+
+    Raises:
+        Failed: two labellers read different codes.
+    """
+    source = row.source
+    rng = generator(Stream.IMAGE_APPEARANCE, source["seed"], source["row"])
+    look = appearance(row.points, config, rng)
+    code, second = find_crossings(row.points).code, pyknotid_code(row.points)
+    if code != second:
         raise Failed(
-            f"row {row.source['row']} should show {row.code.chiral}, but our labeller reads"
-            f" {crossings.code.chiral} and pyknotid reads {second.chiral}"
+            f"row {source['row']}: our labeller reads {code.chiral}, pyknotid reads {second.chiral}"
         )
-    look = appearance(
-        row.points,
-        config,
-        generator(Stream.IMAGE_APPEARANCE, row.source["seed"], row.source["row"]),
-    )
     return {
-        **labels(row.points, crossings, look),
-        **measures(row.points, crossings, row.source),
-        **picture(row.points, look),
+        **derived(row.points, look),
+        "points": row.points.ravel().tolist(),
+        "appearance": {**asdict(look), **{name: list(getattr(look, name)) for name in _RGB}},
+        "source": source,
         "split": row.split,
     }
 
 
-def labels(points: Array, crossings: Crossings, look: Appearance) -> dict[str, Any]:
-    """Return the columns that label a configuration, with pixels for this appearance."""
+def derived(points: Array, look: Appearance) -> dict[str, Any]:
+    """Return the columns that follow from a configuration and its appearance."""
+    row, crossings = derived_row(points), find_crossings(points)
+    quality = {
+        name.removeprefix(_QUALITY): row.pop(name) for name in [*row] if name.startswith(_QUALITY)
+    }
+    measured = Quality(**quality)
     pixels = crossing_pixels(crossings, points, look.picture())
-    positions = crossings.over_place, crossings.under_place
-    columns = pixels[:, 0], pixels[:, 1], *positions, crossings.sign
+    positions = pixels[:, 0], pixels[:, 1], crossings.over_place, crossings.under_place
+    columns = [column.tolist() for column in (*positions, crossings.sign)]
+    names = ("x", "y", "over_place", "under_place", "sign")
     return {
-        "gauss_code": str(crossings.code),
-        "gauss_code_chiral": crossings.code.chiral,
-        "pd_code": pd_text(crossings.code),
-        "dt_code": dt_text(crossings.code),
-        "nx": crossings.nx,
-        "knot": knot_type(crossings.code),
-        "points": points.ravel().tolist(),
-        "crossings": [
-            {"x": x, "y": y, "over_place": over, "under_place": under, "sign": sign}
-            for x, y, over, under, sign in zip(
-                *(column.tolist() for column in columns), strict=True
-            )
-        ],
-    }
-
-
-def measures(points: Array, crossings: Crossings, source: dict[str, Any]) -> dict[str, Any]:
-    """Return the columns of origin and of quality, measured in the published picture."""
-    survival = noise_survival(
-        points, NOISE, generator(Stream.IMAGE_NOISE, source["seed"], source["row"])
-    )
-    limits = Limits()
-    quality = measure(points, crossings)
-    values = {**asdict(quality), "noise_survival": survival}
-    accepted = not limits.faults(quality, crossings.nx) and survival >= limits.noise_survival
-    return {
-        "accepted": accepted,
-        "grade": grade(quality, limits),
-        "quality": values,
-        "source": source,
-    }
-
-
-def picture(points: Array, look: Appearance) -> dict[str, Any]:
-    """Render the picture; return it with its appearance."""
-    return {
+        **row,
+        "crossings": [dict(zip(names, one, strict=True)) for one in zip(*columns, strict=True)],
+        "accepted": not LEGIBLE.faults(measured, crossings.nx),
+        "grade": grade(measured, LEGIBLE),
+        "quality": quality,
         "image": encode(render(points, look)),
-        "appearance": {**asdict(look), **{name: list(getattr(look, name)) for name in _RGB}},
     }
 
 

@@ -1,10 +1,9 @@
 """Perception tables: labelled pictures of ropes as Parquet files, one row per picture.
 
 A folder holds `data/SPLIT-00000-of-00012.parquet` (`test-code` is written `test_code` there, as
-Hugging Face requires), the walks that led to the configurations (`walks.h5`), a card and a
-manifest. Pixel coordinates are those of `knotgym.rendering.picture`: continuous, x right and y
-down. Pictures are lossless PNG in the layout of Hugging Face's Image feature. pyarrow is imported
-on demand.
+Hugging Face requires), a card and a manifest. Pixel coordinates are those of
+`knotgym.rendering.picture`: continuous, x right and y down. Pictures are lossless PNG in the layout
+of Hugging Face's Image feature. pyarrow is imported on demand.
 """
 
 import hashlib
@@ -75,22 +74,33 @@ def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) 
 
     The same rows give the same bytes.
     """
-    full = [{**row, "image": {"bytes": row["image"], "path": None}} for row in rows]
-    write_table(path, arrow().Table.from_pylist(full, schema=schema()))
+    write_table(path, table_of(rows))
 
 
 def write_table(path: str | os.PathLike[str], table: Any) -> None:
     """Write a pyarrow.Table with the schema as a shard, as `write_rows` does."""
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(parquet(table))
+
+
+def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Return rows with all of COLUMNS, `image` as PNG bytes, as a pyarrow.Table."""
+    full = [{**row, "image": {"bytes": row["image"], "path": None}} for row in rows]
+    return arrow().Table.from_pylist(full, schema=schema())
+
+
+def parquet(table: Any) -> bytes:
+    """Return the bytes of a shard with the rows of a pyarrow.Table."""
     digest = hashlib.sha256()
     for row in _rows(table):
         digest.update(row_line(row))
     named = {"format": FORMAT, "format_version": FORMAT_VERSION, DIGEST: digest.hexdigest()}
     metadata = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
-    table = table.replace_schema_metadata(metadata)
-    with atomic_write(path) as temporary:
-        arrow("pyarrow.parquet").write_table(
-            table, temporary, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True
-        )
+    table, sink = table.replace_schema_metadata(metadata), arrow().BufferOutputStream()
+    arrow("pyarrow.parquet").write_table(
+        table, sink, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True
+    )
+    return bytes(sink.getvalue())
 
 
 def write_shards(folder: Path, chosen: Mapping[Path, NDArray[np.bool_]], most: int) -> list[Path]:

@@ -3,14 +3,17 @@
 It may name a run's folder, a `minari` folder, a file, a folder of pictures, or a Minari dataset.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from knotgym.common.atomic_files import require_no_links
 from knotgym.common.errors import InvalidInput, MissingFile
-from knotgym.common.hdf5_files import hdf5_format
-from knotgym.datasets.image_table import is_images
-from knotgym.states.schema import FORMAT as STATES_FORMAT
-from knotgym.states.state_file import SHIPPED, minari_root, shipped
+from knotgym.common.tables import format_of
+from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
+from knotgym.datasets.image_table import is_images, shards
+from knotgym.datasets.minari_form import dataset_files
+from knotgym.states.state_file import SHIPPED, minari_root, shipped, states_at
 
 
 class Dataset(NamedTuple):
@@ -47,7 +50,7 @@ def resolve_datasets(named: str) -> list[Dataset]:
     if is_images(given):
         return [Dataset("images", given)]
     if given.is_file():
-        kind = "states" if hdf5_format(given) in (STATES_FORMAT, None) else "episodes"
+        kind = "episodes" if format_of(given) == FORMAT else "states"
         return [Dataset(kind, given)]
     if any((given / name).is_file() for name in ("states.h5", "manifest.json")):
         return [Dataset("states", given)]
@@ -105,6 +108,62 @@ def episodes_at(named: str) -> list[Dataset]:
     return out
 
 
+class Sources(NamedTuple):
+    """The datasets that a path or an id names, see `sources`.
+
+    Attributes:
+        title: of a card or a page.
+        states: a state file.
+        episodes: files of episodes.
+        pictures: the folder of a perception table.
+    """
+
+    title: str
+    states: Path | None = None
+    episodes: Sequence[Path] = ()
+    pictures: Path | None = None
+
+
+def sources(named: str) -> Sources:
+    """Return the datasets that a path or an id names, and check that no file of them is a link.
+
+    Raises:
+        MissingFile, InvalidInput: as in `resolve_datasets`.
+        InvalidFile: a file is a link, which could lead to a private file of the user.
+    """
+    found = resolve_datasets(named)
+    kind, path = found[0]
+    root = Path(named) if Path(named).exists() else minari_root() / named
+    title, episodes = path.resolve().name, list(found)
+    if kind == "images":
+        require_no_links(root, shards(path))
+        return Sources(title, pictures=path)
+    if kind == "states":
+        require_no_links(root, [states_at(path)])
+        episodes = demonstrations(path)
+    for one in episodes:
+        data = episode_file(one.path)
+        require_no_links(root, dataset_files(data.parent) if one.path.is_dir() else [data])
+    files = [one.path for one in episodes]
+    if kind == "states":
+        return Sources(title, states=states_at(path), episodes=files)
+    return Sources(named if len(found) > 1 else open_episodes(path).name, episodes=files)
+
+
+def demonstrations(path: Path) -> list[Dataset]:
+    """Return the datasets of episodes in the folder of a run."""
+    return episodes_at(str(path)) if (path / "minari").is_dir() else []
+
+
+def refuse_minaris_folder(out: Path) -> None:
+    """Raise InvalidInput if a plain file would be written into Minari's folder."""
+    if out.resolve().is_relative_to(minari_root().resolve()):
+        raise InvalidInput(
+            f"{out} is in Minari's folder, where Minari can't read a plain file: merge with --id"
+            " knotgym/name-v0, or give another --out"
+        )
+
+
 def name_of(dataset: Path) -> str:
     """Return a file name for a dataset: the end of its id.
 
@@ -115,7 +174,7 @@ def name_of(dataset: Path) -> str:
 
 
 def _datasets_below(folder: Path) -> list[Dataset]:
-    if (folder / "main_data.hdf5").is_file() or (folder / "data" / "main_data.hdf5").is_file():
+    if (folder / FILE).is_file() or (folder / "data" / FILE).is_file():
         return [Dataset("episodes", folder)]
-    files = sorted(folder.glob("**/data/main_data.hdf5"))
+    files = sorted(folder.glob(f"**/data/{FILE}"))
     return [Dataset("episodes", file.parents[1]) for file in files]

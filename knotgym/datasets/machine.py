@@ -7,14 +7,15 @@ simulation amplifies to millimetres.
 
 import platform
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from knotgym.common.configuration import read_json
-
-_REPORTS = ("manifest.json", "data/collection.json", "collection.json")
+from knotgym.common.errors import KnotgymError
+from knotgym.datasets.episode_dataset import open_episodes
 
 
 def machine() -> dict[str, str]:
@@ -50,11 +51,10 @@ def distinct(reports: Iterable[Any]) -> list[dict[str, str]]:
 def others(folder: Path) -> str:
     """Describe how the machines of a folder's run differ from this one; "" if they don't."""
     reports = []
-    for name in _REPORTS:
-        try:
-            reports.append(read_json(folder / name))
-        except (OSError, ValueError):
-            continue
+    with suppress(OSError, ValueError):
+        reports.append(read_json(folder / "manifest.json"))
+    with suppress(KnotgymError):
+        reports.append(open_episodes(folder).attributes.get("run"))
     here = machine()
     return "; ".join(_difference(one, here) for one in distinct(reports) if one != here)
 

@@ -29,7 +29,7 @@ from knotgym.common.hdf5_files import foreign_bytes_as
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
+from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.state_file import minari_root, ships
 
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")

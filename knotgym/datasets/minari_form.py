@@ -36,7 +36,7 @@ from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
 from knotgym.datasets.episode_outcomes import outcomes
 from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
+from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.state_file import minari_root
 
 MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default

@@ -14,67 +14,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import KnotgymError
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.envs.knot_tasks import start_nx
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import Rope
 from knotgym.states.near_duplicates import NEAR, distances
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped
 
 _MATCH = NEAR / 2  # metres, root mean square over the beads
 _SAME = 1e-6  # metres; above the rounding of `distances`, far below what any stirring does
 
 
-def split_faults(reader: EpisodeReader) -> list[str]:
+def split_faults(dataset: EpisodeDataset) -> list[str]:
     """List the episodes whose start or goal isn't of the task's split.
 
     They are compared with the states that the task resets from. A single episode file whose states
     aren't found is skipped; a dataset without its states is a fault.
     """
     try:
-        sides = _sides(reader)
+        sides = _sides(dataset)
     except KnotgymError as error:
-        return [f"{reader.path}: its split can't be checked: {error}"]
+        return [f"{dataset.path}: its split can't be checked: {error}"]
     faults: list[str] = []
     found: dict[str, set[int]] = {split: set() for split in STATE_SPLITS}
     for name, states in sides.items():
-        checked = _Side(name, states, reader)
-        for index, row in enumerate(reader.rows):
-            try:
-                split, fault = checked.judge(index)
-            except (OSError, KeyError, ValueError, RuntimeError):
-                continue  # `verify_episodes` reports unreadable episodes
+        checked = _Side(name, states, dataset)
+        for row in range(dataset.episodes.episodes.rows):
+            split, fault = checked.judge(row)
             if split is not None:
                 found.setdefault(split, set()).add(row)
-            faults += [f"{reader.path}, episode {row}: {fault}"] if fault else []
+            faults += [f"{dataset.path}, episode {row}: {fault}"] if fault else []
     mixed = {split: rows for split, rows in found.items() if rows}
     if len(mixed) > 1:
         listed = "; ".join(f"{split}: {_ranges(rows)}" for split, rows in mixed.items())
-        faults.append(f"{reader.path}: mixes splits, of starts or goals of episodes {listed}")
+        faults.append(f"{dataset.path}: mixes splits, of starts or goals of episodes {listed}")
     return faults
 
 
-def duplicate_faults(reader: EpisodeReader) -> list[str]:
-    """List the episodes with the same start, goal and actions, bit for bit, as an earlier one.
+def duplicate_faults(dataset: EpisodeDataset) -> list[str]:
+    """List the episodes with the same start, goal and pulls, bit for bit, as an earlier one.
 
     Without reset noise two seeds may give the same episode; then only a repeated seed is a fault.
     """
     faults: list[str] = []
+    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
     first: dict[Any, int] = {}
-    for index, row in enumerate(reader.rows):
-        try:
-            names = ("start_qpos", "goal_points", "actions")
-            content = b"".join(reader.column(index, name).tobytes() for name in names)
-            seed = None if reader.task.reset_noise else reader.attributes(index).get("seed")
-            key = hashlib.sha256(content).digest(), seed
-        except (OSError, KeyError, ValueError, RuntimeError):
-            continue
+    for row in range(own.rows):
+        content = own["start_qpos"][row].tobytes() + own["goal_visits"][row].tobytes()
+        pulls = slice(offsets[row], offsets[row + 1])
+        content += steps["bead"][pulls].tobytes() + steps["force"][pulls].tobytes()
+        seed = None if dataset.task.reset_noise else int(own["seed"][row])
+        key = hashlib.sha256(content).digest(), int(own["goal"][row]), seed
         earlier = first.setdefault(key, row)
         if earlier != row:
             faults.append(
-                f"{reader.path}, episode {row}: the same as episode {earlier}, start, goal and"
-                " actions"
+                f"{dataset.path}, episode {row}: the same as episode {earlier}, start, goal and"
+                " pulls"
             )
     return faults
 
@@ -82,15 +78,14 @@ def duplicate_faults(reader: EpisodeReader) -> list[str]:
 class _Side:
     """The starts or the goals of a file, and the states that they are drawn from."""
 
-    def __init__(self, name: str, states: States, reader: EpisodeReader) -> None:
-        self.name, self.states, self.reader = name, states, reader
-        self.rope = Rope(reader.task.rope)
-        self.splits = _split_names(states, reader.task)
-        self.mine = self.splits == reader.task.split
+    def __init__(self, name: str, states: States, dataset: EpisodeDataset) -> None:
+        self.name, self.states, self.task = name, states, dataset.task
+        self.table = dataset.episodes.episodes
+        self.rope = Rope(self.task.rope)
+        self.splits = _split_names(states, self.task)
+        self.mine = self.splits == self.task.split
         self.known: dict[bytes, int | None] = {}
-        self.allowed = {
-            *states.rows(reader.task.goal_nx, reader.task.split)[: reader.task.max_goals]
-        }
+        self.allowed = {*states.rows(self.task.goal_nx, self.task.split)[: self.task.max_goals]}
         # start_qpos of demonstrations: splits must not share start states
         self.origins: set[bytes] = set()
         if name == "start" and "start_qpos" in states.source:
@@ -98,8 +93,9 @@ class _Side:
 
     def judge(self, index: int) -> tuple[str | None, str]:
         """Return the split of an episode's start or goal, None if unknown, and its fault or ""."""
-        named = self.reader.attributes(index).get(f"options/{self.name}")
-        task, states = self.reader.task, self.states
+        given = int(self.table[self.name][index])
+        named = None if given < 0 else given
+        task, states = self.task, self.states
         if named is not None and not 0 <= named < len(states):
             return None, f"its {self.name} is row {named}, of {len(states)} states"
         row = self._row_at(index)
@@ -109,15 +105,16 @@ class _Side:
         split, fault = str(self.splits[at]), ""
         if split != task.split:
             fault = f"its {self.name} is row {at} " + (
-                f"by its options, of the {split} split"
+                f"as the column says, of the {split} split"
                 if row is None
                 else f"of the states, of the {split} split; the dataset says {task.split}"
             )
         elif row is not None and named is not None and self.splits[named] != task.split:
-            fault = f"options/{self.name} is row {named}, of the {self.splits[named]} split"
+            fault = f"its {self.name} is row {named}, of the {self.splits[named]} split"
         elif row is not None and named is not None and self.name == "goal":
-            if not np.array_equal(self.reader.column(index, "goal_points"), states.points[named]):
-                fault = f"its goal isn't row {named}, as options/goal says"
+            right = states.points[named].astype(np.float32)
+            if not np.array_equal(self.table["goal_points"][index], right):
+                fault = f"its goal isn't row {named} of the states, as the column goal says"
             elif task.max_goals is not None and named not in self.allowed:
                 fault = f"its goal is row {named}, not of the first {task.max_goals}, max_goals"
         return split, fault
@@ -125,14 +122,16 @@ class _Side:
     def _row_at(self, index: int) -> int | None:
         """Return the row of the state that the start or goal matches, or None."""
         what = "start_qpos" if self.name == "start" else "goal_points"
-        stored = self.reader.column(index, what)
+        if what not in self.table:
+            return None  # a recording holds no vertices
+        stored = self.table[what][index]
         # episodes share few starts and goals: each is looked up once
         key = stored.tobytes()
         if key in self.origins:
             return None
         if key not in self.known:
             points = self.rope.points(stored) if self.name == "start" else stored
-            self.known[key] = self._nearest(points)
+            self.known[key] = self._nearest(np.asarray(points, dtype=np.float64))
         return self.known[key]
 
     def _nearest(self, points: NDArray[np.float64]) -> int | None:
@@ -160,13 +159,13 @@ def _split_names(states: States, task: TaskConfig) -> NDArray[np.str_]:
     return names
 
 
-def _sides(reader: EpisodeReader) -> dict[str, States]:
+def _sides(dataset: EpisodeDataset) -> dict[str, States]:
     """Read the states that starts and goals are drawn from, found as the environment does."""
-    task = reader.task
+    task = dataset.task
     files = [shipped()]
     if task.states is not None:
-        own = reader.states_path()
-        if not own.is_file() and not reader.path.with_name("metadata.json").is_file():
+        own = dataset.states_path()
+        if not own.is_file() and dataset.metadata is None:
             return {}
         files.insert(0, own)
     read = [read_states(path, images=False) for path in files]

@@ -12,34 +12,27 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import from_json
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, one_line
 from knotgym.common.streams import Stream, generator_of
-from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
-from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.common.tables import digest
+from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
+from knotgym.datasets.episode_verification import Count, Replay, uncounted, verify_episodes
+from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
-from knotgym.datasets.trajectory import Episode
-from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
+from knotgym.drawing.drawing_config import DrawingConfig
+from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
-from knotgym.rendering.picture import draw, picture_of
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, require_engine, simulation
 from knotgym.rope.model import Array, Rope, rope_of
+from knotgym.states.derivation import row_faults
 from knotgym.states.near_duplicates import pairs_within, repeated
-from knotgym.states.schema import COLUMNS, DRAWING, RANDOM_WALK, REPLAYED, STATE_SPLITS
+from knotgym.states.schema import DRAWING, RANDOM_WALK, STATES
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
-from knotgym.states.state_file import States, content_digest, read_states
-from knotgym.states.state_measures import (
-    quality_faults,
-    recomputed_faults,
-    repeated_sources,
-    second_labeller_faults,
-    source_faults,
-    spread_faults,
-    stream_of,
-)
-from knotgym.topology.crossings import find_crossings
+from knotgym.states.state_file import States, read_states
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import knot_type
-from knotgym.topology.notation import dt_text, pd_text
 
+# in your own files quality and source may be missing, but then rows can't be verified
+_REQUIRED = {c.name for c in STATES.columns} - {"image", "source/actions"}
 _BATCH = 64  # rows replayed in one simulation
 # metres; tolerance for a start that is drawn again from its seed: other processors round
 # differently and the relaxation amplifies that. Replays from the stored start must be exact.
@@ -62,9 +55,14 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     except InvalidInput as error:
         yield f"states.h5: {error}"
         return
-    misshapen = list(_misshapen(states, rope))
-    if misshapen:
-        yield from misshapen
+    missing = sorted(_REQUIRED - {*states.table})
+    drawn = set(states.source.get("policy", ())) <= {RANDOM_WALK}
+    if "source/actions" not in states.table and not drawn:
+        missing.append("source/actions")
+    if missing or states.qpos.shape[1] != rope.nq:
+        yield from (f"states.h5: {name} is missing" for name in missing)
+        if states.qpos.shape[1] != rope.nq:
+            yield f"states.h5: qpos has {states.qpos.shape[1]} numbers a row, should have {rope.nq}"
         return
     for first in range(0, len(states), _BATCH):
         rows = range(first, min(first + _BATCH, len(states)))
@@ -76,12 +74,13 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     yield from _leaks(states)
     for first, row in repeated(states.points):
         yield f"states.h5 rows {first} and {row} are the same configuration"
-    yield from repeated_sources(states)
-    if states.digest and states.image is not None and states.digest != content_digest(states):
+    if states.digest and states.image is not None and states.digest != digest(states.table):
         yield "states.h5: its columns don't match content_sha256"
 
 
-def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
+def folder_faults(
+    folder: Path, replay: Replay | None = None, count: Count = uncounted
+) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.
@@ -96,12 +95,12 @@ def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
         yield str(error)
         return
     yield from state_faults(states, count)
-    for dataset in sorted(folder.glob("minari/**/main_data.hdf5")):
-        own = verify_episodes(dataset, act_out=True, count=count)
+    for file in sorted(folder.glob(f"minari/**/{FILE}")):
+        own = [*verify_episodes(file, replay, count=count)]
         yield from own
         if not own:
-            name = dataset.relative_to(folder / "minari").parents[1].as_posix()
-            yield from demonstration_faults(states, name, EpisodeReader(dataset))
+            name = file.relative_to(folder / "minari").parents[1].as_posix()
+            yield from demonstration_faults(states, name, open_episodes(file))
     if manifest:
         yield from _split_faults(states, manifest)
 
@@ -122,7 +121,9 @@ def overlap_faults(states: States, stored: Mapping[str, Any], where: str) -> Ite
                 yield f"{where}: nx {nx}: {name} of the overlap is {value}, should be {right}"
 
 
-def demonstration_faults(states: States, name: str, demonstrations: EpisodeReader) -> Iterator[str]:
+def demonstration_faults(
+    states: States, name: str, demonstrations: EpisodeDataset
+) -> Iterator[str]:
     """Yield the rows that name an episode of the dataset `name` that doesn't lead to them.
 
     The episode of a drawn state ends in its code, with that state as its goal; that of any other
@@ -131,88 +132,76 @@ def demonstration_faults(states: States, name: str, demonstrations: EpisodeReade
     source = states.source
     if not {"dataset", "trajectory", "step"} <= source.keys():
         return
+    lengths = demonstrations.episodes.episodes["length"]
     for row in np.flatnonzero(source["dataset"] == name).tolist():
         k, step = int(source["trajectory"][row]), int(source["step"][row])
         where = f"states.h5 row {row}: episode {k} of {name}"
-        if not 0 <= k < len(demonstrations) or not 0 <= step <= demonstrations.lengths[k]:
+        if not 0 <= k < len(lengths) or not 0 <= step <= lengths[k]:
             yield f"{where} has no state {step}"
-        elif fault := _unlike(states, row, demonstrations.episode(k), step):
+        elif fault := _unlike(states, row, demonstrations, k, step):
             yield f"{where} {fault}"
         elif demonstrations.task.split != states.split[row]:
             yield f"{where} is of the {demonstrations.task.split} split, the row of the other"
-    demonstrations.close()
 
 
-def _unlike(states: States, row: int, episode: Episode, step: int) -> str:
-    """How an episode fails to lead to a row, "" if it does."""
+def _unlike(states: States, row: int, dataset: EpisodeDataset, k: int, step: int) -> str:
+    """How episode `k` fails to lead to a row, "" if it does."""
+    own, steps = dataset.episodes
+    at = int(dataset.episodes.offsets[k]) + step
+    points = states.points[row].astype(np.float32)
     if states.source["policy"][row] != DRAWING or not states.nx[row]:
-        if np.array_equal(episode.points[step], states.points[row]):
+        if np.array_equal(steps["observation"][at], points):
             return ""
         return f"doesn't lead to it: its state {step} lies elsewhere"
-    if str(episode.gauss_code[step]) != str(states.gauss_code[row]):
+    if gauss_codes(steps["visits"][at : at + 1])[0] != states.gauss_code[row]:
         return f"doesn't lead to its code: its state {step} shows another"
-    return "" if np.array_equal(episode.goal_points, states.points[row]) else "has another goal"
+    return "" if np.array_equal(own["goal_points"][k], points) else "has another goal"
 
 
 def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:
     """Yield the faults of one row; its replay ended at qpos `end`, None if it failed."""
-    points, qpos = states.points[row], states.qpos[row]
-    if not (np.isfinite(points).all() and np.isfinite(qpos).all()):
-        yield "coordinates are not finite"
-        return
+    stored = {name: values[row] for name, values in states.table.items()}
     rounding = 0.0 if states.engine == MUJOCO else _CONVERTED
-    if not np.abs(rope.points(qpos) - points).max() <= rounding:
+    if not np.abs(rope.points(stored["qpos"]) - stored["points"]).max() <= rounding:
         yield "points are not those of qpos"
-    across = list(spread_faults(points, rope))
-    if across:
-        yield from across
-        return
-    crossings = find_crossings(points)
-    code = crossings.code
-    right = {
-        "gauss_code": str(code),
-        "gauss_code_chiral": code.chiral,
-        "pd_code": pd_text(code),
-        "dt_code": dt_text(code),
-        "nx": code.nx,
-        "knot": knot_type(code),
-    }
-    yield from recomputed_faults({name: getattr(states, name)[row] for name in right}, right)
-    yield from second_labeller_faults(points, code)
-    if states.image is not None and not np.array_equal(
-        states.image[row], draw(points, picture_of(len(points)))
-    ):
-        yield "image is not the picture of points"
-    if states.split[row] not in STATE_SPLITS:
-        yield f"split is {str(states.split[row])!r}"
-    yield from quality_faults(states, row, crossings)
-    yield from source_faults(states, row)
+    yield from row_faults(stored, rope)
+    if stored["split"] not in STATE_SPLITS:
+        yield f"split is {str(stored['split'])!r}"
     try:
         actions_of(states, row)
+        if stored["source/policy"] == RANDOM_WALK:
+            walk = _key(stored["source/seed"], Stream.RANDOM_WALK)[2], stored["source/steps"]
+            if walk != (stored["source/trajectory"], stored["source/step"]):
+                yield f"it isn't step {walk[1]} of rope {walk[0]}, as its seed says"
     except InvalidInput as error:
         yield str(error)
     else:
-        if end is None or not np.array_equal(end, qpos):
+        if end is None or not np.array_equal(end, stored["qpos"]):
             yield "replay of its start and actions does not end in qpos bit for bit"
-    if "drawing" in states.source and states.source["drawing"][row]:
-        yield from _drawing_faults(states, row, rope)
+    if stored["source/drawing"]:
+        yield from _drawing_faults(stored, rope)
 
 
-def _drawing_faults(states: States, row: int, rope: Rope) -> Iterator[str]:
+def _drawing_faults(stored: Mapping[str, Any], rope: Rope) -> Iterator[str]:
     """Draw the start of a row again and compare."""
-    seed = tuple(states.source["seed"][row].tolist())
     try:
-        config = from_json(DrawingConfig, json.loads(states.source["drawing"][row]))
-        if stream_of(states, row) != Stream.DRAWING:
-            raise InvalidInput(f"seed {seed} is not a stream of a drawing")
-        code = GaussCode.parse(states.gauss_code_chiral[row])
-        again = drawn_curve(code, generator_of(seed), rope, config)
+        config = from_json(DrawingConfig, json.loads(stored["source/drawing"]))
+        rng = generator_of(_key(stored["source/seed"], Stream.DRAWING))
+        again = drawn_curve(GaussCode.parse(stored["gauss_code_chiral"]), rng, rope, config)
     except (KnotgymError, ValueError, IndexError, TypeError) as error:
         yield f"its drawing can't be reproduced: {one_line(error)}"
         return
-    off = np.abs(again - rope.points(states.source["start_qpos"][row])).max()
+    off = np.abs(again - rope.points(stored["source/start_qpos"])).max()
     if not off <= _REDRAWN:
         yield f"its start differs from the drawing of its seed by {1000 * off:.1f} mm"
+
+
+def _key(seed: NDArray[np.int64], stream: Stream) -> tuple[int, ...]:
+    """Return a row's seed as the key of a stream; raise InvalidInput if it isn't one."""
+    numbers = tuple(seed.tolist())
+    if numbers != (int(stream), *numbers[1:]) or min(numbers) < 0:
+        raise InvalidInput(f"seed {numbers} is not a key of the stream {stream.name}")
+    return numbers
 
 
 def actions_of(states: States, row: int) -> NDArray[np.float32]:
@@ -223,9 +212,7 @@ def actions_of(states: States, row: int) -> NDArray[np.float32]:
         if not (np.abs(actions) <= 1).all():
             raise InvalidInput("an action lies outside [-1, 1]")
         return actions
-    seed = tuple(states.source["seed"][row].tolist())
-    if stream_of(states, row) != Stream.RANDOM_WALK:
-        raise InvalidInput(f"seed {seed} is not a stream of a random walk's actions")
+    seed = _key(states.source["seed"][row], Stream.RANDOM_WALK)
     if not 0 <= steps <= _LONGEST:
         raise InvalidInput(f"a random walk takes 0 to {_LONGEST} actions, got {steps}")
     return drawn_actions(seed, steps)
@@ -254,26 +241,6 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
     return {row: qpos[k] for k, row in enumerate(left) if whole[k]}
 
 
-def _misshapen(states: States, rope: Rope) -> Iterator[str]:
-    """Yield columns of the wrong type or shape, and missing ones that a replay needs."""
-    columns = states.columns()
-    sizes = {"nq": rope.nq, "beads": rope.config.beads}
-    drawn = len(states) > 0 and set(states.source.get("policy", ())) == {RANDOM_WALK}
-    required = set(REPLAYED) - ({"source/actions"} if drawn else set())
-    for column in COLUMNS:
-        values = columns.get(column.name)
-        if values is None and column.name not in required:
-            continue
-        shape = column.full_shape(len(states), sizes)
-        should_be = ", ".join("any" if size is None else str(size) for size in shape)
-        if values is None:
-            yield f"states.h5: {column.name} is missing, should be ({should_be})"
-        elif not column.has_kind(values):
-            yield f"states.h5: {column.name} is {values.dtype}, should be {column.kind}"
-        elif not column.has_shape(values, len(states), sizes):
-            yield f"states.h5: {column.name} is of shape {values.shape}, should be ({should_be})"
-
-
 def _split_faults(states: States, manifest: Mapping[str, Any]) -> Iterator[str]:
     """Compare the splits with the configuration, the list and the overlaps of a manifest."""
     if manifest["config"].get("split_by") == "code":
@@ -293,7 +260,7 @@ def _split_faults(states: States, manifest: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _leaks(states: States) -> Iterator[str]:
-    """Yield near-duplicates and shared trajectories between train and test."""
+    """Yield near-duplicates and frames of one rope that are in both train and test."""
     train, test = (np.flatnonzero(states.split == split) for split in STATE_SPLITS)
     for i, k, apart in pairs_within(states.points[test], states.points[train]):
         yield (
@@ -304,4 +271,4 @@ def _leaks(states: States) -> Iterator[str]:
     for row in test:
         other = seeds.get(tuple(states.source["seed"][row]))
         if other is not None:
-            yield f"states.h5 rows {other} (train) and {row} (test) come from one trajectory"
+            yield f"states.h5 rows {other} (train) and {row} (test) come from one rope"

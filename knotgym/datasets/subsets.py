@@ -1,9 +1,9 @@
 """Select, split and delete rows of a dataset: states, episodes or pictures.
 
 The result is a dataset of the same kind, as complete as its source: a file for a file; for a folder
-of states with the demonstrations of its rows, for a folder of pictures with the walks that they
-come from, each with a new card and new checksums. Manifests, state files and episode files have
-under "selection" the sources and the conditions. Pictures and actions are copied, not made again.
+of states with the demonstrations that end in them, for a folder of pictures with what they were
+rendered from, each with a new card and new checksums. Manifests, state files and episode files have
+under "selection" the sources and the conditions. Pictures and pulls are copied, not made again.
 """
 
 import re
@@ -15,9 +15,8 @@ import numpy as np
 
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
-from knotgym.datasets.row_expressions import matching_rows
-from knotgym.datasets.rows_of_datasets import opened
-from knotgym.datasets.selectable_rows import Destination, Rows
+from knotgym.datasets.conditions import matching_rows
+from knotgym.datasets.selectable import Destination, Rows, opened, require_target, write_rows
 
 _MOST_ROWS = 10_000_000
 _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
@@ -40,7 +39,7 @@ def select(
     Args:
         source: a state file, the folder of a run, an included set, a folder or file of pictures, an
             episode file, or the folder or id of a Minari dataset.
-        where: a condition on the columns, see `row_expressions`; "" for all rows.
+        where: a condition on the columns, see `conditions`; "" for all rows.
         split: keep the rows of this split only.
         sample: keep this many of them, drawn at random; their order stays.
         seed: of the draw.
@@ -56,9 +55,12 @@ def select(
         Occupied: the output exists.
     """
     given = opened(source)
-    chosen = matching_rows(where, given.columns) if where else np.ones(given.count, dtype=bool)
+    chosen = matching_rows(where, given.columns) if where else np.ones(len(given.ids), dtype=bool)
     if split:
-        chosen &= given.in_split(split)
+        splits = given.splits
+        if split not in splits:
+            raise InvalidInput(f"{source} has no split {split!r}; splits are {', '.join(splits)}")
+        chosen = chosen & splits[split]
     rows = np.flatnonzero(chosen)
     if sample is not None:
         if not 0 < sample <= len(rows):
@@ -66,7 +68,7 @@ def select(
         rows = np.sort(generator(Stream.SELECTION, seed).choice(rows, sample, replace=False))
     how: dict[str, Any] = {"where": where, "split": split, "sample": sample}
     how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
-    return given.write(rows, how, Destination(out, dataset_id, overwrite))
+    return write_rows(given, str(source), rows, how, Destination(out, dataset_id, overwrite))
 
 
 def split(
@@ -104,8 +106,9 @@ def split(
     dealt = _dealt(together, [*shares.values()], generator(Stream.SELECTION, seed, 1))
     if len(set(dealt.tolist())) < len(shares):
         raise InvalidInput(
-            f"{source} can't be cut into {len(shares)} parts: its {given.count} rows share starts,"
-            f" goals, walks or near-duplicates, which leaves {together.max() + 1} separate groups"
+            f"{source} can't be cut into {len(shares)} parts: its {len(given.ids)} rows share"
+            f" starts, goals, walks or near-duplicates, which leaves {together.max() + 1}"
+            " separate groups"
         )
     targets = []
     for name in shares:
@@ -113,12 +116,11 @@ def split(
         beside = out if path is None else path.with_name(f"{path.stem}-{name}{path.suffix}")
         named = re.sub(r"(?=-v\d+$)", f"-{name}", dataset_id)
         targets.append(Destination(beside, named, overwrite))
-        given.require_target(targets[-1])
+        require_target(given, targets[-1])
+    how = {"parts": shares, "seed": seed}
     return [
-        given.write(
-            np.flatnonzero(dealt == part), {"part": name, "parts": shares, "seed": seed}, target
-        )
-        for part, (name, target) in enumerate(zip(shares, targets, strict=True))
+        write_rows(given, str(source), np.flatnonzero(dealt == k), {**how, "part": name}, target)
+        for k, (name, target) in enumerate(zip(shares, targets, strict=True))
     ]
 
 
@@ -134,7 +136,7 @@ def delete(
 
     Args:
         source: as for `select`.
-        ids: rows of states, numbers k of episodes, or `source.row` of pictures.
+        ids: rows of states, numbers of episodes, or `source.row` of pictures.
         out, dataset_id, overwrite: as for `select`.
 
     Raises:
@@ -146,7 +148,8 @@ def delete(
     if unknown:
         raise InvalidInput(f"{source} has no row {', '.join(map(str, unknown[:8]))}")
     left = np.flatnonzero(~np.isin(given.ids, [*ids]))
-    return given.write(left, {"deleted": sorted({*ids})}, Destination(out, dataset_id, overwrite))
+    how, target = {"deleted": sorted({*ids})}, Destination(out, dataset_id, overwrite)
+    return write_rows(given, str(source), left, how, target)
 
 
 def kept(path: Path) -> str:

@@ -4,6 +4,8 @@ The radii are computed by the uniform-neighbour iteration of C. Collins and K. S
 packing algorithm" (Computational Geometry 25, 2003): each circle grows or shrinks until the circles
 around it just close up. Straight lines between the centres of tangent circles then draw the
 triangulation without crossings.
+
+After a change run `pytest tests/drawing`: packed circles must draw the triangulation without folds.
 """
 
 import numba

@@ -8,10 +8,10 @@ position of the base bead and the rotation are random, so one code has many draw
 
 import numpy as np
 
-from knotgym.common.configuration import NonNegative, Positive, configuration
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.drawing.circle_packing import pack_circles
-from knotgym.drawing.layout_relaxation import Integers, LayoutRelaxationConfig, relax_layout
+from knotgym.drawing.drawing_config import DrawingConfig
+from knotgym.drawing.layout_relaxation import Integers, relax_layout
 from knotgym.drawing.planar_map import planar_map
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
@@ -19,27 +19,6 @@ from knotgym.topology.diagrams import faces, with_chirality
 from knotgym.topology.gauss import GaussCode
 
 _LEAST_BEADS = 3  # per edge
-
-
-@configuration
-class DrawingConfig:
-    """Settings of a drawing.
-
-    Attributes:
-        uneven: standard deviation of the logarithm of a face's share of the area.
-        outer: exponent; a face is the outer one with probability proportional to this power of its
-            number of edges.
-        height: vertical distance of the strands at a crossing, metres.
-        base: smallest distance along the rope from the base bead to a crossing, metres; less where
-            the edge is too short.
-        easing: settings of the layout relaxation.
-    """
-
-    uneven: NonNegative = 0.25
-    outer: NonNegative = 3.0
-    height: Positive = 0.014
-    base: NonNegative = 0.03
-    easing: LayoutRelaxationConfig = LayoutRelaxationConfig()  # state files store this name
 
 
 def drawn_curve(

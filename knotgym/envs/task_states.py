@@ -8,7 +8,7 @@ from knotgym.common.errors import InvalidInput
 from knotgym.envs.knot_tasks import fitting_tasks, start_nx
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import RopeConfig, rope_of
-from knotgym.states.schema import CODE_SPLITS
+from knotgym.states.split_names import CODE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped, ships, states_file
 from knotgym.topology.knot_table import UNKNOT
 

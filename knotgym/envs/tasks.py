@@ -14,7 +14,7 @@ from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
 from knotgym.quality.limits import RESET_NOISE
 from knotgym.rendering.views import Views, require_depth
 from knotgym.rope.engines import MUJOCO, EngineName
-from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
+from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig

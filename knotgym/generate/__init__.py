@@ -12,18 +12,16 @@ if __name__ == "generate":
     )
 
 if TYPE_CHECKING:
-    from knotgym.generate.episodes.collect import CollectConfig as CollectConfig
     from knotgym.generate.episodes.collect import collect as collect
-    from knotgym.generate.episodes.evaluate import EvaluateConfig as EvaluateConfig
+    from knotgym.generate.episodes.collect_config import CollectConfig as CollectConfig
     from knotgym.generate.episodes.evaluate import run as evaluate  # noqa: F401
+    from knotgym.generate.episodes.evaluate_config import EvaluateConfig as EvaluateConfig
     from knotgym.generate.episodes.suite import SuiteConfig as SuiteConfig
     from knotgym.generate.episodes.suite import make_suite as make_suite
     from knotgym.generate.images.image_recipe import make_images as make_images
     from knotgym.generate.images.images_config import ImagesConfig as ImagesConfig
     from knotgym.generate.states.generate_config import GenerateConfig as GenerateConfig
-    from knotgym.generate.states.random_walk import RandomWalkConfig as RandomWalkConfig
-    from knotgym.generate.states.random_walk_recipe import walk_states as walk_states
-    from knotgym.generate.states.state_recipe import generate as make_states  # noqa: F401
+    from knotgym.generate.states.state_recipe import make_states as make_states
     from knotgym.runs.run_options import RunOptions as RunOptions
 else:
     from knotgym.common.lazy_exports import lazy_exports
@@ -31,18 +29,16 @@ else:
     __getattr__, __dir__, __all__ = lazy_exports(
         __name__,
         {
-            "CollectConfig": "knotgym.generate.episodes.collect",
-            "EvaluateConfig": "knotgym.generate.episodes.evaluate",
+            "CollectConfig": "knotgym.generate.episodes.collect_config",
+            "EvaluateConfig": "knotgym.generate.episodes.evaluate_config",
             "GenerateConfig": "knotgym.generate.states.generate_config",
             "ImagesConfig": "knotgym.generate.images.images_config",
-            "RandomWalkConfig": "knotgym.generate.states.random_walk",
             "RunOptions": "knotgym.runs.run_options",
             "SuiteConfig": "knotgym.generate.episodes.suite",
             "collect": "knotgym.generate.episodes.collect",
             "evaluate": "knotgym.generate.episodes.evaluate:run",
             "make_images": "knotgym.generate.images.image_recipe",
-            "make_states": "knotgym.generate.states.state_recipe:generate",
+            "make_states": "knotgym.generate.states.state_recipe",
             "make_suite": "knotgym.generate.episodes.suite",
-            "walk_states": "knotgym.generate.states.random_walk_recipe",
         },
     )

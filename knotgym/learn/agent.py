@@ -2,7 +2,7 @@
 
 At each step it updates its hypotheses of the rope's shape and position from the picture, infers
 which bead its last action pulled, and either continues its plan or replans. Planning is that of
-`control.planner`, in the chain engine.
+policy `planner`, in the chain engine.
 """
 
 from dataclasses import dataclass, field
@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.planner import plan
-from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.transition_graph import TransitionGraph
+from knotgym.common.configuration import Count, NonNegative, Share, Whole, configuration
+from knotgym.control.planning import BatchedSearch, PullSearch, shipped_guide
+from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.reader import Reader
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses, perturb_heights
@@ -44,7 +44,7 @@ class Pull(NamedTuple):
     named: Array | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class AgentConfig:
     """Planning budgets and thresholds.
 
@@ -67,22 +67,22 @@ class AgentConfig:
         planner: of the imagined actions.
     """
 
-    budget: int = 6000
-    episode_budget: int = 40000
-    least_budget: int = 1500
-    max_plans: int = 6
-    patience: int = 2
-    enough: float = 0.85
-    copies: int = 12
-    height_noise: float = 0.008
-    bead_noise: float = 1.0
-    force_noise: float = 0.1
-    keep_plan: float = 0.3
-    aim_worth: float = 0.45
-    max_probes: int = 3
-    probe_lift: float = 0.6
+    budget: Whole = 6000
+    episode_budget: Whole = 40000
+    least_budget: Whole = 1500
+    max_plans: Count = 6
+    patience: Count = 2
+    enough: Share = 0.85
+    copies: Count = 12
+    height_noise: NonNegative = 0.008
+    bead_noise: NonNegative = 1.0
+    force_noise: NonNegative = 0.1
+    keep_plan: Share = 0.3
+    aim_worth: Share = 0.45
+    max_probes: Whole = 3
+    probe_lift: NonNegative = 0.6
     hypotheses: HypothesesConfig = HypothesesConfig()
-    planner: PlannerConfig = PlannerConfig(batch_size=32)
+    planner: PullPlannerConfig = PullPlannerConfig(batch_size=32)
 
 
 @dataclass(eq=False)
@@ -118,17 +118,12 @@ class _Episode:
 class Agent:
     """A controller from pictures that can act in several episodes in turn."""
 
-    def __init__(
-        self,
-        reader: Reader,
-        graph: TransitionGraph,
-        starts: Array,
-        config: AgentConfig | None = None,
-    ) -> None:
+    def __init__(self, reader: Reader, starts: Array, config: AgentConfig | None = None) -> None:
         """Compose an agent; `starts` are start positions met in training, float64 (n, 3)."""
-        self.reader, self.graph, self.starts = reader, graph, starts
+        self.reader, self.starts = reader, starts
         self.config = config or AgentConfig()
-        self._planning = ChainSimulation(self.config.planner.batch_size)
+        planner = self.config.planner
+        self._planning = BatchedSearch(planner.batch_size, planner.macro_actions)
         self._believed = ChainSimulation(max(self.config.copies, self.config.hypotheses.imagined))
         self._episodes: dict[int, _Episode] = {}
 
@@ -139,7 +134,7 @@ class Agent:
         )
         self._episodes[index] = _Episode(rng, horizon, hypotheses)
 
-    def act(self, index: int, picture: NDArray[np.uint8]) -> tuple[NDArray[np.float32], str]:
+    def act(self, index: int, picture: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Choose an action from a picture of rope and goal.
 
         Args:
@@ -147,7 +142,7 @@ class Agent:
             picture: uint8 (SIZE, 2 SIZE, 3), the rope on the left and the goal on the right.
 
         Returns:
-            The action, float32 (6,), and the kind of move: "plan", "tow", "probe" or "lost".
+            The action, float32 (6,): the point that it names, and the force.
         """
         episode = self._episodes[index]
         size = picture.shape[0]
@@ -161,11 +156,11 @@ class Agent:
         else:
             episode.hypotheses.update(rope, episode.named, episode.force)
         self._update_goal(episode, rope)
-        move = self._choose_pull(episode)
+        self._choose_pull(episode)
         episode.step += 1
         assert episode.named is not None
         action = np.concatenate([episode.named / REACH, episode.force])
-        return np.clip(action, -1, 1).astype(np.float32), move
+        return np.clip(action, -1, 1).astype(np.float32)
 
     def imagined(self, index: int) -> int:
         """Return the number of imagined actions that an episode has spent."""
@@ -182,8 +177,8 @@ class Agent:
         if goal != episode.goal:
             episode.goal, episode.plan = goal, []
 
-    def _choose_pull(self, episode: _Episode) -> str:
-        """Set the episode's next named point and force; return the kind of move."""
+    def _choose_pull(self, episode: _Episode) -> None:
+        """Set the episode's next named point and force."""
         config, hypotheses = self.config, episode.hypotheses
         towing = bool(episode.plan) and episode.plan[0].named is not None
         due = episode.step - episode.planned >= config.patience or not episode.plan
@@ -196,11 +191,9 @@ class Agent:
             bead, force, point = episode.plan.pop(0)
             if point is not None:
                 episode.named, episode.force = point, force
-                return "tow"
-            move = "plan"
+                return
         else:
             bead, force = int(episode.rng.integers(BEADS)), episode.rng.uniform(-1, 1, 3)
-            move = "lost"
         rope, position = hypotheses.ropes[0], hypotheses.position
         named, worth = position.aim(rope, bead)
         if worth < config.aim_worth and episode.probes < config.max_probes:
@@ -211,10 +204,8 @@ class Agent:
             probabilities = position.bead_probabilities(rope, named)
             out = (probabilities[:, None] * rope).sum(axis=0) * (1, 1, 0)
             force = 0.6 * out / max(1e-6, np.linalg.norm(out)) + (0, 0, config.probe_lift)
-            move = "probe"
             episode.plan = []
         episode.named, episode.force = named, force
-        return move
 
     def _replan(self, episode: _Episode) -> None:
         """Make up to `max_plans` plans and keep the one with the highest estimated success."""
@@ -231,24 +222,18 @@ class Agent:
         for _ in range(self.config.max_plans):
             if highest >= self.config.enough or left < self.config.planner.batch_size:
                 break
-            hypotheses = episode.hypotheses
-            self._planning.lay_points(hypotheses.ropes[:1], hypotheses.velocities[:1], [0])
-            made = plan(
-                self._planning,
-                self._planning.states([0])[0],
-                episode.goal,
-                self.graph,
-                self.config.planner,
-                episode.rng,
-                steps=episode.horizon - episode.step,
-                budget=left,
-            )
+            ropes, velocities = episode.hypotheses.ropes[:1], episode.hypotheses.velocities[:1]
+            self._believed.lay_points(ropes, velocities, [0])
+            state = self._believed.states([0])[0]
+            search = PullSearch(episode.goal, shipped_guide(), self.config.planner, episode.rng)
+            found = search.plan(state, ropes[0], episode.horizon - episode.step, left)
+            ((_, made),) = self._planning.run([found], self.config.planner.batch_size)
             episode.imagined += made.spent
             left -= made.spent
             pulls = [
                 Pull(bead, force)
                 for bead, force in zip(
-                    made.pulls.beads.tolist(), made.pulls.forces.astype(np.float64), strict=True
+                    made.beads.tolist(), made.forces.astype(np.float64), strict=True
                 )
             ]
             # a plan that doesn't reach the goal is still better than none, which scores -1

@@ -1,8 +1,9 @@
-"""Checkpoint folders of the learner; reading one never runs code from it.
+"""Checkpoint folders of learners; reading one never runs code from it.
 
 policy.json             format, version, training data and configuration, checksum of the weights
-weights.safetensors     reader/*    float16, the networks' weights
-                        places      float32 (n, 3), start positions of the training episodes, metres
+weights.safetensors     a reader's: reader/*  float16, the networks' weights
+                                    places    float32 (n, 3), start positions of ropes, metres
+                        a clone's:            float16, the network's weights
 """
 
 import json
@@ -19,7 +20,7 @@ from torch import Tensor
 
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import read_json
-from knotgym.common.errors import InvalidFile
+from knotgym.common.errors import InvalidFile, one_line
 from knotgym.common.hdf5_files import require_regular
 from knotgym.learn.reader import Reader
 
@@ -30,7 +31,7 @@ SHIPPED = (PRETRAINED, PRETRAINED_CLONE)  # names of the checkpoints that ship w
 
 
 class Learned(NamedTuple):
-    """A trained learner.
+    """A trained learner from pictures.
 
     Attributes:
         reader: network from pictures to vertices.
@@ -41,31 +42,6 @@ class Learned(NamedTuple):
     starts: NDArray[np.float32]
 
 
-def save_policy(folder: Path, learned: Learned, made: dict[str, Any]) -> None:
-    """Write a checkpoint folder; `made` adds to its card how it was trained."""
-    tensors = {
-        f"reader/{name}": own.detach().to(torch.float16).contiguous()
-        for name, own in learned.reader.state_dict().items()
-    }
-    tensors["places"] = torch.from_numpy(learned.starts)
-    write_checkpoint(folder, tensors, made)
-
-
-def write_checkpoint(folder: Path, tensors: dict[str, Tensor], made: dict[str, Any]) -> None:
-    """Write weights and a card with their checksum; `made` adds to the card."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(folder / WEIGHTS) as part:
-        part.write_bytes(save(tensors))
-    card = {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "weights_sha256": sha256(folder / WEIGHTS),
-        **made,
-    }
-    with atomic_write(folder / CARD) as part:
-        part.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
-
-
 def policy_folder(name: str) -> Path:
     """Return the folder of a checkpoint: a path, or the name of one that ships."""
     if name in SHIPPED:
@@ -73,8 +49,18 @@ def policy_folder(name: str) -> Path:
     return Path(name)
 
 
-def load_policy(name: str) -> Learned:
-    """Load a checkpoint: a path, or PRETRAINED for the one that ships.
+def save_reader(folder: Path, learned: Learned, card: dict[str, Any]) -> None:
+    """Write a checkpoint folder; `card` adds how it was trained."""
+    tensors = {
+        f"reader/{name}": own.detach().to(torch.float16).contiguous()
+        for name, own in learned.reader.state_dict().items()
+    }
+    tensors["places"] = torch.from_numpy(learned.starts)
+    write_checkpoint(folder, tensors, card)
+
+
+def load_reader(name: str) -> Learned:
+    """Load the checkpoint of a learner from pictures: a path, or PRETRAINED.
 
     Raises:
         InvalidFile: it is missing, of another version, changed or truncated.
@@ -82,58 +68,67 @@ def load_policy(name: str) -> Learned:
     folder = policy_folder(name)
     tensors = read_weights(folder)
     try:
-        reader = Reader()
+        starts, reader = tensors.pop("places").numpy(), Reader()
         reader.load_state_dict(
-            {
-                key.removeprefix("reader/"): own.float()
-                for key, own in tensors.items()
-                if key.startswith("reader/")
-            }
+            {name.removeprefix("reader/"): own.float() for name, own in tensors.items()}
         )
-        starts = tensors["places"].numpy()
+        if starts.ndim != 2 or starts.shape[1:] != (3,) or starts.dtype != np.float32:
+            raise ValueError(f"places is {starts.dtype} {starts.shape}, should be float32 (n, 3)")
+        if not len(starts):
+            raise ValueError("places has no positions")
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise InvalidFile(
-            f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
+            f"{folder / WEIGHTS} isn't a learner from pictures: {one_line(error)[:200]}"
         ) from error
-    if starts.ndim != 2 or starts.shape[1:] != (3,) or starts.dtype != np.float32:
-        raise InvalidFile(
-            f"{folder / WEIGHTS}: places is {starts.dtype} {starts.shape}, should be float32 (n, 3)"
-        )
-    kinds = {own.dtype for key, own in tensors.items() if key.startswith("reader/")}
-    if kinds != {torch.float16}:
-        found = ", ".join(sorted(map(str, kinds)))
-        raise InvalidFile(f"{folder / WEIGHTS}: the reader is {found}, should be float16")
-    for name, values in {"places": tensors["places"], **reader.state_dict()}.items():
-        if not torch.isfinite(values).all():
-            raise InvalidFile(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
     return Learned(reader.eval(), starts)
 
 
+def write_checkpoint(folder: Path, tensors: dict[str, Tensor], card: dict[str, Any]) -> None:
+    """Write weights, and a card with their checksum and what `card` adds."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_write(folder / WEIGHTS) as part:
+        part.write_bytes(save(tensors))
+    whole = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "weights_sha256": sha256(folder / WEIGHTS),
+        **card,
+    }
+    with atomic_write(folder / CARD) as part:
+        part.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+
+
 def read_weights(folder: Path) -> dict[str, Tensor]:
-    """Read the weights of a checkpoint folder; raise InvalidFile as in `load_policy`."""
-    card = read_card(folder)
+    """Read the weights of a checkpoint folder, all of them finite.
+
+    Raises:
+        InvalidFile: as in `load_reader`.
+    """
+    card, path = read_card(folder), folder / WEIGHTS
     try:
-        require_regular(folder / WEIGHTS, "weights", InvalidFile)
-        content = (folder / WEIGHTS).read_bytes()
+        require_regular(path, "weights", InvalidFile)
+        content = path.read_bytes()
     except OSError as error:
         raise InvalidFile(f"{folder} has no {WEIGHTS} beside its {CARD}") from error
-    if sha256(folder / WEIGHTS) != card.get("weights_sha256"):
+    if sha256(path) != card.get("weights_sha256"):
         raise InvalidFile(
-            f"{folder / WEIGHTS} doesn't match the checksum in {CARD}: it was changed or truncated"
+            f"{path} doesn't match the checksum in {CARD}: it was changed or truncated"
         )
     try:
-        return load(content)
+        tensors: dict[str, Tensor] = load(content)
     except (SafetensorError, ValueError) as error:
-        raise InvalidFile(
-            f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
-        ) from error
+        raise InvalidFile(f"{path} isn't a learner: {one_line(error)[:200]}") from error
+    for name, own in tensors.items():
+        if not (own.is_floating_point() and torch.isfinite(own).all()):
+            raise InvalidFile(f"{path}: {name} has numbers that aren't finite")
+    return tensors
 
 
 def read_card(folder: Path) -> dict[str, Any]:
     """Read a checkpoint's card, `policy.json`.
 
     Raises:
-        InvalidFile: as in `load_policy`.
+        InvalidFile: as in `load_reader`.
     """
     try:
         card = read_json(folder / CARD)

@@ -2,9 +2,7 @@
 
 A macro-action is chosen as bead, strand given bead, and side given both, so that a state with
 several good macro-actions doesn't get a mixture of them. Another head tells whether a macro-action
-works here: what the demonstrator tried in vain looks like what it does elsewhere. A pull is chosen
-as bead, and the choices of its force given the bead. All is in the canonical frame of
-`envs.marked`.
+works here. All is in the canonical frame of `envs.marked`.
 """
 
 from typing import NamedTuple
@@ -15,9 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from knotgym.envs.marked import Marked
-from knotgym.learn.clone_data import NONE
 from knotgym.learn.imagination import BEADS
-from knotgym.rope.actions import FORCE_CHOICES
 
 _PATCH = 10  # neighbouring beads in one token
 _VISITS = 12  # visits of a code that the network sees
@@ -76,7 +72,7 @@ class MarkedInputs(NamedTuple):
 
 
 class CloneNetwork(nn.Module):
-    """Attention over patches of beads; heads for macro-actions and for pulls."""
+    """Attention over patches of beads, and the heads for macro-actions."""
 
     def __init__(self, width: int = 96, layers: int = 2, heads: int = 4, dropout: float = 0.0):
         super().__init__()
@@ -103,9 +99,6 @@ class CloneNetwork(nn.Module):
         self.query = nn.Sequential(nn.Linear(own + width, width), nn.ReLU(), nn.Linear(width, own))
         self.apart = nn.Embedding(BEADS, 1)
         self.side = nn.Sequential(nn.Linear(3 * own + width, width), nn.ReLU(), nn.Linear(width, 4))
-        self.force = nn.Sequential(
-            nn.Linear(own + width, width), nn.ReLU(), nn.Linear(width, 3 * FORCE_CHOICES)
-        )
         nn.init.zeros_(self.apart.weight)
 
     def forward(self, states: Inputs) -> MarkedInputs:
@@ -134,47 +127,34 @@ class CloneNetwork(nn.Module):
         side, works = self.side(torch.cat([one, two, one * two, whole], dim=2)).chunk(2, dim=2)
         return side, works
 
-    def forces(self, seen: MarkedInputs, beads: Tensor) -> Tensor:
-        """Return logits (n, 3, FORCE_CHOICES) of the force, given the bead to pull, (n,)."""
-        one = seen.beads[torch.arange(len(beads)), beads]
-        return self.force(torch.cat([one, seen.whole], dim=1)).reshape(-1, 3, FORCE_CHOICES)
-
-    def macro_loss(self, states: Inputs, tried: Tensor) -> Tensor:
+    def loss(self, states: Inputs, macros: Tensor, worked: Tensor) -> Tensor:
         """Return the loss (n, 4) of bead, strand and side chosen, and of what works.
 
         Args:
             states: n states.
-            tried: int64 (n, 1 + m, 3), beads, strands and sides: the macro-action chosen, and up
-                to m that didn't work; those that there aren't are NONE.
+            macros: int64 (n, 3), beads, strands and sides.
+            worked: bool (n,), whether a macro-action works; only those that do are imitated.
         """
-        seen, known = self(states), (tried[..., 0] != NONE).float()
-        beads, targets, sides = tried.clamp(min=0).unbind(2)
-        side, works = self.sides(seen, beads, targets)
-        strand = self.targets(seen, beads[:, :1])[:, 0]
+        seen = self(states)
+        beads, targets, sides = macros.unbind(1)
+        side, works = self.sides(seen, beads[:, None], targets[:, None])
+        strand = self.targets(seen, beads[:, None])[:, 0]
         chosen = torch.stack(
             [
-                smoothed_loss(seen.logits, beads[:, 0]),
-                smoothed_loss(strand, targets[:, 0]),
-                functional.cross_entropy(side[:, 0], sides[:, 0], reduction="none"),
+                smoothed_loss(seen.logits, beads),
+                smoothed_loss(strand, targets),
+                functional.cross_entropy(side[:, 0], sides, reduction="none"),
             ],
             dim=1,
         )
-        works = works.gather(2, sides[..., None])[..., 0]
-        chance = torch.zeros_like(works)
-        chance[:, 0] = 1.0
-        working = functional.binary_cross_entropy_with_logits(works, chance, reduction="none")
-        working = (known * working).sum(1, keepdim=True)
-        return torch.cat([known[:, :1] * chosen, working], dim=1)
-
-    def pull_loss(self, states: Inputs, beads: Tensor, bins: Tensor) -> Tensor:
-        """Return the negative log-likelihood (n, 2) of bead and force bins (n, 3), smoothed."""
-        seen = self(states)
-        logits = self.forces(seen, beads)
-        force = functional.cross_entropy(logits.flatten(0, 1), bins.flatten(), reduction="none")
-        return torch.stack([smoothed_loss(seen.logits, beads), force.reshape(-1, 3).sum(1)], dim=1)
+        chance = worked.float()[:, None]
+        working = functional.binary_cross_entropy_with_logits(
+            works[:, 0].gather(1, sides[:, None]), chance, reduction="none"
+        )
+        return torch.cat([chance * chosen, working], dim=1)
 
     def likely(self, seen: MarkedInputs) -> Tensor:
-        """Return macro-actions, int64 (n, 64, 3), among them those that are likely chosen."""
+        """Return macro-actions, int64 (n, 64, 3): both sides of the likeliest beads and strands."""
         some, each = _LIKELY
         beads = seen.logits.topk(some, dim=1).indices
         targets = self.targets(seen, beads).topk(each, dim=2).indices.flatten(1)

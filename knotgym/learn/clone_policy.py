@@ -1,14 +1,14 @@
-"""The clone as a policy: it looks when its last macro-action is over, and chooses the next one.
+"""The clone as a policy: when its macro-action is over, it looks and chooses the next one.
 
 A guided clone chooses among the macro-actions that its network finds likely and the first passes of
-the demonstrator's order, by what they are worth in that order, too. Nothing is simulated.
+the order of policy `expert`, also by what they are worth in that order. Nothing is simulated.
 
-In an environment of the action view "macro" or "bead" it returns its choices; in one of pulls, it
-carries them out itself. It sees the rope and the goal's code from vertices; if the observation is
-"pixels" it sees nothing but the pictures, as the reader of `shape_hypotheses` reads them.
+It sees the rope and the goal's code from vertices; if the observation is "pixels" it sees nothing
+but the pictures, as the reader of `shape_hypotheses` reads them.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -18,12 +18,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import functional
 
 from knotgym.common.errors import InvalidFile, InvalidPolicy, one_line
-from knotgym.control.demonstrator import passes_in_order
-from knotgym.control.learned_policies import inference
-from knotgym.control.pass_counts import DiagramValues, shipped_values
-from knotgym.control.policy import Choice, UnplannedPolicy
+from knotgym.control.planning import PassValues, pass_values, see
+from knotgym.control.rollouts import Player, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.marked import Marked, mark
 from knotgym.envs.tasks import TaskConfig
@@ -31,25 +30,27 @@ from knotgym.learn.checkpoint import (
     CARD,
     PRETRAINED,
     WEIGHTS,
-    load_policy,
+    load_reader,
     read_card,
     read_weights,
     write_checkpoint,
 )
-from knotgym.learn.clone_network import WORKING, CloneNetwork, inputs
+from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.picture_policy import require_readable
+from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
-from knotgym.rope.action_views import ActionView
-from knotgym.rope.actions import chosen_forces, force_choices
 from knotgym.rope.chain.chain_simulation import ChainSimulation
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import LONGEST, WaypointFollower
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
 
 CLONE = "clone"
-_VIEWS = {"macro": ("macro", "pull"), "bead": ("bead", "pull")}  # what each head can act in
+_BLOCK = 32  # states that the network is given at a time: its sums depend on their number
 # Temperature after a macro-action that changed no code: the likeliest one would be chosen again.
 _ESCAPE = 0.7
 _GUIDED = 0.25  # weight of the chance of being chosen, where the order of the passes counts too
@@ -57,93 +58,96 @@ _PASSES = 40  # of the order, at most
 _UNORDERED = 0.02  # what a macro-action is worth that the order doesn't have
 
 
-class ClonePolicy(UnplannedPolicy):
-    """Chooses macro-actions, or pulls, as its network finds likeliest.
+class ClonePolicy:
+    """Chooses the macro-actions that its network finds likeliest.
 
     Attributes:
+        name: of the policy.
         network: in evaluation mode.
+        guided: whether the order of the passes counts too.
     """
 
-    def __init__(
-        self, network: CloneNetwork, action: str, guided: bool, temperature: float = 0.0
-    ) -> None:
-        """Take a network, which head acts ("macro" or "bead"), and whether macros are guided."""
-        super().__init__(CLONE)
-        self.network, self._action, self._temperature = network, action, temperature
-        self._guided = guided
-        self._view: ActionView | None = None
-        self._codes: dict[int, GaussCode | None] = {}  # at the last choice
-        self._eyes: dict[int, _Eyes] = {}
+    name = CLONE
 
-    def suited(self, task: TaskConfig) -> TaskConfig:
-        if task.action not in _VIEWS[self._action]:
+    def __init__(self, network: CloneNetwork, guided: bool) -> None:
+        self.network, self.guided = network, guided
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Return the task with observation "state" or "pixels"; raise InvalidPolicy if unfit."""
+        if task.action not in ("macro", "pull"):
             raise InvalidPolicy(
-                f"policy {CLONE} chooses by its {self._action} head, so it needs action"
-                f" {' or '.join(map(repr, _VIEWS[self._action]))}, got {task.action!r}"
+                f"policy {CLONE} chooses macro-actions, so it needs action 'macro' or 'pull', got"
+                f" {task.action!r}"
             )
         if task.beads != BEADS:
             raise InvalidPolicy(f"policy {CLONE} needs a rope of {BEADS} beads, got {task.beads}")
         if task.observation != "pixels":
             return replace(task, observation="state")
         # a picture shows where to pull, but not where in the world that is
-        require_readable(task, CLONE, self._action)
+        require_readable(task, CLONE, "macro")
         return task
 
-    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
-        super().begin(episodes, index, rng)
-        if self._view is None or len(self._view.busy) != episodes.count:
-            self._view = ActionView("macro", episodes.simulation)
-        self._view.reset(np.array([index]))
-        self._codes[index] = None
-        if episodes.config.observation == "pixels":
-            self._eyes[index] = _Eyes(rng)
+    def player(self, batch: EpisodeBatch) -> Player:
+        """Return a player for the lanes of a batch."""
+        return _ClonePlayer(self, batch)
 
-    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        own = episodes.config.action == "pull"
-        if not own or self._action == "bead":
-            chosen = self._choose(episodes, ids)
-            actions: NDArray[Any] = chosen
-            if own:
-                forces = chosen_forces(chosen[:, 1:]) * episodes.simulation.max_force
-                actions = episodes.simulation.actions(chosen[:, 0], forces, ids)
-            return Choice(actions, [self._action] * len(ids))
-        view = self._view
-        assert view is not None
-        pulled = ids[view.busy[ids]]
-        view.pulled(pulled, np.zeros(len(pulled), dtype=bool))
-        deciding = ids[~view.busy[ids]]
+
+class _ClonePlayer:
+    def __init__(self, policy: ClonePolicy, batch: EpisodeBatch) -> None:
+        self._network, self._batch = policy.network, batch
+        split = batch.task.split
+        self._values = pass_values(split, every_code=True) if policy.guided else None
+        self._follower = WaypointFollower(batch.count, MacroActionConfig())
+        self._taken = np.zeros(batch.count, dtype=np.int64)  # pulls of each lane's macro-action
+        self._macros = np.zeros((batch.count, 3), dtype=np.int64)
+        self._rngs: dict[int, np.random.Generator] = {}
+        self._codes: dict[int, GaussCode | None] = {}  # at the last choice
+        self._eyes: dict[int, _Eyes] = {}
+        self.planned = np.zeros(batch.count, dtype=np.int64)
+
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
+        self._follower.release(ids)
+        for index, rng in zip(ids.tolist(), rngs, strict=True):
+            self._rngs[index], self._codes[index] = rng, None
+            if self._batch.task.observation == "pixels":
+                self._eyes[index] = _Eyes(rng)
+
+    def act(self, ids: Ids) -> Pulls:
+        follower, points = self._follower, self._batch.simulation.points
+        over = follower.arrive(points, ids) | (self._taken[ids] >= LONGEST)
+        deciding = ids[over]
         if len(deciding):
-            view.begin(self._choose(episodes, deciding), deciding)
-        macros = np.column_stack([view.pulls[ids] == 0, view.macros[ids]])
-        return Choice(view.next_pulls(ids).astype(np.float32), ["macro"] * len(ids), macros)
+            self._macros[deciding] = self._choose(deciding)
+            follower.begin_passes(deciding, self._macros[deciding], points)
+            self._taken[deciding] = 0
+            follower.arrive(points, deciding)
+        macros = np.column_stack([self._taken[ids] == 0, self._macros[ids]])
+        self._taken[ids] += 1
+        return Pulls(ids, follower.beads[ids], follower.forces(points, ids), macros)
 
-    def _choose(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return actions of the view "macro", (n, 3), or "bead", (n, 4)."""
+    def _choose(self, ids: Ids) -> NDArray[np.int64]:
+        """Return macro-actions, int64 (n, 3): bead, target, side."""
         indices = ids.tolist()
         if self._eyes:
-            seen = [self._eyes[index].look(episodes.picture(index)) for index in indices]
+            seen = [self._eyes[k].look(self._batch.rgb(k)) for k in indices]
             points, goals = np.stack([rope for rope, _ in seen]), [goal for _, goal in seen]
             codes = [label(rope) for rope in points]
         else:
-            points, goals = episodes.simulation.points[ids], [episodes.goals[i] for i in indices]
-            codes = [episodes.codes[index] for index in indices]
-        stuck = [code == self._codes[i] for i, code in zip(indices, codes, strict=True)]
+            points, goals = self._batch.simulation.points[ids], self._batch.goals_of(ids)
+            codes = self._batch.codes_of(ids)
+        stuck = [code == self._codes[k] for k, code in zip(indices, codes, strict=True)]
         self._codes |= dict(zip(indices, codes, strict=True))
-        rngs = [self._rngs[index] for index in indices]
-        if self._action == "bead":
-            return choose_pulls(self.network, points, goals)
-        heat = np.where(stuck, max(_ESCAPE, self._temperature), self._temperature)
-        values = shipped_values(episodes.config.split, every_code=True) if self._guided else None
-        return choose_macros(self.network, points, goals, heat, rngs, values)
+        rngs = [self._rngs[k] for k in indices]
+        temperatures = np.where(stuck, _ESCAPE, 0.0)
+        return choose_macros(self._network, points, goals, temperatures, rngs, self._values)
 
 
 class _Eyes:
     """Reads the pictures of one episode."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        learned = load_policy(PRETRAINED)
-        starts, config = learned.starts.astype(np.float64), HypothesesConfig()
-        chain = ChainSimulation(config.imagined)
+        learned, config = load_reader(PRETRAINED), HypothesesConfig()
+        starts, chain = learned.starts.astype(np.float64), ChainSimulation(config.imagined)
         self._hypotheses = ShapeHypotheses(learned.reader, chain, starts, config, rng)
         self._goals: dict[GaussCode, float] = {}
 
@@ -164,12 +168,12 @@ class _Eyes:
 def choose_macros(
     network: CloneNetwork,
     points: Array,
-    goals: list[GaussCode],
+    goals: Sequence[GaussCode],
     temperatures: Array,
-    rngs: list[np.random.Generator],
-    values: DiagramValues | None = None,
+    rngs: Sequence[np.random.Generator],
+    values: PassValues | None = None,
 ) -> NDArray[np.int64]:
-    """Choose macro-actions of the view "macro", int64 (n, 3): bead, target, 0 under or 1 over.
+    """Choose macro-actions, int64 (n, 3): bead, target, side (+1 over, -1 under).
 
     Args:
         network: in evaluation mode.
@@ -179,45 +183,72 @@ def choose_macros(
         rngs: source of each state's draws; used only at temperatures above 0.
         values: guides the choice; None for no guidance.
     """
-    seen = mark(points, goals)
-    with inference(torch):
-        looked = network(inputs(seen))
+    chosen = [np.zeros((0, 3), dtype=np.int64)]
+    for first in range(0, len(points), _BLOCK):
+        some = slice(first, first + _BLOCK)
+        own = points[some], goals[some], temperatures[some], rngs[some]
+        chosen.append(_choose_block(network, *own, values))
+    return np.concatenate(chosen)
+
+
+def _choose_block(
+    network: CloneNetwork,
+    points: Array,
+    goals: Sequence[GaussCode],
+    temperatures: Array,
+    rngs: Sequence[np.random.Generator],
+    values: PassValues | None,
+) -> NDArray[np.int64]:
+    """Choose macro-actions in up to _BLOCK states; missing ones are filled up with zeros."""
+    seen, count = mark(points, goals), len(points)
+    states = Inputs(*(_filled(one) for one in inputs(seen)))
+    with inference():
+        looked = network(states)
         macros, prior, share = network.likely(looked), torch.zeros(1, 1), 1.0
         if values is not None:
             macros, prior = _with_passes(macros, values, points, goals, seen)
             share = _GUIDED
         chosen, works = network.rate(looked, macros)
-        # the maximum of logits with Gumbel noise is a draw from their softmax
-        noise = np.zeros(chosen.shape)
-        for row in np.flatnonzero(temperatures > 0):
-            noise[row] = temperatures[row] * rngs[row].gumbel(size=noise.shape[1])
-        best = (prior + share * chosen + WORKING * works + torch.from_numpy(noise)).argmax(1)
-        beads, targets, sides = macros[torch.arange(len(best)), best].numpy().T
+    # the maximum of logits with Gumbel noise is a draw from their softmax
+    noise = np.zeros(chosen.shape)
+    for row in np.flatnonzero(temperatures > 0).tolist():
+        noise[row] = temperatures[row] * rngs[row].gumbel(size=noise.shape[1])
+    best = (prior + share * chosen + WORKING * works + torch.from_numpy(noise)).argmax(1)[:count]
+    beads, targets, sides = macros[torch.arange(count), best].numpy().T
     beads, targets = seen.frames.renumber(beads), seen.frames.renumber(targets)
     targets = (targets + (targets == beads)) % points.shape[1]  # a bead can't pass itself
-    return np.stack([beads, targets, (seen.frames.sides(2 * sides - 1) + 1) // 2], axis=1)
+    return np.stack([beads, targets, seen.frames.sides(2 * sides - 1)], axis=1)
+
+
+def _filled(states: Tensor) -> Tensor:
+    """Fill up rows with zeros to _BLOCK of them."""
+    return functional.pad(states, (0, 0) * (states.dim() - 1) + (0, _BLOCK - len(states)))
 
 
 def _with_passes(
-    likely: Tensor, values: DiagramValues, points: Array, goals: list[GaussCode], marked: Marked
+    likely: Tensor,
+    values: PassValues,
+    points: Array,
+    goals: Sequence[GaussCode],
+    marked: Marked,
 ) -> tuple[Tensor, Tensor]:
-    """Add the first passes of the demonstrator's order to macro-actions (n, k, 3).
+    """Add the first passes of the order to macro-actions (_BLOCK, k, 3).
 
     Args:
         likely: in the canonical frame.
-        values, points, goals: as of `choose_macros`.
-        marked: the same states.
+        values: the order.
+        points, goals, marked: up to _BLOCK states, for which passes are added.
 
     Returns:
-        Macro-actions (n, k + _PASSES, 3), and the logarithms of what they are worth; -inf where the
-        order has fewer passes.
+        Macro-actions (_BLOCK, k + _PASSES, 3), and the logarithms of what they are worth; -inf
+        where the order has fewer passes.
     """
     count, known = likely.shape[:2]
     macros = torch.cat([likely, torch.zeros(count, _PASSES, 3, dtype=torch.int64)], dim=1)
     prior = torch.full(macros.shape[:2], -math.inf)
     prior[:, :known] = math.log(_UNORDERED)
-    for row, (rope, goal) in enumerate(zip(points, goals, strict=True)):
-        ordered = [*islice(passes_in_order(values, goal, rope), _PASSES)]
+    for row, (sight, goal) in enumerate(zip(see(points), goals, strict=True)):
+        ordered = [*islice(values.passes(goal, sight), _PASSES)]
         if ordered:
             beads, targets, sides = np.array([move for move, _ in ordered]).T[:, :, None]
             own = marked.rows([row]).frames
@@ -228,21 +259,10 @@ def _with_passes(
     return macros, prior
 
 
-def choose_pulls(network: CloneNetwork, points: Array, goals: list[GaussCode]) -> NDArray[np.int64]:
-    """Choose the likeliest pulls of the view "bead", int64 (n, 4): bead and three forces."""
-    seen = mark(points, goals)
-    with inference(torch):
-        looked = network(inputs(seen))
-        beads = looked.logits.argmax(1)
-        bins = network.forces(looked, beads).argmax(2).numpy()
-    forces = force_choices(seen.frames.world_vectors(chosen_forces(bins)))
-    return np.concatenate([seen.frames.renumber(beads.numpy())[:, None], forces], axis=1)
-
-
-def save_clone(folder: Path, network: CloneNetwork, made: dict[str, Any]) -> None:
-    """Write a checkpoint folder; `made` adds to its card, and must hold `config`."""
+def save_clone(folder: Path, network: CloneNetwork, card: dict[str, Any]) -> None:
+    """Write a checkpoint folder; `card` must hold the `config`."""
     tensors = {name: own.detach().half().contiguous() for name, own in network.state_dict().items()}
-    write_checkpoint(folder, tensors, {"learner": CLONE, **made})
+    write_checkpoint(folder, tensors, {"learner": CLONE, **card})
 
 
 def load_clone(folder: Path) -> ClonePolicy:
@@ -252,17 +272,16 @@ def load_clone(folder: Path) -> ClonePolicy:
         InvalidFile: it is missing, of another version, changed or truncated.
     """
     config: Any = read_card(folder).get("config")
-    tensors = read_weights(folder)
+    # the clone that ships once had a head for single pulls, too
+    tensors = {k: one for k, one in read_weights(folder).items() if not k.startswith("force.")}
     try:
-        network = CloneNetwork(int(config["width"]), int(config["layers"]))
+        # sizes are those of the weights that are there, whatever the card says
+        layers = len({name.split(".")[2] for name in tensors if name.startswith("body.layers.")})
+        network = CloneNetwork(len(tensors["codes.2.weight"]), layers)
         network.load_state_dict(tensors)
-        action, guided = str(config["action"]), bool(config["guided"])
-        _VIEWS[action]
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+        guided = bool(config["guided"])
+    except (AssertionError, LookupError, RuntimeError, TypeError, ValueError) as error:
         raise InvalidFile(
             f"{folder / WEIGHTS} and {CARD} don't make a clone: {one_line(error)[:200]}"
         ) from error
-    for name, values in network.state_dict().items():
-        if not torch.isfinite(values).all():
-            raise InvalidFile(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
-    return ClonePolicy(network.eval(), action, guided)
+    return ClonePolicy(network.eval(), guided)

@@ -1,57 +1,66 @@
-"""The learner as a policy: it gets nothing of an episode but its pictures."""
+"""The learner from pictures as a policy: it gets nothing of an episode but its pictures."""
 
-import time
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidPolicy
-from knotgym.control.policy import Choice, Effort, Policy
-from knotgym.control.transition_graph import TransitionGraphConfig, shipped_transition_graph
+from knotgym.control.rollouts import Player, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.agent import Agent, AgentConfig
-from knotgym.learn.checkpoint import PRETRAINED, load_policy
+from knotgym.learn.checkpoint import PRETRAINED, Learned, load_reader
 from knotgym.learn.colour_reading import BEADS, SIZE
 
 
-class PicturePolicy(Policy):
-    """Run an agent on the pictures of its episodes.
+class PicturePolicy:
+    """Runs an agent on the pictures of its episodes.
 
-    Reads nothing of the episode batch but the horizon, when an episode begins, and the pictures.
+    Its players read nothing of the batch but the horizon, when an episode begins, and the pictures.
+
+    Attributes:
+        name: of the policy.
     """
 
-    def __init__(self, agent: Agent, name: str) -> None:
-        self._agent, self._name = agent, name
-        self._seconds: dict[int, float] = {}
+    def __init__(self, learned: Learned, name: str, config: AgentConfig | None = None) -> None:
+        self.name, self._learned, self._config = name, learned, config
 
-    def suited(self, task: TaskConfig) -> TaskConfig:
-        require_readable(task, self._name)
-        return task
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Return the task; raise InvalidPolicy if the reader can't read its pictures."""
+        return require_readable(task, self.name)
 
-    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
-        self._agent.begin(index, rng, episodes.config.horizon)
-        self._seconds[index] = 0.0
-
-    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        actions, moves = [], []
-        for index in ids.tolist():
-            began = time.perf_counter()
-            action, move = self._agent.act(index, episodes.picture(index))
-            self._seconds[index] += time.perf_counter() - began
-            actions.append(action)
-            moves.append(move)
-        return Choice(np.stack(actions), moves)
-
-    def name(self, index: int) -> str:
-        return self._name
-
-    def effort(self, index: int) -> Effort:
-        return Effort(self._agent.imagined(index), self._seconds[index])
+    def player(self, batch: EpisodeBatch) -> Player:
+        """Return a player for the lanes of a batch."""
+        starts = self._learned.starts.astype(np.float64)
+        return _PicturePlayer(Agent(self._learned.reader, starts, self._config), batch)
 
 
-def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> None:
-    """Require pictures that the reader can read, and an action view; raise InvalidPolicy if not."""
+class _PicturePlayer:
+    def __init__(self, agent: Agent, batch: EpisodeBatch) -> None:
+        self._agent, self._batch = agent, batch
+        self.planned = np.zeros(batch.count, dtype=np.int64)
+
+    def begin(self, ids: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
+        self.planned[ids] = 0
+        for index, rng in zip(ids.tolist(), rngs, strict=True):
+            self._agent.begin(index, rng, self._batch.task.horizon)
+
+    def act(self, ids: NDArray[np.int64]) -> Pulls:
+        actions = np.stack(
+            [self._agent.act(index, self._batch.rgb(index)) for index in ids.tolist()]
+        )
+        self.planned[ids] = [self._agent.imagined(index) for index in ids.tolist()]
+        beads, _ = self._batch.simulation.read_actions(actions, ids)
+        return Pulls(ids, beads, actions[:, 3:])
+
+
+def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> TaskConfig:
+    """Return the task if the reader can read its pictures, and it has an action view.
+
+    Raises:
+        InvalidPolicy: it doesn't.
+    """
     differing = [
         f"{name} {given} instead of {needed}"
         for name, given, needed in (
@@ -69,15 +78,15 @@ def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> Non
         raise InvalidPolicy(
             f"policy {policy} can't act in this task, which has {', '.join(differing)}"
         )
+    return task
 
 
-def learned_policy(folder: str, config: AgentConfig | None = None) -> PicturePolicy:
+def load_picture_policy(folder: str, config: AgentConfig | None = None) -> PicturePolicy:
     """Load the policy of a checkpoint folder, or "pretrained", which ships with the package.
 
     Raises:
         InvalidFile: there is no checkpoint that this version can read.
     """
-    learned = load_policy(folder)
-    graph = shipped_transition_graph(TransitionGraphConfig())
-    agent = Agent(learned.reader, graph, learned.starts.astype(np.float64), config)
-    return PicturePolicy(agent, PRETRAINED if folder == PRETRAINED else "learned")
+    return PicturePolicy(
+        load_reader(folder), PRETRAINED if folder == PRETRAINED else "learned", config
+    )

@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.errors import InvalidPolicy, install_command
-from knotgym.control.pass_counts import EVERY_CODE, PASSES
-from knotgym.control.policies import PolicyConfig, PolicyFamily
-from knotgym.control.policy import Policy
-from knotgym.control.transition_graph import TRANSITIONS
+from knotgym.control.planning import CHANGES, EVERY_CODE, PASSES
+from knotgym.control.policies import PolicyFamily
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import Policy
+
+_SHIPPED = "pretrained", "pretrained-clone"
 
 
 def _matches(name: str) -> bool:
-    return name in ("pretrained", "pretrained-clone") or (name != "" and Path(name).is_dir())
+    return name in _SHIPPED or (name != "" and Path(name).is_dir())
 
 
 def _make(config: PolicyConfig) -> Policy:
@@ -26,31 +28,33 @@ def _make(config: PolicyConfig) -> Policy:
                 f"the learner {config.policy} needs {library}, which isn't installed; install it:"
                 f" {install_command('learn')}"
             )
-    from knotgym.learn.checkpoint import policy_folder, read_card
-    from knotgym.learn.clone_policy import CLONE, load_clone
-    from knotgym.learn.picture_policy import learned_policy
+    from knotgym.learn.checkpoint import policy_folder
+    from knotgym.learn.clone_policy import load_clone
+    from knotgym.learn.picture_policy import load_picture_policy
 
-    folder = policy_folder(config.policy)
-    if read_card(folder).get("learner") == CLONE:
-        return load_clone(folder)
-    return learned_policy(config.policy)
+    if _is_clone(config.policy):
+        return load_clone(policy_folder(config.policy))
+    return load_picture_policy(config.policy)
 
 
 def _files(name: str) -> dict[str, Path]:
     from knotgym.learn.checkpoint import CARD, WEIGHTS, policy_folder
-    from knotgym.learn.clone_policy import CLONE
 
-    folder = policy_folder(name)
-    clone = _card(name).get("learner") == CLONE
-    tables = (EVERY_CODE, PASSES["train-code"]) if clone else (TRANSITIONS,)
+    tables = (EVERY_CODE, PASSES["train-code"]) if _is_clone(name) else (CHANGES,)
     counted = {path.name: path for path in tables if path.is_file()}
-    return counted | {file: folder / file for file in (CARD, WEIGHTS)}
+    return counted | {file: policy_folder(name) / file for file in (CARD, WEIGHTS)}
 
 
 def _card(name: str) -> dict[str, Any]:
     from knotgym.learn.checkpoint import policy_folder, read_card
 
     return read_card(policy_folder(name))
+
+
+def _is_clone(name: str) -> bool:
+    from knotgym.learn.clone_policy import CLONE
+
+    return _card(name).get("learner") == CLONE
 
 
 FAMILY = PolicyFamily(

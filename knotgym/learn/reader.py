@@ -11,6 +11,8 @@ Two bead networks work on what the colours tell (`colour_reading`).
 Positions are in metres, z up, the rope's middle at the origin.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +20,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from knotgym.control.learned_policies import inference
 from knotgym.learn.bead_network import BeadNetwork, initialize
 from knotgym.learn.colour_reading import (
     BEADS,
@@ -54,6 +55,22 @@ class Seen(NamedTuple):
 
     picture: NDArray[np.uint8]
     pixels: Pixels
+
+
+@contextmanager
+def inference() -> Iterator[None]:
+    """Run networks without gradients and on one thread.
+
+    With more threads, the order of sums, and so their rounding, depends on the machine, and the
+    threads of several worker processes wait for each other, which is many times slower.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.no_grad():
+            yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 class Reader(nn.Module):
@@ -114,7 +131,7 @@ class Reader(nn.Module):
             probabilities, float64 (READINGS,).
         """
         seen = look(picture)
-        with inference(torch):
+        with inference():
             vertices, log_probabilities = self.joined([seen])
         order = torch.argsort(-log_probabilities[0], stable=True)
         return self.follow(picture, vertices[0, order].double().numpy()), (
@@ -126,7 +143,7 @@ class Reader(nn.Module):
     ) -> Array:
         """Correct predictions (n, BEADS, 3) by a picture; `moves` as in `corrected`."""
         seen = [look(picture)] * len(predicted)
-        with inference(torch):
+        with inference():
             vertices = self.corrected(seen, predicted, moves).double().numpy()
         _enforce_crossings(vertices, picture)
         return vertices

@@ -1,10 +1,4 @@
-"""Train the reader on pictures rendered on the fly from stored states, with augmentation.
-
-Each step draws from its own random stream, so a resumed training draws what an uninterrupted one
-would have drawn.
-"""
-
-import math
+"""Train the reader on pictures rendered on the fly from stored states, with augmentation."""
 
 import numpy as np
 import torch
@@ -15,13 +9,15 @@ from torch.nn import functional
 from knotgym.common.streams import Stream, generator
 from knotgym.learn.imagination import BEADS, imagine
 from knotgym.learn.reader import PIXEL, Reader, look, waves
+from knotgym.learn.train_config import ReaderConfig
+from knotgym.learn.training import Training
 from knotgym.learn.training_data import TrainingData
 from knotgym.rendering.picture import draw
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 
 Array = NDArray[np.float64]
 
-_RATE = 2e-3  # peak learning rate
+_RATE, _DECAY = 2e-3, 1e-4  # peak learning rate; weight decay
 _HEIGHT = 0.02  # height error that counts like a pixel in x or y before weighting by 0.3, metres
 # Largest standard deviation of the errors put on states before the engine predicts from them:
 # x, y, z, metres; and the highest number of waves of those errors round the loop.
@@ -31,73 +27,31 @@ _SHARED = 0.05  # share of the readings' loss that is the mean over all readings
 _CHOICE = 0.05  # weight of the log-probability of the best reading
 
 
-class ReaderTraining:
-    """A reader in training.
+class ReaderTraining(Training):
+    """A reader in training; `losses` are those of its two networks at each step."""
 
-    Attributes:
-        reader: as trained so far.
-        step: steps done.
-        losses: losses of the two networks at each step.
-    """
+    network: Reader
 
-    def __init__(self, data: TrainingData, steps: int, batch: int, seed: int) -> None:
-        """Create a reader to be trained for `steps` steps on `batch` pictures each."""
-        # more threads would sum in another order and round otherwise
-        torch.set_num_threads(1)
-        self._data, self._chain = data, ChainSimulation(batch)
-        self._steps, self._batch, self._seed = steps, batch, seed
-        self.reader = Reader(seed=seed)
-        self._optimizer = torch.optim.AdamW(self.reader.parameters(), lr=_RATE, weight_decay=1e-4)
-        self.step, self.losses = 0, list[tuple[float, float]]()
+    def __init__(self, data: TrainingData, config: ReaderConfig) -> None:
+        """Create a reader."""
+        super().__init__(Reader(seed=config.seed), _RATE, _DECAY, config.steps)
+        self._data, self._config, self._chain = data, config, ChainSimulation(config.batch)
 
     def advance(self) -> None:
         """Take one optimizer step."""
-        # linear warm-up over 50 steps, then a cosine from 1 to 0.02
-        for group in self._optimizer.param_groups:
-            falling = 0.02 + 0.98 * (0.5 + 0.5 * math.cos(math.pi * self.step / self._steps))
-            group["lr"] = _RATE * min(1.0, (self.step + 1) / 50) * falling
-        rng = generator(Stream.LEARN_PICTURES, self._seed, self.step)
-        true, guesses, moves = _drawn(self._data, self._chain, self._batch, rng)
+        count = self._config.batch
+        rng = generator(Stream.LEARN_PICTURES, self._config.seed, self.step)
+        true, guesses, moves = _drawn(self._data, self._chain, count, rng)
         seen = [look(draw(points)) for points in true]
         wanted = torch.from_numpy(true).float()
-        readings, log_probabilities = self.reader.joined(seen)
+        readings, log_probabilities = self.network.joined(seen)
         first, best = _best_reading_loss(readings, log_probabilities, wanted)
         # `correct` must also refine readings, as it does for the first picture of an episode
-        own = rng.random(self._batch) < _OWN
+        own = rng.random(count) < _OWN
         guesses[own], moves[own] = best.detach().double().numpy()[own], 0.0
-        losses = first, _loss(self.reader.corrected(seen, guesses, moves), wanted).mean()
-        self._optimizer.zero_grad()
-        (losses[0] + losses[1]).backward()
-        torch.nn.utils.clip_grad_norm_(self.reader.parameters(), 1.0)
-        self._optimizer.step()
-        self.losses.append((losses[0].item(), losses[1].item()))
-        self.step += 1
-
-    def state(self) -> dict[str, Tensor]:
-        """Return the tensors that `restore` needs to resume."""
-        tensors = {f"reader.{name}": own for name, own in self.reader.state_dict().items()}
-        for number, moments in self._optimizer.state_dict()["state"].items():
-            tensors |= {f"optimizer.{number}.{name}": own for name, own in moments.items()}
-        tensors["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 2)
-        return tensors
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Resume from what `state` returned."""
-        self.reader.load_state_dict(
-            {
-                name.removeprefix("reader."): own
-                for name, own in tensors.items()
-                if name.startswith("reader.")
-            }
-        )
-        moments: dict[int, dict[str, Tensor]] = {}
-        for name, own in tensors.items():
-            if name.startswith("optimizer."):
-                _, number, moment = name.split(".")
-                moments.setdefault(int(number), {})[moment] = own
-        self._optimizer.load_state_dict({**self._optimizer.state_dict(), "state": moments})
-        self.losses = [(first, second) for first, second in tensors["losses"].tolist()]
-        self.step = len(self.losses)
+        second = _loss(self.network.corrected(seen, guesses, moves), wanted).mean()
+        self.minimize(first + second)
+        self.losses.append((self.step, first.item(), second.item()))
 
 
 def _drawn(
@@ -110,7 +64,7 @@ def _drawn(
     are 0.
     """
     rows = rng.integers(len(data.frames), size=count)
-    beads, forces = data.beads[rows], data.forces[rows] / chain.max_force
+    beads, forces = data.beads[rows], data.forces[rows].astype(np.float64)
     begins = beads < 0
     true = data.frames[rows].astype(np.float64)
     # rows - 1 is the state before, except where an episode begins
@@ -134,7 +88,7 @@ def _velocities(data: TrainingData, chain: ChainSimulation, rows: NDArray[np.int
 
     Datasets hold no velocities: the engine repeats the action before, from rest.
     """
-    beads, forces = data.beads[rows], data.forces[rows] / chain.max_force
+    beads, forces = data.beads[rows], data.forces[rows].astype(np.float64)
     begins = beads < 0
     before = data.frames[rows - ~begins].astype(np.float64)
     rest = np.zeros_like(before)

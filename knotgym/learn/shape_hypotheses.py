@@ -7,11 +7,10 @@ filter. Which bead was pulled is not visible either: it is inferred along with t
 (`position_belief`). Lengths are in metres, z up.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.configuration import Count, NonNegative, Positive, Share, Whole, configuration
 from knotgym.learn.imagination import BEADS, imagine
 from knotgym.learn.position_belief import PositionBelief
 from knotgym.learn.reader import Reader
@@ -36,7 +35,7 @@ _CONSULTED = 2
 _SURPRISE = 0.0005
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class HypothesesConfig:
     """Sizes and noise levels of the set of hypotheses.
 
@@ -49,12 +48,12 @@ class HypothesesConfig:
         codes: perturbed copies of a reading from which the codes that it may stand for are counted.
     """
 
-    ropes: int = 24
-    varied: int = 24
-    wave: float = 0.008
-    fresh: float = 0.05
-    blur: float = 0.003
-    codes: int = 30
+    ropes: Count = 24
+    varied: Whole = 24
+    wave: NonNegative = 0.008
+    fresh: Share = 0.05
+    blur: Positive = 0.003
+    codes: Count = 30
 
     @property
     def imagined(self) -> int:

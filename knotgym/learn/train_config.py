@@ -1,25 +1,72 @@
-"""The configuration of `knotgym train`, which can be read without torch."""
+"""The configurations of `knotgym train`, which can be read without torch."""
 
-from knotgym.common.configuration import Count, Seed, configuration
-from knotgym.rope.engines import MUJOCO, EngineName
+from typing import Literal
+
+from knotgym.common.configuration import Count, Crossings, Positive, Seed, Whole, configuration
+from knotgym.common.errors import InvalidInput
 
 
 @configuration
 class TrainConfig:
-    """Settings of a training.
+    """Settings that all learners have.
 
     Attributes:
-        steps: training steps of the reader, the perception model.
-        batch: pictures per step.
-        places: start positions of episodes that are kept, at most.
+        steps: optimizer steps.
+        batch: examples per step.
         save_every: steps between checkpoints.
-        engine: engine that the episodes must be made with, mujoco or chain.
         seed: random seed; the same seed and data give the same weights.
     """
 
     steps: Count = 3000
     batch: Count = 48
-    places: Count = 512
     save_every: Count = 200
-    engine: EngineName = MUJOCO
     seed: Seed = 0
+
+
+@configuration
+class ReaderConfig(TrainConfig):
+    """Settings of the learner from pictures, that is of its reader.
+
+    Attributes:
+        positions: start positions of ropes that are kept, at most.
+    """
+
+    positions: Count = 512
+
+
+@configuration
+class CloneConfig(TrainConfig):
+    """Settings of a clone.
+
+    Attributes:
+        guided: whether the clone, when it acts, also chooses by the counted passes that ship, which
+            tell what leads nearer to the goal.
+        rate: peak learning rate; it falls by a cosine.
+        width: of the network.
+        layers: of attention.
+        demonstrations: episodes to make of each task and nx in the chain engine, beside those in
+            datasets.
+        policy: policy that plays them; noisy also makes random passes, which aren't imitated.
+        task: tasks of these demonstrations.
+        nx: numbers of crossings of these demonstrations.
+        split: split of their starts and goals.
+        states: state file of their starts and goals, or a name of a set that ships.
+    """
+
+    steps: Count = 4000
+    batch: Count = 128
+    save_every: Count = 250
+    guided: bool = False
+    rate: Positive = 1e-3
+    width: Count = 96
+    layers: Count = 2
+    demonstrations: Whole = 0
+    policy: Literal["expert", "noisy"] = "noisy"
+    task: tuple[Literal["tie", "convert", "unknot"], ...] = ("tie",)
+    nx: Crossings = (2,)
+    split: Literal["train", "train-code"] = "train"
+    states: str = "readable"
+
+    def __post_init__(self) -> None:
+        if self.width % 4:
+            raise InvalidInput(f"width must be a multiple of 4 attention heads, got {self.width}")

@@ -1,241 +1,139 @@
-"""Train a learner, that is its reader; resumable and reproducible to the bit."""
+"""A training: optimizer steps, with one checkpoint that the next one replaces.
+
+Each step draws from its own random stream, so a resumed training draws what an uninterrupted one
+would have drawn, and ends with the same bits.
+"""
 
 import csv
 import hashlib
 import json
-import shutil
-import time
-from collections.abc import Callable, Sequence
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load, save
-from torch import Tensor
+from torch import Tensor, nn
 
-import knotgym
-from knotgym.common.atomic_files import atomic_write, move_into_place, remove, require_output
-from knotgym.common.configuration import as_json, differences, read_json
-from knotgym.common.errors import InvalidInput, one_line
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import InvalidFile, one_line
 from knotgym.common.hdf5_files import require_regular
-from knotgym.common.streams import Stream, generator
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.learn.checkpoint import CARD, Learned, load_policy, read_card, save_policy
-from knotgym.learn.reader_training import ReaderTraining
-from knotgym.learn.train_config import TrainConfig
-from knotgym.learn.training_data import TrainingData, read_training_data
 from knotgym.runs.progress import Progress, Status
-from knotgym.runs.run_options import REFUSE_EXISTING, Existing
-from knotgym.runs.staging import (
-    discard,
-    has_work,
-    may_be_finished,
-    require_no_interrupted_run,
-    staging,
-    staging_folder,
-)
 
-UNDER_WAY, REQUEST = "training.safetensors", "training.json"
 _SEAL = "seal"  # name of the array that holds the digest of the others
-_SECONDS = "seconds"  # and of the one that says how long the training has taken
-_CURVE_WINDOW = 50  # steps averaged in each row of the learning curve
+_WARM_UP, _LEAST_RATE = 50, 0.02  # steps over which the rate rises; share of the peak at the end
+_CURVE_ROWS = 100  # of a learning curve, at most
 
 
-def train(
-    datasets: Sequence[Any],
-    out: Path,
-    config: TrainConfig,
-    *,
-    existing: Existing = REFUSE_EXISTING,
-    quiet: bool = False,
-    progress: Progress | None = None,
-) -> Learned:
-    """Train a learner on datasets and write its checkpoint folder.
+class Training(ABC):
+    """A network in training.
+
+    Attributes:
+        network: as trained so far.
+        step: steps done.
+        losses: two numbers for each row of the learning curve, with the step before them.
+    """
+
+    def __init__(self, network: nn.Module, rate: float, decay: float, steps: int) -> None:
+        """Train `network` for `steps` steps; `decay` is that of the weights."""
+        # more threads would sum in another order and round otherwise
+        torch.set_num_threads(1)
+        self.network, self.steps, self._rate = network, steps, rate
+        self._optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
+        self.step, self.losses = 0, list[tuple[float, float, float]]()
+
+    @abstractmethod
+    def advance(self) -> None:
+        """Take one step or several."""
+
+    def minimize(self, loss: Tensor) -> None:
+        """Take one optimizer step; the rate rises linearly, then falls by a cosine."""
+        falling = 0.5 + 0.5 * math.cos(math.pi * self.step / self.steps)
+        rate = self._rate * min(1.0, (self.step + 1) / _WARM_UP)
+        for group in self._optimizer.param_groups:
+            group["lr"] = rate * (_LEAST_RATE + (1 - _LEAST_RATE) * falling)
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self._optimizer.step()
+        self.step += 1
+
+    def parts(self) -> dict[str, dict[str, Tensor]]:
+        """Return the tensors to keep beside the optimizer's, which are changed in place."""
+        return {"network": self.network.state_dict()}
+
+    def save(self, path: Path) -> None:
+        """Write the checkpoint, with a digest; it replaces the one before at once."""
+        moments = self._optimizer.state_dict()["state"]
+        parts = {**self.parts(), **{f"optimizer {number}": own for number, own in moments.items()}}
+        kept = {f"{part}/{k}": one for part, own in parts.items() for k, one in own.items()}
+        kept["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 3)
+        kept["step"] = torch.tensor([self.step])
+        kept = {name: own.detach().contiguous() for name, own in kept.items()}
+        seal = torch.tensor(list(_digest(kept)), dtype=torch.uint8)
+        with atomic_write(path) as part:
+            part.write_bytes(save({**kept, _SEAL: seal}))
+
+    def restore(self, path: Path) -> None:
+        """Continue from a checkpoint.
+
+        Raises:
+            InvalidFile: it is corrupted, a link, or of another training.
+        """
+        require_regular(path, "training", InvalidFile)
+        try:
+            kept = load(path.read_bytes())
+            if bytes(kept.pop(_SEAL).to(torch.uint8).tolist()) != _digest(kept):
+                raise ValueError("its checksum differs")
+            self.step, self.losses = int(kept.pop("step")), kept.pop("losses").tolist()
+            parts: dict[str, dict[str, Tensor]] = {}
+            for name, own in kept.items():
+                part, _, rest = name.partition("/")
+                parts.setdefault(part, {})[rest] = own
+            for part, tensors in self.parts().items():
+                if tensors.keys() != parts[part].keys():
+                    raise ValueError(f"its {part} is another one")
+                for name, own in tensors.items():
+                    own.copy_(parts[part][name])
+            moments = {
+                int(part.split()[1]): own for part, own in parts.items() if part[:9] == "optimizer"
+            }
+            self._optimizer.load_state_dict({**self._optimizer.state_dict(), "state": moments})
+        except (SafetensorError, KeyError, RuntimeError, TypeError, ValueError) as error:
+            raise InvalidFile(
+                f"{path} can't be continued from: {one_line(error)}; --restart starts over"
+            ) from error
+
+
+def fit(training: Training, path: Path, save_every: int, what: str, progress: Progress) -> None:
+    """Run a training to its end, continuing from its checkpoint if there is one.
 
     Args:
-        datasets: ids or folders.
-        quiet: show no progress; ignored if `progress` is given.
-
-    Raises:
-        InvalidInput: the datasets are unsuitable, or the training to resume has other settings
-            or is corrupted.
-        Occupied: `out` exists, holds an interrupted training, or is used by another process.
-        Failed: `out` can't be written.
-        InvalidFile, MissingFile: a dataset is missing or invalid.
+        training: that hasn't begun.
+        path: of the checkpoint.
+        save_every: steps between checkpoints.
+        what: is trained, for the progress.
+        progress: where to show it.
     """
-    if progress is None:
-        with Progress(quiet) as progress:
-            return train(datasets, out, config, existing=existing, progress=progress)
-    shown, made = progress, list[Learned]()
-
-    def read() -> tuple[TrainingData, str]:
-        data = read_training_data(datasets, config.engine)
-        return data, data.digest
-
-    def make(data: TrainingData, request: dict[str, Any], folder: Path) -> None:
-        made.append(_trained(datasets, data, config, request, folder, shown))
-
-    run_training(datasets, out, config, existing, progress, read, make)
-    return made[0] if made else load_policy(str(out))
-
-
-Data = TypeVar("Data")
-
-
-def run_training(
-    datasets: Sequence[Any],
-    out: Path,
-    config: Any,
-    existing: Existing,
-    progress: Progress,
-    read: Callable[[], tuple[Data, str]],
-    make: Callable[[Data, dict[str, Any], Path], None],
-) -> None:
-    """Run a training in a staging folder, unless it is finished already; see `train` for errors.
-
-    Args:
-        datasets, out, existing, progress: as of `train`.
-        config: a dataclass of settings.
-        read: reads the datasets; returns what `make` takes, and its digest.
-        make: trains in a folder, resuming what it holds; writes the checkpoint to `made` in it.
-            Also takes the settings and the digest.
-    """
-    finished = may_be_finished(out, existing) and (out / CARD).is_file()
-    if not finished:
-        require_output(out, folder=True, overwrite=existing.overwrite)
-    require_no_interrupted_run(out, existing)
-    for dataset in datasets:
-        EpisodeReader(dataset).close()
-    progress.stage("reading the episodes")
-    data, digest = read()
-    request = {"config": as_json(config), "data_sha256": digest}
-    if finished:
-        card = read_card(out)
-        differing = list(differences({name: card.get(name) for name in request}, request))
-        if not differing:
-            discard(out)
-            progress.say(f"{out} is finished already")
-            return
-        if not existing.overwrite:
-            raise InvalidInput(
-                f"{out} holds a training with other settings: {'; '.join(differing[:3])}; choose"
-                " another --out, or replace it by --overwrite"
-            )
-    with staging(out, existing) as folder:
-        make(data, request, folder)
-        move_into_place(folder / "made", out, overwrite=existing.overwrite)
-    shutil.rmtree(staging_folder(out))
-
-
-def _trained(
-    datasets: Sequence[Any],
-    data: TrainingData,
-    config: TrainConfig,
-    request: dict[str, Any],
-    folder: Path,
-    progress: Progress,
-) -> Learned:
-    """Train in a staging folder, resuming what it holds; write the checkpoint to `made` in it."""
-    kept, began = begin_training(folder, request)
-    training = ReaderTraining(data, config.steps, config.batch, config.seed)
-    if kept:
-        _restore(folder, training, kept)
+    if path.exists():
+        training.restore(path)
 
     def status() -> Status:
         facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
-        return Status(training.step, config.steps, "steps of the reader", facts, even=True)
+        return Status(training.step, training.steps, f"steps of the {what}", facts, even=True)
 
-    progress.stage("training the reader")
-    while training.step < config.steps:
+    progress.stage(f"training the {what}")
+    while training.step < training.steps:
         progress.show(status)
         training.advance()
-        if training.step % config.save_every == 0 or training.step == config.steps:
-            keep_training(folder, training.state(), began)
+        if training.step % save_every == 0 or training.step == training.steps:
+            training.save(path)
     progress.show(status, last=True)
-    learned = Learned(training.reader.eval(), _starts(data, config))
-    made_in = folder / "made"
-    remove(made_in)
-    made_in.mkdir()
-    curve = [
-        (start + _CURVE_WINDOW, *np.mean(training.losses[start : start + _CURVE_WINDOW], axis=0))
-        for start in range(0, len(training.losses), _CURVE_WINDOW)
-    ]
-    draw_curve(made_in, ("join", "correct"), curve)
-    made = {
-        "knotgym": knotgym.__version__,
-        **request,
-        "data": ["/".join(Path(str(one)).parts[-3:]) for one in datasets],
-        "episodes": len(data.starts),
-        "frames": len(data.frames),
-        "seconds": round(time.perf_counter() - began),
-    }
-    save_policy(made_in, learned, made)
-    return learned
-
-
-def begin_training(folder: Path, request: dict[str, Any]) -> tuple[dict[str, Tensor], float]:
-    """Begin a training in a staging folder, or load the checkpoint of the one to resume.
-
-    Returns:
-        What `keep_training` kept; and when the training began, in seconds of `time.perf_counter`,
-        as if it hadn't been interrupted.
-
-    Raises:
-        InvalidInput: that training has other settings or is corrupted.
-    """
-    now = time.perf_counter()
-    if not has_work(folder):
-        with atomic_write(folder / REQUEST) as part:
-            part.write_text(json.dumps(request, indent=1) + "\n", encoding="utf-8")
-        return {}, now
-    try:
-        before = read_json(folder / REQUEST)
-    except (OSError, ValueError) as error:
-        raise InvalidInput(
-            f"no training to resume in {folder}, its {REQUEST} is missing or damaged; --restart"
-            " starts over"
-        ) from error
-    if not isinstance(before, dict):
-        raise InvalidInput(f"{folder / REQUEST} doesn't hold a training's settings")
-    found = list(differences(before, request))
-    if found:
-        raise InvalidInput(
-            f"the training to resume has other settings: {'; '.join(found)}; give the same ones,"
-            " or --restart to discard it"
-        )
-    if not (folder / UNDER_WAY).exists():
-        return {}, now
-    require_regular(folder / UNDER_WAY, "training", InvalidInput)
-    try:
-        kept: dict[str, Tensor] = load((folder / UNDER_WAY).read_bytes())
-        seal = bytes(kept.pop(_SEAL, torch.zeros(0)).to(torch.uint8).tolist())
-        if seal != _digest(kept):
-            raise InvalidInput(f"{folder / UNDER_WAY} is corrupted: its checksum differs")
-    except (SafetensorError, RuntimeError, TypeError, ValueError) as error:
-        if isinstance(error, InvalidInput):
-            raise
-        raise InvalidInput(f"{folder / UNDER_WAY} can't be read: {one_line(error)}") from error
-    return kept, now - kept.pop(_SECONDS, torch.zeros(1)).item()
-
-
-def _restore(folder: Path, training: ReaderTraining, kept: dict[str, Tensor]) -> None:
-    try:
-        training.restore(kept)
-    except (KeyError, ValueError, RuntimeError) as error:
-        raise InvalidInput(f"{folder / UNDER_WAY} can't be read: {error}") from error
-
-
-def keep_training(folder: Path, kept: dict[str, Tensor], began: float) -> None:
-    """Write the state of a training, sealed by its digest, into its staging folder."""
-    kept = {name: own.contiguous() for name, own in kept.items()}
-    kept[_SECONDS] = torch.tensor([time.perf_counter() - began])
-    seal = torch.tensor(list(_digest(kept)), dtype=torch.uint8)
-    with atomic_write(folder / UNDER_WAY) as part:
-        part.write_bytes(save({**kept, _SEAL: seal}))
 
 
 def _digest(kept: dict[str, Tensor]) -> bytes:
@@ -243,43 +141,36 @@ def _digest(kept: dict[str, Tensor]) -> bytes:
     whole = hashlib.sha256()
     for name, own in sorted(kept.items()):
         whole.update(json.dumps([name, str(own.dtype), [*own.shape]]).encode())
-        whole.update(own.detach().numpy().tobytes())
+        whole.update(own.numpy().tobytes())
     return whole.digest()
 
 
-def _starts(data: TrainingData, config: TrainConfig) -> NDArray[np.float32]:
-    """Draw start positions of ropes' middles, float32 (n, 3), metres."""
-    rng = generator(Stream.LEARN_PLACES, config.seed)
-    rows = data.starts[np.sort(rng.permutation(len(data.starts))[: config.places])]
-    middles: NDArray[np.float32] = data.frames[rows].mean(axis=1).astype(np.float32)
-    return middles
-
-
-def draw_curve(
-    out: Path, names: tuple[str, str], curve: Sequence[tuple[int, float, float]]
-) -> None:
+def draw_curve(out: Path, names: tuple[str, str], curve: Sequence[Iterable[float]]) -> None:
     """Write `curve.csv` and `curve.png`: two losses, the first blue and the second orange.
 
     Args:
+        out: folder.
         names: of the losses.
-        curve: step and both losses, at least one row.
+        curve: step and both losses, at least one row; many are averaged in groups.
     """
-    rows = [(step, round(first, 5), round(second, 5)) for step, first, second in curve]
+    rows = np.array(curve, dtype=np.float64)
+    groups = np.array_split(rows, range(0, len(rows), -(-len(rows) // _CURVE_ROWS))[1:])
+    rows = np.array([[group[-1, 0], *group[:, 1:].mean(axis=0)] for group in groups])
     with atomic_write(out / "curve.csv") as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("step", *names))
-        writer.writerows(rows)
+        writer.writerows([int(row[0]), *row[1:].round(5).tolist()] for row in rows)
     width, height, edge = 640, 360, 40
     image = np.full((height, width, 3), 255, dtype=np.uint8)
-    top = max(max(row[1:]) for row in rows)
+    top = rows[:, 1:].max()
     for column, colour in ((1, (31, 119, 180)), (2, (255, 127, 14))):
-        x = edge + np.array([row[0] for row in rows]) / rows[-1][0] * (width - 2 * edge)
-        y = height - edge - np.array([row[column] for row in rows]) / top * (height - 2 * edge)
+        x = edge + rows[:, 0] / rows[-1, 0] * (width - 2 * edge)
+        y = height - edge - rows[:, column] / top * (height - 2 * edge)
         line = np.rint(np.stack([x, y], axis=1)).astype(np.int32)
         cv2.polylines(image, [line], False, colour, 2, cv2.LINE_AA)
-    font = cv2.FONT_HERSHEY_SIMPLEX
-    cv2.putText(image, f"loss, 0 to {top:.2f}", (edge, 24), font, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
-    cv2.putText(image, f"{rows[-1][0]} steps", (width - 140, height - 12), font, 0.5, (0, 0, 0), 1)
+    texts: list[Any] = [(f"loss, 0 to {top:.2f}", (edge, 24))]
+    texts.append((f"{int(rows[-1, 0])} steps", (width - 140, height - 12)))
+    for text, at in texts:
+        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
     with atomic_write(out / "curve.png") as part:
-        _, encoded = cv2.imencode(".png", image[..., ::-1])
-        part.write_bytes(encoded.tobytes())
+        part.write_bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())

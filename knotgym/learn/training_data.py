@@ -1,4 +1,4 @@
-"""Training data: the states and actions of episode datasets of the train split."""
+"""What learners take from episode datasets: states and pulls, or decisions."""
 
 import hashlib
 from collections.abc import Sequence
@@ -8,86 +8,93 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episodes import Episodes, gauss_codes
+from knotgym.envs.tasks import TaskConfig
+from knotgym.learn.decisions import Decisions
 from knotgym.learn.imagination import BEADS
 from knotgym.rope.model import RopeConfig
 
 
 class TrainingData(NamedTuple):
-    """States and actions of all episodes, one after the other.
+    """States and pulls of all episodes, one after the other.
 
     Attributes:
         frames: float32 (n, BEADS, 3), every state of every episode, metres.
         beads: int64 (n,), bead pulled by the action that led to each state; -1 for a first state.
-        forces: float64 (n, 3), force of that action, newtons.
+        forces: float32 (n, 3), force of that action, in units of the largest.
         starts: int64 (episodes,), index of each episode's first state.
-        digest: SHA-256 of all states and actions in order, hexadecimal.
     """
 
     frames: NDArray[np.float32]
     beads: NDArray[np.int64]
-    forces: NDArray[np.float64]
+    forces: NDArray[np.float32]
     starts: NDArray[np.int64]
-    digest: str
 
 
-def read_training_data(datasets: Sequence[Any], engine: str) -> TrainingData:
-    """Read datasets of one engine, given as ids or folders.
+def states_and_pulls(sets: Sequence[Episodes]) -> TrainingData:
+    """Return the states and pulls of sets of episodes."""
+    parts, before = list[TrainingData](), 0
+    for one in sets:
+        steps, starts = one.steps, one.offsets[:-1]
+        # a row holds the pull made in its state; here it belongs to the state that it led to
+        beads = np.roll(steps["bead"].astype(np.int64), 1)
+        forces = np.roll(steps["force"] * steps["share"][:, None], 1, axis=0)
+        beads[starts] = -1
+        parts.append(TrainingData(steps["observation"], beads, forces, before + starts))
+        before += steps.rows
+    return TrainingData(*(np.concatenate(own) for own in zip(*parts, strict=True)))
 
-    Raises:
-        InvalidInput: no dataset, or one that is not of the train split, has no episodes or
-            was made with another rope or engine.
-        InvalidFile, MissingFile: a dataset is missing or not of this version.
-    """
-    if not datasets:
-        raise InvalidInput("name at least one dataset to train on, as in --data FOLDER")
-    frames: list[NDArray[np.float32]] = []
-    beads: list[NDArray[np.int64]] = []
-    forces: list[NDArray[np.float64]] = []
-    digest = hashlib.sha256()
-    for dataset in datasets:
-        reader = EpisodeReader(dataset)
-        require_trainable(reader, dataset, engine)
-        for index in range(len(reader)):
-            episode = reader.episode(index)
-            digest.update(episode.points.tobytes())
-            digest.update(episode.actions.tobytes())
-            frames.append(episode.points.astype(np.float32))
-            beads.append(np.concatenate([[-1], episode.bead[1:]]))
-            forces.append(episode.force)
-        reader.close()
-    return TrainingData(
-        np.concatenate(frames),
-        np.concatenate(beads),
-        np.concatenate(forces),
-        np.cumsum([0, *map(len, frames[:-1])]),
-        digest.hexdigest(),
+
+def decisions_of(one: Episodes, first: int = 0) -> Decisions:
+    """Return the passes of a set of episodes; the numbers of episodes begin at `first`."""
+    steps, episodes = one.steps, one.episodes
+    # other macro-actions, which the scripted policy has too, pass no strand
+    passes = (steps["macro_side"] != 0) & (steps["macro_target"] < steps["observation"].shape[1])
+    chosen = np.flatnonzero(steps["macro_start"] & passes)
+    number = one.episode_of()[chosen]
+    macros = [steps[f"macro_{name}"][chosen] for name in ("bead", "target", "side")]
+    return Decisions(
+        steps["observation"][chosen],
+        gauss_codes(episodes["goal_visits"])[number],
+        np.stack(macros, axis=1).astype(np.int64),
+        episodes["success"][number],
+        first + number,
     )
 
 
-def require_trainable(reader: EpisodeReader, dataset: Any, engine: str) -> None:
-    """Require episodes of the train split, of an engine, with the rope that learners know.
+def require_trainable(task: TaskConfig, rope: str, episodes: Episodes, name: Any) -> None:
+    """Require episodes of the train split, with the rope that learners know.
+
+    Args:
+        task: of the episodes.
+        rope: fingerprint of the rope model.
+        episodes: the dataset's.
+        name: of the dataset, for messages.
 
     Raises:
         InvalidInput: they are not.
     """
-    if not reader.task.split.startswith("train"):
+    if not task.split.startswith("train"):
         raise InvalidInput(
-            f"{dataset} is of the {reader.task.split} split, which is held out for evaluation;"
-            " train on datasets of the train split"
+            f"{name} is of the {task.split} split, which is held out for evaluation; train on"
+            " datasets of the train split"
         )
-    if not len(reader):
-        raise InvalidInput(f"{dataset} has no episodes; collect some with knotgym collect")
-    if reader.task.engine != engine:
+    if not episodes.episodes.rows:
+        raise InvalidInput(f"{name} has no episodes; collect some with knotgym collect")
+    if rope != RopeConfig().fingerprint or task.integrator_steps != 24:
         raise InvalidInput(
-            f"{dataset} was made with engine {reader.task.engine}, and this training is for engine"
-            f" {engine}; give --engine {reader.task.engine} to train on it"
+            f"{name} was made with rope {rope} and {task.integrator_steps} integrator steps; the"
+            f" learner supports only {RopeConfig().fingerprint} and 24"
         )
-    if reader.rope != RopeConfig().fingerprint or reader.task.integrator_steps != 24:
-        raise InvalidInput(
-            f"{dataset} was made with rope {reader.rope} and {reader.task.integrator_steps}"
-            f" integrator steps; the learner supports only {RopeConfig().fingerprint} and 24"
-        )
-    shape = reader.column(0, "points").shape
-    if shape[1:] != (BEADS, 3):
-        raise InvalidInput(f"{dataset} has ropes of {shape[1]} beads; {BEADS} are needed")
+    beads = episodes.steps["observation"].shape[1]
+    if beads != BEADS:
+        raise InvalidInput(f"{name} has ropes of {beads} beads; {BEADS} are needed")
+
+
+def digest(arrays: Sequence[NDArray[Any]]) -> str:
+    """Return the SHA-256 of arrays, in order, hexadecimal."""
+    whole = hashlib.sha256()
+    for array in arrays:
+        whole.update(f"{array.dtype}{array.shape}".encode())
+        whole.update(np.ascontiguousarray(array).tobytes())
+    return whole.hexdigest()

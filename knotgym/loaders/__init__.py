@@ -15,9 +15,9 @@ train split). The other arguments are
                     (see `Transitions`)
     labels          True to use the expert's actions instead of those taken, if the dataset has them
                     (`knotgym collect --labels expert`)
-    cache           a folder, or a `FrameCache` with a size limit, for uncompressed pictures. They
-                    are written on first use and make random batches fast. The pictures are the
-                    same, byte for byte
+    cache           a folder for uncompressed pictures. They are drawn once, on first use, and
+                    mapped into memory, which makes random batches fast. The pictures are the same,
+                    byte for byte
     window          a `Window`: n-step returns, chunks of actions, stacks of observations, a history
                     of actions, and goals sampled as in OGBench (`GoalSampling`)
 
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from knotgym.loaders.converters import to_d3rlpy as to_d3rlpy
     from knotgym.loaders.converters import to_tensordict as to_tensordict
     from knotgym.loaders.converters import torch_dataset as torch_dataset
-    from knotgym.loaders.frame_cache import FrameCache as FrameCache
     from knotgym.loaders.perception import images as images
     from knotgym.loaders.rows import arrays as arrays
+    from knotgym.loaders.sequences import Sequences as Sequences
     from knotgym.loaders.transitions import Transitions as Transitions
     from knotgym.loaders.windows import GoalSampling as GoalSampling
     from knotgym.loaders.windows import Window as Window
@@ -48,8 +48,8 @@ else:
     __getattr__, __dir__, __all__ = lazy_exports(
         __name__,
         {
-            "FrameCache": "knotgym.loaders.frame_cache",
             "GoalSampling": "knotgym.loaders.windows",
+            "Sequences": "knotgym.loaders.sequences",
             "Transitions": "knotgym.loaders.transitions",
             "Window": "knotgym.loaders.windows",
             "arrays": "knotgym.loaders.rows",

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput, MissingExtra, install_command
 from knotgym.loaders.rows import drawn_goals, rows
-from knotgym.loaders.segments import Opening
-from knotgym.loaders.transitions import Transitions
+from knotgym.loaders.transitions import Opening, Transitions
 from knotgym.loaders.windows import Window
 
 # d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0 (which knotgym supports), and an extra would pin

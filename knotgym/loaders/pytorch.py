@@ -60,14 +60,11 @@ class EpisodeDataset(Dataset[dict[str, Any]]):
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         segment = _checked(index, len(self))
-        own = self.transitions.columns(segment)
-        return {
-            "observations": _tensor(self.transitions.observations(segment)),
-            "actions": torch.from_numpy(own.actions.copy()),
-            "rewards": torch.from_numpy(own.rewards.astype(np.float32)),
-            "terminals": torch.from_numpy(own.terminals.copy()),
-            "timeouts": torch.from_numpy(own.timeouts.copy()),
-        }
+        own = slice(*self.transitions.starts[segment : segment + 2])
+        names = ("actions", "rewards", "terminals", "timeouts")
+        columns = {name: getattr(self.transitions, name)[own].copy() for name in names}
+        seen = self.transitions.observations(segment)
+        return {name: _tensor(one) for name, one in {"observations": seen, **columns}.items()}
 
 
 class FrameDataset(Dataset[dict[str, Any]]):

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, generator
-from knotgym.loaders.segments import Opening
-from knotgym.loaders.transitions import Transitions
+from knotgym.loaders.transitions import Opening, Transitions
 
 
 def arrays(dataset: Any, **opening: Unpack[Opening]) -> dict[str, Any]:

@@ -1,21 +1,289 @@
-"""Transitions of a dataset in batches, through windows of several steps and with sampled goals."""
+"""Transitions of a dataset in batches, through windows of several steps and with sampled goals.
 
-from collections.abc import Callable
+A segment is a whole episode or, with hindsight relabelling, the start of an episode up to a code
+that it reached. All of it is index arithmetic on the columns of the dataset:
+
+    states         N + S of them: the states of all segments, one after the other; `_states` has
+                   the row of steps of each
+    transition t   of segment s leads from state t + s to state t + s + 1
+"""
+
 from functools import cached_property
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_reader import goal_axis
-from knotgym.loaders.frame_cache import CachedFrames, HeldVertices
-from knotgym.loaders.segments import Segments
+from knotgym.datasets.episode_dataset import columns_of
+from knotgym.datasets.episodes import (
+    code_ids,
+    gauss_codes,
+    goals_reached,
+    ranges,
+    within_tow,
+)
+from knotgym.envs.tasks import ACTIONS
+from knotgym.loaders.frames import Frames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
+from knotgym.rope.actions import decode_actions, force_choices
 
 
-class Transitions(Segments):
-    """The transitions of `Segments`, in batches."""
+class Opening(TypedDict, total=False):
+    """The keywords of every loader, see `knotgym.loaders`."""
+
+    observation: str | None
+    picture: Any
+    action: str | None
+    relabel: str | None
+    labels: bool
+    cache: Any
+    window: Window | None
+
+
+class Transitions:
+    """N transitions in S segments. Can be pickled, and read from any process.
+
+    Opening maps the columns and reads hardly any of them; only relabel reads all codes.
+
+    In the view "macro" a transition is a macro-action. It leads from the state in which the
+    macro-action began to that in which the next one began, or to the segment's last; its reward is
+    the sum over the pulls between, of which only the last can have one. States before the first
+    macro-action are left out, and so are segments without any.
+
+    Attributes:
+        task: the environment of the dataset.
+        episode: int64 (S,), index of the segment's episode in the dataset.
+        goal_step: int64 (S,), which state of the episode is the goal; -1 for the episode's own
+            goal.
+        starts: int64 (S + 1,), the first transition of each segment, then N.
+        action: view of the actions, see `knotgym.rope.action_views`.
+        window: steps, chunks, stacks, histories and sampled goals of `batch`.
+    """
+
+    def __init__(
+        self,
+        dataset: Any,
+        observation: str | None = None,
+        picture: Any = None,
+        action: str | None = None,
+        relabel: str | None = None,
+        labels: bool = False,
+        cache: Any = None,
+        window: Window | None = None,
+    ) -> None:
+        """Open a dataset.
+
+        Args:
+            dataset: id or folder of a Minari dataset, `minari.MinariDataset`, or an episode file.
+            observation: "pixels", "state", "both", "symbolic" or "marked"; None for the
+                environment's.
+            picture: a `knotgym.rendering.picture.PictureConfig` to render with; None for the
+                environment's pictures.
+            action: "pull", "bead" or "macro"; None for the environment's.
+            relabel: None for episodes as they are. "last": the goal becomes the last new code that
+                an episode reached, and the episode ends there. "all": one such segment for every
+                code that it reached. An episode that never leaves its first code gives none.
+            labels: use the actions that an expert would have taken (`collect --labels expert`)
+                instead of those taken; they don't lead to the next observation.
+            cache: a folder to keep uncompressed pictures in; see `knotgym.loaders`.
+            window: steps, chunks, stacks, histories and sampled goals of `batch`; None for single
+                transitions.
+
+        Raises:
+            InvalidInput: these settings don't go together, or the dataset lacks what they need.
+            MissingFile, InvalidFile: there is no such dataset, or it is damaged.
+        """
+        self._dataset = columns_of(dataset)
+        self._opening: Opening = {
+            "observation": observation,
+            "picture": picture,
+            "action": action,
+            "relabel": relabel,
+            "labels": labels,
+            "cache": cache,
+            "window": window,
+        }
+        self.task, self.window = self._dataset.task, window
+        self.action = self.task.action if action is None else action
+        self._labels, self._relabelled = labels, relabel is not None
+        self._check()
+        self._frames = Frames(self._dataset, observation or self.task.observation, picture, cache)
+        episodes = self._dataset.episodes
+        if relabel is None:
+            self.episode, lengths = np.arange(episodes.episodes.rows), episodes.episodes["length"]
+            self.goal_step = np.full(len(lengths), -1)
+        else:
+            hold, limit = self.task.hold, self.task.tow_limit
+            self.episode, lengths = goals_reached(episodes, hold, limit, relabel)
+            self.goal_step = lengths
+        first = episodes.offsets[self.episode]
+        counts, states = lengths, ranges(first, lengths + 1)
+        if self.action == "macro":
+            # transitions begin where macro-actions do; the last state of a segment ends the last
+            begun = np.flatnonzero(episodes.steps["macro_start"])
+            at, end = np.searchsorted(begun, first), np.searchsorted(begun, first + lengths)
+            kept, counts = end > at, (end - at)[end > at]
+            self.episode, self.goal_step = self.episode[kept], self.goal_step[kept]
+            states = np.append(begun, 0)[ranges(at[kept], counts + 1)]
+            states[np.cumsum(counts + 1) - 1] = (first + lengths)[kept]
+        self.starts: Ids = np.concatenate([[0], np.cumsum(counts)])
+        self._states = states
+        self._segment_of = np.repeat(np.arange(len(counts)), counts + 1)
+
+    def _check(self) -> None:
+        """Refuse settings that don't go together or that the dataset has no columns for."""
+        steps, window, path = self._dataset.episodes.steps, self.window, self._dataset.path
+        goals = window is not None and window.goals is not None
+        chunk = window is not None and window.chunk is not None
+        refusals = {
+            f"no action {self.action!r}; there is {', '.join(ACTIONS)}": self.action not in ACTIONS,
+            "the expert's actions are pulls: use labels without action 'macro'": (
+                self.action == "macro" and self._labels
+            ),
+            f"{path} doesn't record macro-actions: use action 'pull' or 'bead', or collect it with"
+            " a policy that acts in macro-actions": (
+                self.action == "macro" and "macro_start" not in steps
+            ),
+            "the expert's actions lead to the episode's own goal: use labels without relabel": (
+                self._labels and self._relabelled
+            ),
+            f"{path} has no expert actions: collect it with --labels expert": (
+                self._labels and "expert_action" not in steps
+            ),
+            "sampled goals replace the episodes': leave out relabel and labels": (
+                goals and (self._labels or self._relabelled)
+            ),
+            "the expert's actions don't follow one another: leave out chunk": (
+                chunk and self._labels
+            ),
+        }
+        for refusal, refused in refusals.items():
+            if refused:
+                raise InvalidInput(refusal)
+
+    def __reduce__(self) -> Any:
+        """Pickle what was opened, so that each process maps the file itself."""
+        return _opened, (self._dataset, self._opening)
+
+    def __len__(self) -> int:
+        """N, the transitions."""
+        return int(self.starts[-1])
+
+    @property
+    def segments(self) -> int:
+        """S, the segments."""
+        return len(self.episode)
+
+    @cached_property
+    def _before(self) -> Ids:
+        """The row of steps that each transition begins in: (N,)."""
+        return self._states[np.arange(len(self)) + self._segments(np.arange(len(self)))]
+
+    @cached_property
+    def _after(self) -> Ids:
+        """The row of steps that each transition ends in: (N,)."""
+        return self._states[np.arange(len(self)) + self._segments(np.arange(len(self))) + 1]
+
+    @cached_property
+    def actions(self) -> NDArray[Any]:
+        """float32 (N, 6); in other views int64 (N, 4) or (N, 3)."""
+        return self._actions("expert_action" if self._labels else "action")
+
+    @cached_property
+    def _taken(self) -> NDArray[Any]:
+        """The actions that were taken, where `actions` are the expert's."""
+        return self._actions("action") if self._labels else self.actions
+
+    def _actions(self, name: str) -> NDArray[Any]:
+        steps, at = self._dataset.episodes.steps, self._before
+        if self.action == "macro":
+            led = (steps[f"macro_{part}"][at].astype(np.int64) for part in ("bead", "target"))
+            return np.stack([*led, (steps["macro_side"][at].astype(np.int64) + 1) // 2], axis=1)
+        pulls = steps[name][at]
+        if self.action == "pull":
+            return pulls
+        if name == "action":
+            beads = steps["bead"][at].astype(np.int64)
+        else:
+            points = steps["observation"][at].astype(np.float64)
+            beads = decode_actions(pulls, points, self.task.rope)[0]
+        return np.column_stack([beads, force_choices(pulls[:, 3:])])
+
+    @cached_property
+    def rewards(self) -> NDArray[np.float64]:
+        """float64 (N,)."""
+        if self._relabelled:
+            return np.where(self.terminals, self.task.success_reward, 0.0)
+        rewards = self._dataset.episodes.steps["reward"]
+        if self.action != "macro":
+            return rewards[self._before]
+        between = np.stack([self._before, self._after], axis=1).ravel()
+        return np.add.reduceat(rewards, between)[::2] if len(between) else np.zeros(0)
+
+    @cached_property
+    def terminals(self) -> NDArray[np.bool_]:
+        """bool (N,), true where an episode terminated."""
+        if self._relabelled:
+            last = np.zeros(len(self), dtype=bool)
+            last[self.starts[1:] - 1] = True
+            return last
+        return self._dataset.episodes.steps["terminated"][self._after - 1]
+
+    @cached_property
+    def timeouts(self) -> NDArray[np.bool_]:
+        """bool (N,), true where an episode was truncated."""
+        if self._relabelled:
+            return np.zeros(len(self), dtype=bool)
+        return self._dataset.episodes.steps["truncated"][self._after - 1]
+
+    @cached_property
+    def pulls(self) -> Ids:
+        """int64 (N,), pulls of each transition: 1 unless the view is "macro"."""
+        return self._after - self._before
+
+    def place(self, transition: int) -> tuple[int, int]:
+        """Return the segment that holds a transition, and its step there."""
+        segment = int(np.searchsorted(self.starts, transition, side="right")) - 1
+        return segment, int(transition - self.starts[segment])
+
+    def frame_place(self, frame: int) -> tuple[int, int]:
+        """Return the segment and step of one of the N + S states of all segments."""
+        segment = int(self._segment_of[frame])
+        return segment, int(frame - self.starts[segment] - segment)
+
+    def observations(self, segment: int, start: int = 0, stop: int | None = None) -> Any:
+        """Return the observations of the states [start, stop) of a segment with T transitions.
+
+        There are T + 1; see `Transitions` for those of the view "macro".
+
+        Returns:
+            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, int16
+            (n, 2, symbols), or float32 (n, marked.size(beads)).
+        """
+        shown = self._rows_of(segment)[start:stop]
+        goals = np.repeat(self._goals(np.array([segment])), len(shown))
+        return self._frames.observe([shown], goals)[0]
+
+    def codes(self, segment: int) -> list[str]:
+        """Return the Gauss codes of a segment's states."""
+        texts: list[str] = gauss_codes(
+            self._dataset.episodes.steps["visits"][self._rows_of(segment)]
+        ).tolist()
+        return texts
+
+    def _rows_of(self, segment: int) -> Ids:
+        first, last = self.starts[segment : segment + 2] + (segment, segment + 1)
+        return self._states[first:last]
+
+    def _goals(self, segments: Ids) -> Ids:
+        """Return the frames of segments' goals."""
+        episode, step = self.episode[segments], self.goal_step[segments]
+        reached = self._dataset.episodes.offsets[episode] + step
+        return np.where(step < 0, self._frames.goals(episode), reached)
+
+    def _segments(self, rows: Ids) -> Ids:
+        return np.searchsorted(self.starts, rows, side="right") - 1
 
     def batch(
         self,
@@ -25,9 +293,6 @@ class Transitions(Segments):
         rng: np.random.Generator | None = None,
     ) -> dict[str, Any]:
         """Return n transitions, such as a random batch.
-
-        A `cache` of pictures makes this fast. Vertices are held in memory from the first batch on,
-        if they take at most a gigabyte.
 
         Args:
             rows: int (n,), indices of transitions.
@@ -55,7 +320,7 @@ class Transitions(Segments):
             )
         return self.gather(wanted % len(self), apart=apart, rng=rng)
 
-    def sample_goals(self, rows: ArrayLike, rng: np.random.Generator) -> NDArray[np.int64]:
+    def sample_goals(self, rows: ArrayLike, rng: np.random.Generator) -> Ids:
         """Draw the goals of transitions, as `batch` does first with the same generator.
 
         Returns:
@@ -70,11 +335,11 @@ class Transitions(Segments):
         segments = self._segments(wanted)
         last = self.starts[segments + 1] + segments
         return self.window.goals.draw(
-            wanted + segments, last, len(self._step_of), self.window.discount, rng
+            wanted + segments, last, len(self._states), self.window.discount, rng
         )
 
     def outcomes(
-        self, rows: NDArray[np.int64], n_step: int, goals: NDArray[np.int64] | None = None
+        self, rows: Ids, n_step: int, goals: Ids | None = None
     ) -> tuple[NDArray[Any], ...]:
         """Return what happened in n_step transitions from each of n on.
 
@@ -87,7 +352,8 @@ class Transitions(Segments):
             rewards, terminals, timeouts, pulls, and whether the transition belongs to the segment,
             (n, n_step) each.
         """
-        end = self.starts[self._segments(rows) + 1][:, None]
+        segments = self._segments(rows)
+        end = self.starts[segments + 1][:, None]
         following = rows[:, None] + np.arange(n_step)
         inside = following < end
         at = np.minimum(following, end - 1)
@@ -96,43 +362,53 @@ class Transitions(Segments):
             return self.rewards[at], *ends, self.pulls[at], inside
         assert self.window is not None and self.window.goals is not None
         codes, held = self._codes_held
-        after = at + self._segments(rows)[:, None] + 1
+        after = at + segments[:, None] + 1
         wanted = codes[goals][:, None]
-        success = (codes[after] == wanted) & (wanted >= 0) & (held[after] >= self._reader.task.hold)
+        success = (codes[after] == wanted) & (wanted >= 0) & (held[after] >= self.task.hold)
         rewards = success - float(self.window.goals.gc_negative)
         return rewards, success, (at == end - 1) & ~success, self.pulls[at], inside
 
-    def _segments(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        return np.searchsorted(self.starts, rows, side="right") - 1
+    @cached_property
+    def _codes_held(self) -> tuple[Ids, Ids]:
+        """Per state: its code as a number, -1 where none counts; and for how many steps it held."""
+        episodes = self._dataset.episodes
+        offsets, episode = episodes.offsets, episodes.episode_of()
+        step = np.arange(len(episode)) - offsets[episode]
+        # no state counts from the first one on that is towed too far, or that blew up
+        beyond = ~within_tow(episodes, self.task.tow_limit)
+        beyond[episodes.last()] |= episodes.episodes["failed"]
+        passed = np.concatenate([[0], np.cumsum(beyond)])
+        numbers = code_ids(episodes.steps["visits"])
+        numbers[passed[1:] > passed[offsets[episode]]] = -1
+        # the state of a reset isn't a step, so that the first step begins to hold a code
+        begins = np.append(True, numbers[1:] != numbers[:-1]) | (step <= 1)
+        row = np.arange(len(step))
+        held = row - np.maximum.accumulate(np.where(begins, row, 0)) + (step > 0)
+        return numbers[self._states], held[self._states]
 
     def gather(
         self,
-        rows: NDArray[np.int64],
+        rows: Ids,
         *,
         apart: bool = False,
         rng: np.random.Generator | None = None,
     ) -> dict[str, Any]:
         """Return what `batch` does, for any number of rows in [0, N), which aren't checked."""
-        window = self.window or Window()
-        halved = apart or (window.goals is not None and window.goals.negatives)
-        if halved and self._shown == "marked":
-            raise InvalidInput(
-                "a marked observation has no halves: its frame depends on rope and goal; choose"
-                " observation 'pixels', 'state', 'both' or 'symbolic', or leave out apart and"
-                " negatives"
-            )
-        segments, goals = self._segments(rows), None
+        window, sampled = self.window or Window(), None
+        segments = self._segments(rows)
         if window.goals is not None:
             if rng is None:
                 raise InvalidInput("goals are drawn: hand a generator in, batch(rows, rng=...)")
-            goals = self.sample_goals(rows, rng)
-        found = returns(window.discount, *self.outcomes(rows, window.n_step, goals))
+            sampled = self.sample_goals(rows, rng)
+        goals = self._goals(segments) if sampled is None else self._states[sampled]
+        found = returns(window.discount, *self.outcomes(rows, window.n_step, sampled))
         states = rows + segments
-        seen = self._observed(
-            [self._stack(states, segments), self._stack(states + found.steps, segments)],
-            goals,
-            apart,
-        )
+        ends = (states, states + found.steps)
+        shown = [self._states[self._stack(one, segments)] for one in ends]
+        if apart:
+            seen = self._frames.alone([*shown, goals])
+        else:
+            seen = self._frames.observe(shown, goals)
         batch = {
             "observations": seen[0],
             "actions": self.actions[rows],
@@ -150,119 +426,32 @@ class Transitions(Segments):
             kept = following < self.starts[segments + 1][:, None]
             batch["actions"], batch["action_mask"] = _masked(self.actions, following, kept), kept
         if window.history is not None:
-            for name, ends in (("", rows), ("next_", rows + found.steps)):
-                past = ends[:, None] + np.arange(-window.history, 0)
+            for name, end in (("", rows), ("next_", rows + found.steps)):
+                past = end[:, None] + np.arange(-window.history, 0)
                 kept = past >= self.starts[segments][:, None]
                 batch[f"{name}history"] = _masked(self._taken, past, kept)
                 batch[f"{name}history_mask"] = kept
-        if goals is not None and window.goals is not None and window.goals.negatives:
-            codes = self._codes_held[0]
-            assert rng is not None
-            others = other_codes(codes, codes[goals], window.goals.negatives, rng)
-            (flat, _) = self._observed([others.ravel()], None, apart=True)
-            batch["negatives"] = _each(flat, lambda one: one.reshape(*others.shape, *one.shape[1:]))
+        if sampled is not None and rng is not None and window.goals is not None:
+            if window.goals.negatives:
+                codes = self._codes_held[0]
+                others = other_codes(codes, codes[sampled], window.goals.negatives, rng)
+                batch["negatives"] = self._frames.alone([self._states[others]])[0]
         return batch
 
-    def _stack(self, states: NDArray[np.int64], segments: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _stack(self, states: Ids, segments: Ids) -> Ids:
         """Return the states that are shown at each of n states: (n,), or (n, stack)."""
         if self.window is None or self.window.stack is None:
             return states
         first = self.starts[segments] + segments
         return np.maximum(states[:, None] + np.arange(1 - self.window.stack, 1), first[:, None])
 
-    def _observed(
-        self, shown: list[NDArray[np.int64]], goals: NDArray[np.int64] | None, apart: bool
-    ) -> list[Any]:
-        """Return the observations of n transitions.
 
-        Args:
-            shown: states, (n,) or (n, k) each; those of a row belong to one segment.
-            goals: (n,), states; None for the goals of the segments.
-            apart: return ropes only, and the goals (n,) after them.
-        """
-        first = shown[0] if shown[0].ndim == 1 else shown[0][:, 0]
-        segments = self._segment_of[first]
-        if goals is None:
-            goal = self.episode[segments], self.goal_step[segments]
-        else:
-            goal = self.episode[self._segment_of[goals]], self._step_of[goals]
-        frames = {"pixels": self._frames, "state": self._vertices}.get(self._shown)
-        if frames is not None and len(first):
-            return self._gathered(frames, shown, frames.goal(*goal), apart)
-        filled: dict[str, list[NDArray[Any]]] = {}
-        # rows with the same segment and goal are read at once, each state once
-        alike = segments if goals is None else segments * len(self._step_of) + goals
-        order = np.argsort(alike, kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(alike[order])) + 1):
-            if not len(rows):  # of an empty dataset
-                break
-            segment = int(segments[rows[0]])
-            own = goal[0][rows[0]], goal[1][rows[0]]
-            parts = [one[rows] for one in shown]
-            states, where = np.unique(
-                np.concatenate([one.ravel() for one in parts]), return_inverse=True
-            )
-            places = np.split(where, np.cumsum([one.size for one in parts])[:-1])
-            target = None if own[1] < 0 else (int(own[0]), int(own[1]))
-            seen = self._read_states(segment, self._step_of[states], target)
-            for name, array in {"": seen}.items() if not isinstance(seen, dict) else seen.items():
-                halves = self._halves(name, array) if apart else [array]
-                if name not in filled:
-                    filled[name] = [
-                        np.empty((*one.shape, *halves[0].shape[1:]), halves[0].dtype)
-                        for one in (*shown, *([segments] if apart else []))
-                    ]
-                for out, part, place in zip(filled[name], parts, places, strict=False):
-                    out[rows] = halves[0][place].reshape(*part.shape, *halves[0].shape[1:])
-                if apart:
-                    filled[name][-1][rows] = halves[1][0]
-        if [*filled] in ([], [""]):
-            return filled.get("", [{}, {}, {}])
-        return [dict(zip(filled, each, strict=True)) for each in zip(*filled.values(), strict=True)]
-
-    @cached_property
-    def _vertices(self) -> HeldVertices | None:
-        held = HeldVertices(self._reader)
-        return held if held.fits else None
-
-    def _gathered(
-        self,
-        frames: CachedFrames | HeldVertices,
-        shown: list[NDArray[np.int64]],
-        goals: NDArray[np.int64],
-        apart: bool,
-    ) -> list[NDArray[Any]]:
-        """Gather what `_observed` returns from the frames of states and goals."""
-        offsets = frames.offsets[self.episode]
-        ropes = [offsets[self._segment_of[one]] + self._step_of[one] for one in shown]
-        seen: list[NDArray[Any]] = []
-        for one in (*ropes, goals) if apart else ropes:
-            # along one axis, which NumPy copies many times faster than along two
-            flat = one.ravel()
-            if apart:
-                taken = frames.frames[flat]
-            else:
-                taken = frames.joined(flat, np.repeat(goals, flat.size // len(goals)))
-            seen.append(taken.reshape(*one.shape, *taken.shape[1:]))
-        return seen
-
-    def _halves(self, name: str, seen: NDArray[Any]) -> list[NDArray[Any]]:
-        """Split observations into rope and goal."""
-        pixels = (name or self._shown) == "pixels"
-        return np.split(seen, 2, axis=goal_axis(self._reader.task.layout) if pixels else 1)
+def _opened(dataset: Any, opening: Opening) -> Transitions:
+    return Transitions(dataset, **opening)
 
 
-def _masked(
-    actions: NDArray[Any], rows: NDArray[np.int64], kept: NDArray[np.bool_]
-) -> NDArray[Any]:
+def _masked(actions: NDArray[Any], rows: Ids, kept: NDArray[np.bool_]) -> NDArray[Any]:
     """Gather actions; those not kept are zeros."""
     found = actions[np.where(kept, rows, 0)]
     found[~kept] = 0
     return found
-
-
-def _each(seen: Any, change: Callable[[NDArray[Any]], Any]) -> Any:
-    """Apply a function to an observation's array, or to each of its arrays."""
-    if isinstance(seen, dict):
-        return {name: change(array) for name, array in seen.items()}
-    return change(seen)

@@ -12,18 +12,19 @@
 No window leaves its segment. The names and meanings of goal sampling are those of HIQL and OGBench.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from knotgym.common.configuration import Count, Positive, Seed, Share, Whole, configuration
 from knotgym.common.errors import InvalidInput
 
 Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class GoalSampling:
     """How the goal of each transition is drawn among the states of the dataset.
 
@@ -43,23 +44,21 @@ class GoalSampling:
         seed: of the goals of loaders that draw them once (arrays, TensorDict, d3rlpy).
     """
 
-    p_currgoal: float = 0.2
-    p_trajgoal: float = 0.5
-    p_randomgoal: float = 0.3
+    p_currgoal: Share = 0.2
+    p_trajgoal: Share = 0.5
+    p_randomgoal: Share = 0.3
     geom_sample: bool = True
     gc_negative: bool = True
-    negatives: int = 0
-    seed: int = 0
+    negatives: Whole = 0
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
         chances = self.p_currgoal, self.p_trajgoal, self.p_randomgoal
-        if min(chances) < 0 or not np.isclose(sum(chances), 1):
+        if not np.isclose(sum(chances), 1):
             raise InvalidInput(
                 "p_currgoal, p_trajgoal and p_randomgoal must be probabilities that sum to 1, got"
                 f" {chances}"
             )
-        if self.negatives < 0:
-            raise InvalidInput(f"negatives must be at least 0, got {self.negatives}")
 
     def draw(
         self,
@@ -92,7 +91,7 @@ class GoalSampling:
         return np.where(chance < self.p_currgoal, states, own)
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class Window:
     """What a loader gives with each transition.
 
@@ -105,20 +104,14 @@ class Window:
         goals: how goals are drawn; None for each episode's own goal.
     """
 
-    n_step: int = 1
-    discount: float = 0.99
-    chunk: int | None = None
-    stack: int | None = None
-    history: int | None = None
+    n_step: Count = 1
+    discount: Annotated[Positive, Field(le=1)] = 0.99
+    chunk: Count | None = None
+    stack: Count | None = None
+    history: Count | None = None
     goals: GoalSampling | None = None
 
     def __post_init__(self) -> None:
-        for name in ("n_step", "chunk", "stack", "history"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InvalidInput(f"{name} must be at least 1, got {value}")
-        if not 0 < self.discount <= 1:
-            raise InvalidInput(f"discount must be in (0, 1], got {self.discount}")
         if self.goals is not None and self.goals.geom_sample and self.discount == 1:
             raise InvalidInput(
                 "goals can't be drawn geometrically with discount 1: use a smaller discount, or"

@@ -3,6 +3,9 @@
 A tab's events (drags, buttons, keys) only leave a wish in its `Player`, and one thread per tab acts
 on the latest wish. So a tab that sends thousands of messages a second delays nobody else's rope,
 and nothing that a browser sends is used as a path, a name to import, or a size.
+
+A page of another site can't connect: the handshake checks the headers Host and Origin. And viser's
+tunnel to a public host, which any tab could ask for, is taken away.
 """
 
 from __future__ import annotations
@@ -15,15 +18,18 @@ import socket
 import threading
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from http import HTTPStatus
+from ipaddress import ip_address
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 
+from knotgym.common.configuration import Seed, Whole, configuration
 from knotgym.common.errors import Failed, KnotgymError, one_line
-from knotgym.envs.tasks import TASKS, TaskConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.scene import SCALE, RopeScene
 from knotgym.play.session import Session
@@ -37,6 +43,7 @@ _FARTHEST = 100.0  # scene units from the origin at which a drag is read
 _WALK = 25.0  # beads per second of the walker
 _MOST_TABS = 16  # ropes at a time
 _TRIES = 5  # wrong tokens before a tab is left alone
+_LOOP = "plain loop"  # for an empty code
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _KEYS = """
 **Drag** a bead to pull it; **shift**: over, **alt**: under what lies in the way. Drag the
@@ -54,25 +61,25 @@ background to turn, scroll to zoom.
 """
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class PlayConfig:
     """What is played, and where the page is served.
 
     Attributes:
-        task: the environment that a tab starts with; nx and task can be changed on the page.
+        task: the environment.
         seed: random seed; episode i is the one that `knotgym evaluate` plays with the same seed.
         policy: policy that gives hints and can take over, as in evaluate.
-        compared: policy whose next pulls are shown beside its; empty for none.
+        player: who plays, in a few words; stored with what is recorded.
         host: host; any but the loopback asks for a token.
         port: port of the page.
     """
 
     task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
-    seed: int = 0
+    seed: Seed = 0
     policy: str = "expert"
-    compared: str = "scripted"
+    player: str = ""
     host: str = "127.0.0.1"
-    port: int = 8080
+    port: Whole = 8080
 
 
 class Player:
@@ -80,7 +87,7 @@ class Player:
 
     def __init__(self, client: Any, config: PlayConfig, recorder: Recorder | None) -> None:
         self._client, self._config, self._recorder = client, config, recorder
-        self._wish: Callable[[], None] | None = None
+        self.wish: Callable[[], None] | None = None
         self._drag: tuple[int, Array] | None = None  # bead, and where to, metres
         self._closed = threading.Event()
         self._selected, self._walk_from = 0, 0.0
@@ -103,30 +110,23 @@ class Player:
     # what the panel offers ---------------------------------------------------------------
 
     def _panel(self) -> None:
-        gui, task = self._client.gui, self.session.task
+        gui = self._client.gui
         self._status = gui.add_markdown("")
         self._goal = gui.add_image(np.zeros((64, 64, 3), dtype=np.uint8))
         self._lift = gui.add_slider("Height of drags", -1.0, 1.0, 0.1, 0.0)
         row = (
             ("Undo", "Z", lambda: self._after(self.session.undo)),
-            ("Reset", "R", lambda: self._after(self.session.reset)),
+            ("Reset", "R", lambda: self._after(self._start_again)),
             ("Next start", "N", self._next),
-            ("Hint", "H", lambda: self._foresee([self._config.policy])),
+            ("Hint", "H", self._foresee),
             ("Let it pull once", "P", self._policy_pull),
+            ("View from above", "V", lambda: self.scene.look_from_above(self.session.points)),
+            ("Walk the code", "C", self._start_walk),
         )
         for label, key, wish in row:
-            self._offer(label, key, wish)
+            self._client.gui.add_button(label).on_click(self._wanting(wish))
+            self._hotkey(label, key, wish)
         self._auto = gui.add_checkbox(f"Let {self._config.policy} play", False)
-        if self._config.compared:
-            both = [self._config.policy, self._config.compared]
-            self._offer(f"Compare with {self._config.compared}", None, lambda: self._foresee(both))
-        self._offer("View from above", "V", lambda: self.scene.look_from_above(self.session.points))
-        self._offer("Walk the code", "C", self._start_walk)
-        with gui.add_folder("Another task", expand_by_default=False):
-            tasks = gui.add_dropdown("Task", tuple(TASKS), initial_value=task.task)
-            sizes = gui.add_dropdown("Crossings", ("1", "2", "3", "4"), initial_value=str(task.nx))
-        for handle in (tasks, sizes):
-            handle.on_update(lambda _: self._wants(lambda: self._change(tasks, sizes)))
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_markdown(_KEYS)
         for key, label, wish in (
@@ -143,14 +143,9 @@ class Player:
         for modifier, lift in ((None, None), ("shift", 1.0), ("alt", -1.0)):
             self.scene.grips.on_drag("left", modifier=modifier)(self._dragging(lift))
 
-    def _offer(self, label: str, key: str | None, wish: Callable[[], None]) -> None:
-        self._client.gui.add_button(label).on_click(lambda _: self._wants(wish))
-        if key:
-            self._hotkey(label, key, wish)
-
     def _hotkey(self, label: str, key: str, wish: Callable[[], None]) -> None:
         command = self._client.gui.add_command(label, hotkey=key)
-        command.on_trigger(lambda _: self._wants(wish))
+        command.on_trigger(self._wanting(wish))
 
     def _dragging(self, lift: float | None) -> Callable[[Any], None]:
         def drag(event: Any) -> None:
@@ -167,8 +162,13 @@ class Player:
 
         return drag
 
-    def _wants(self, wish: Callable[[], None]) -> None:
-        self._wish = wish  # the latest counts
+    def _wanting(self, wish: Callable[[], None]) -> Callable[[Any], None]:
+        """Return what leaves a wish; the latest one counts."""
+
+        def leave(_: Any) -> None:
+            self.wish = wish
+
+        return leave
 
     # the tab's thread --------------------------------------------------------------------
 
@@ -177,15 +177,14 @@ class Player:
             began = time.monotonic()
             try:
                 self._act()
-            except KnotgymError as error:
+            except (KnotgymError, OSError) as error:  # such as a full disk
                 self._client.add_notification("knotgym", one_line(error), auto_close_seconds=10)
                 self._auto.value = False
             self._closed.wait(max(0.0, 1 / FRAMES - (time.monotonic() - began)))
-        if self._recorder is not None:
-            self._keep()
+        self._keep()
 
     def _act(self) -> None:
-        wish, self._wish = self._wish, None
+        wish, self.wish = self.wish, None
         if wish is not None:
             wish()
         elif self._drag is not None:
@@ -201,23 +200,19 @@ class Player:
 
     def _pull(self, pull: Callable[[], object]) -> None:
         """Pull, then show the way there for as long as the pull lasts in rope time."""
-        before, taken = self.session.points.copy(), len(self.session.actions)
+        before, taken = self.session.points.copy(), len(self.session.pulls)
         began = time.monotonic()
         pull()
-        if len(self.session.actions) == taken:
+        if len(self.session.pulls) == taken:
             return
         after, lasts = self.session.points.copy(), self._lasts
-        self._forget_paths()
+        self._forget_path()
         while (share := (time.monotonic() - began) / lasts) < 1 and not self._closed.is_set():
             shown = time.monotonic()
             self.scene.move((1 - share) * before + share * after)
             self._closed.wait(max(0.0, 1 / FRAMES - (time.monotonic() - shown)))
         self._show()
-        if self._recorder is not None and not self.session.helped:
-            if self.session.ended:
-                self._keep()
-            else:
-                self._recorder.journal(self.session.number, self.session.actions)
+        self._note()
 
     def _policy_pull(self) -> None:
         self._pull(lambda: self.session.let_act(self._config.policy))
@@ -227,9 +222,11 @@ class Player:
 
     def _after(self, change: Callable[[], None]) -> None:
         change()
-        if self._recorder is not None and not self.session.ended:
-            self._recorder.journal(self.session.number, self.session.actions)
+        self._note()
         self._show()
+
+    def _start_again(self) -> None:
+        self.session.begin(self.session.number)
 
     def _next(self) -> None:
         self._keep()
@@ -237,35 +234,27 @@ class Player:
         self.session.begin(number)
         self._show_start()
 
+    def _note(self) -> None:
+        """Note what was pulled so far, or record the episode if it is over."""
+        if self.session.ended:
+            self._keep()
+        elif self._recorder is not None:
+            self._recorder.note(self.session.number, self.session.pulls)
+
     def _keep(self) -> None:
         """Record the episode, unless it was recorded already or a policy helped."""
         session = self.session
         if self._recorder is not None and session.number not in self._kept:
             self._kept.add(session.number)
-            self._recorder.finish(session.number, [] if session.helped else session.actions)
+            self._recorder.finish(session.number, session.pulls)
 
-    def _change(self, tasks: Any, sizes: Any) -> None:
-        nx = int(number(sizes.value, 4.0))
-        task = replace(self.session.task, task=str(tasks.value), nx=nx)
-        if task == self.session.task:
-            return
-        if self._recorder is not None:
-            tasks.value, sizes.value = self.session.task.task, str(self.session.task.nx)
-            raise Failed("this page records one task: start another knotgym play for another")
-        self.session = Session(task, self._config.seed)
-        self._show_start()
-
-    def _foresee(self, policies: list[str]) -> None:
+    def _foresee(self) -> None:
         self._say("thinking ...")
-        seen = [self.session.foresee(policy) for policy in policies]
-        self._forget_paths()
-        self._forget = self.scene.draw_paths([one.path for one in seen])
-        lines = [
-            f"**{policy}** pulls bead {one.bead}, to `{one.code or 'the plain loop'}`"
-            + (" (the goal)" if one.success else "")
-            for policy, one in zip(policies, seen, strict=True)
-        ]
-        self._show(lines, keep=True)
+        seen = self.session.foresee(self._config.policy)
+        self._forget_path()
+        self._forget = self.scene.draw_path(seen.path)
+        line = f"**{self._config.policy}** pulls bead {seen.bead}, to `{seen.code or _LOOP}`"
+        self._show(line + (" (the goal)" if seen.success else ""), keep=True)
 
     def _select(self, step: int) -> None:
         self._selected = (self._selected + step) % len(self.session.points)
@@ -277,25 +266,25 @@ class Player:
     # what the tab shows ------------------------------------------------------------------
 
     def _show_start(self) -> None:
-        self._goal.image = draw_diagram(self.session.episodes.goal_points(0), self.scene.goal_size)
+        self._goal.image = draw_diagram(self.session.batch.goal_points(0), self.scene.goal_size)
         self.scene.look_from_above(self.session.points)
         self._show()
 
-    def _show(self, lines: list[str] | None = None, keep: bool = False) -> None:
+    def _show(self, line: str = "", keep: bool = False) -> None:
         if not keep:
-            self._forget_paths()
+            self._forget_path()
         points = self.session.points
         self.scene.move(points)
         self.scene.mark(points)
-        self._say(*(lines or []))
+        self._say(line)
 
-    def _forget_paths(self) -> None:
+    def _forget_path(self) -> None:
         forget, self._forget = self._forget, lambda: None
         forget()
 
-    def _say(self, *lines: str) -> None:
-        session = self.session
-        info = session.episodes.info(0)
+    def _say(self, line: str) -> None:
+        session, rope = self.session, np.zeros(1, dtype=np.int64)
+        (code,), (goal,) = session.batch.codes_of(rope), session.batch.goals_of(rope)
         state = "**the goal is reached**" if session.success else f"{session.left} pulls left"
         if session.ended and not session.success:
             state = "**over**: no pulls left"
@@ -306,10 +295,10 @@ class Player:
             (
                 f"**{session.task.task}**, {session.task.nx} crossings, {session.task.split}"
                 f" episode {session.number} ({session.task.engine}){recorded}",
-                f"now `{info['gauss_code'] or 'plain loop'}`",
-                f"goal `{info['goal_gauss_code'] or 'plain loop'}`",
+                f"now `{str(code) or _LOOP}`",
+                f"goal `{str(goal) or _LOOP}`",
                 f"{state}; reward {session.reward:g}",
-                *lines,
+                line,
             )
         )
 
@@ -338,8 +327,16 @@ class Page:
         self.token = "" if config.host in _LOOPBACK else secrets.token_urlsafe(12)
         self.players: dict[int, Any] = {}
         self._lock = threading.Lock()
-        with redirect_stdout(io.StringIO()):  # viser prints its address, which the command says too
-            self._server = viser.ViserServer(
+
+        class LocalServer(viser.ViserServer):
+            """A server that opens no tunnel, whoever asks for it."""
+
+            def request_share_url(self, verbose: bool = True) -> None:
+                return None
+
+        # viser prints its address, which the command says too
+        with redirect_stdout(io.StringIO()), _guarded_handshakes(config.host):
+            self._server = LocalServer(
                 host=config.host, port=config.port, label="knotgym play", verbose=False
             )
         # before a tab connects: a camera that is set while the world turns is lost
@@ -349,7 +346,9 @@ class Page:
         self._server.gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, control_width="medium"
         )
-        self.address = f"http://{config.host}:{self._server.get_port()}"
+        anywhere = config.host in ("0.0.0.0", "::")  # no address that a browser could open
+        host = socket.gethostname() if anywhere else config.host
+        self.address = f"http://{host}:{self._server.get_port()}"
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._gone)
 
@@ -398,6 +397,62 @@ class Page:
             player = self.players.pop(number, None)
         if player is not None:
             player.close()
+
+
+@contextmanager
+def _guarded_handshakes(host: str) -> Iterator[None]:
+    """Let a server that is started in the block refuse the handshakes of other sites' pages."""
+    import websockets.asyncio.server as module
+
+    whole = module.serve
+
+    def serve(handler: Any, *given: Any, process_request: Any = None, **named: Any) -> Any:
+        def checked(connection: Any, request: Any) -> Any:
+            if is_own_page(request.headers, host):
+                return process_request(connection, request)
+            return connection.respond(HTTPStatus.FORBIDDEN, "not from this page\n")
+
+        return whole(handler, *given, process_request=checked, **named)
+
+    module.serve = serve
+    try:
+        yield
+    finally:
+        module.serve = whole
+
+
+def is_own_page(headers: Mapping[str, str], host: str) -> bool:
+    """Whether a request was made by a page that this server served, or by no page at all.
+
+    The Origin is that of the page that asks; other sites can't forge it. The Host is what the
+    browser takes this server for; it is another site's where that site's name leads here.
+
+    >>> is_own_page({"Host": "localhost:8080", "Origin": "http://localhost:8080"}, "127.0.0.1")
+    True
+    >>> is_own_page({"Host": "localhost:8080", "Origin": "https://evil.example"}, "127.0.0.1")
+    False
+    >>> is_own_page({"Host": "evil.example:8080"}, "127.0.0.1")
+    False
+    """
+    named = headers.get("Host", "")
+    try:
+        name = (urlsplit(f"//{named}").hostname or "").lower()
+    except ValueError:
+        return False
+    own = {*_LOOPBACK, host}
+    if host not in _LOOPBACK:
+        own |= {socket.gethostname().lower(), socket.getfqdn().lower()}
+    if name not in own and (host in _LOOPBACK or not _is_address(name)):
+        return False
+    return headers.get("Origin", f"http://{named}") in (f"http://{named}", f"https://{named}")
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def number(value: object, most: float) -> float:

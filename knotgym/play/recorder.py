@@ -1,16 +1,19 @@
-"""Record what people pull as a Minari dataset, such as knotgym/tie-nx3/human-v0.
+"""Record what people pull as a dataset, such as knotgym/tie-nx3/human-v0.
 
-A finished or abandoned episode joins the dataset at once. The episode under way is a journal in the
-staging folder beside the dataset, a line for each pull, so that a killed program loses nothing: the
-next one finds the journal and stores it as abandoned. An abandoned episode is completed by leaving
-the rope alone until the horizon, and is stored as a failure (or a success, if the rope drifts into
-its goal).
+A finished or abandoned episode joins the dataset at once. The pulls of the episode under way are in
+the journal of a run, in the staging folder beside the dataset, so that a killed program loses
+nothing: the next one finds them and stores the episode as abandoned. The journal names all that a
+replay needs, the task, the seed, the states and who played, and a session with others is refused.
+
+An abandoned episode is completed by leaving the rope alone until the horizon, and is stored as a
+failure (or a success, if the rope drifts into its goal). An episode in which a policy pulled is
+never stored.
 """
 
-import json
 import os
 import shutil
 import threading
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -20,40 +23,29 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import as_json, read_json
-from knotgym.common.errors import InvalidFile, printable
-from knotgym.control.policy import Choice, UnplannedPolicy
-from knotgym.control.rollouts import EVALUATION, episode_seed, rollout
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_writer import EpisodeWriter
-from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
+from knotgym.common.atomic_files import sha256
+from knotgym.common.configuration import as_json
+from knotgym.common.errors import InvalidFile, InvalidInput, printable
+from knotgym.common.streams import Stream
+from knotgym.control.rollouts import Player, Pulls, episode_seed, rollouts
+from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
+from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.digests import digests, sources
-from knotgym.runs.staging import has_work, lock_folder, staging_folder
+from knotgym.play.session import Pull
+from knotgym.runs.identity import identity
+from knotgym.runs.run import staged
+from knotgym.runs.run_options import Existing
 from knotgym.states.state_file import minari_root, ships, states_file
 
 HUMAN = "human"  # name of the policy, which who played may follow
 _LONGEST_NAME = 80  # characters of a player's name
-_JOURNAL = "journal-{}.jsonl"
-
-
-class _Played(UnplannedPolicy):
-    """Repeats the pulls of one episode, then leaves the rope alone."""
-
-    def __init__(self, actions: list[NDArray[np.float32]], player: str) -> None:
-        super().__init__(f"{HUMAN} {player}".strip())
-        self._actions = actions
-
-    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        step = int(episodes.steps[0])
-        if step < len(self._actions):
-            return Choice(self._actions[step][None], ["hand"])
-        return Choice(np.zeros((1, 6), dtype=np.float32), ["rest"])
+_KEY = "episode "  # before the number of an episode in the journal
+_STREAM = Stream.EVALUATION_EPISODE  # episodes are those that `evaluate` plays
 
 
 class Recorder:
-    """Writes the episodes of one task and seed; a context manager that holds the dataset's lock.
+    """Writes the episodes of one task and seed; a context manager that holds the journal's lock.
 
     Attributes:
         folder: of the dataset.
@@ -73,24 +65,21 @@ class Recorder:
         Args:
             task: the environment; `both` observations are stored.
             seed: of the run, from which starts and goals follow.
-            dataset_id: Minari id of the dataset, which is continued if it exists.
+            dataset_id: id of the dataset, which is continued if it exists.
             player: who plays, in a few words; may be empty.
-            root: Minari root; None for Minari's own.
+            root: folder of datasets; None for Minari's own.
 
         Raises:
+            InvalidInput: the name isn't one.
             InvalidFile: the dataset exists and holds other episodes.
         """
         if len(player) > _LONGEST_NAME or not player.isprintable():
-            raise InvalidFile(
+            raise InvalidInput(
                 f"a player's name is at most {_LONGEST_NAME} printable characters, got"
                 f" {printable(player[:_LONGEST_NAME])!r}"
             )
-        self._task = replace(
-            task,
-            observation="both",
-            states=task.states if ships(task.states) else dataset_id,
-        )
-        self._playing, self._seed, self._player = task, seed, player
+        self._task, self._seed, self._root = replace(task, observation="both"), seed, root
+        self._policy = f"{HUMAN} {player}".strip()
         self._metadata = MinariMetadata(
             dataset_id=dataset_id,
             algorithm_name=HUMAN,
@@ -99,26 +88,28 @@ class Recorder:
                 " hand in `knotgym play`. Abandoned episodes are completed by leaving the rope"
                 " alone."
             ),
-            digests=digests(sources([], [task])),
         )
         self.folder = (root or minari_root()) / dataset_id
-        self._root = root
         self._lock, self._stack = threading.Lock(), ExitStack()
-        self._seeds: set[int] = set()
         self._taken: set[int] = set()
         self.recovered = 0
-        if os.path.lexists(self.folder):
-            self._continue()
 
     def __enter__(self) -> Self:
-        self._staging = staging_folder(self.folder)
-        self._stack.enter_context(lock_folder(self._staging))
-        for journal in sorted(self._staging.glob("journal-*.jsonl")):
-            number, actions = _journalled(journal)
-            if actions:
-                self.finish(number, actions)
-                self.recovered += 1
-            journal.unlink(missing_ok=True)
+        self._seeds = self._stored_seeds()
+        states = sha256(states_file(self._task.states))
+        run = {"task": as_json(self._task), "seed": self._seed, "player": self._policy}
+        whole = identity({**run, "dataset_id": self._metadata.dataset_id}, {"states": states})
+        staging = staged(self.folder, whole, Existing(resume=True))
+        self._staging, self._journal = self._stack.enter_context(staging)
+        for key in [*self._journal]:
+            number, kept = int(key.removeprefix(_KEY)), self._journal[key]
+            pulls = [
+                Pull(int(bead), force, bool(helped))
+                for bead, force, helped in zip(*kept.values(), strict=True)
+            ]
+            # it may have been stored just before the program was killed
+            stored = self._seed_of(number) in self._seeds
+            self.recovered += self.finish(number, [] if stored else pulls)
         return self
 
     def __exit__(
@@ -127,7 +118,8 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if not has_work(self._staging):
+        left = any(len(self._journal[key]["bead"]) for key in self._journal)
+        if not left:
             shutil.rmtree(self._staging)
         self._stack.close()
 
@@ -135,78 +127,83 @@ class Recorder:
         """Return the number of an episode that is neither recorded nor under way."""
         with self._lock:
             number = 0
-            while (
-                number in self._taken or episode_seed(self._seed, number, EVALUATION) in self._seeds
-            ):
+            while number in self._taken or self._seed_of(number) in self._seeds:
                 number += 1
             self._taken.add(number)
             return number
 
-    def journal(self, number: int, actions: list[NDArray[np.float32]]) -> None:
+    def note(self, number: int, pulls: Sequence[Pull]) -> None:
         """Note the pulls of an episode that is under way."""
-        path = self._staging / _JOURNAL.format(number)
-        content = {"number": number, "actions": [action.tolist() for action in actions]}
-        temporary = path.with_suffix(".part")
-        temporary.write_text(json.dumps(content), encoding="utf-8")
-        os.replace(temporary, path)
-
-    def finish(self, number: int, actions: list[NDArray[np.float32]]) -> bool:
-        """Add an episode to the dataset; return whether it reached the goal.
-
-        An episode without pulls isn't stored; its number may then be played later.
-        """
         with self._lock:
-            self._taken.discard(number)
-            if not actions:
-                return False
-            policy = _Played(actions, self._player)
-            played = rollout(self._playing, policy, [number], self._seed, streams=EVALUATION)[0]
-            new = self._staging / "new.h5"
-            with EpisodeWriter(new, self._task) as writer:
-                writer.add(played.episode)
-            there = [self.folder] if self.folder.exists() else []
-            carried = None if ships(self._playing.states) else states_file(self._playing.states)
-            publish(
-                [*there, new],
-                self._metadata,
-                self._root,
-                concatenate=True,
-                overwrite=bool(there),
-                states=carried,
-            )
-            new.unlink()
-            (self._staging / _JOURNAL.format(number)).unlink(missing_ok=True)
-            self._seeds.add(self._seed_of(number))
-            return played.success
+            columns: dict[str, NDArray[Any]] = {
+                "bead": np.array([pull.bead for pull in pulls], dtype=np.int64),
+                "force": np.array([pull.force for pull in pulls], np.float32).reshape(-1, 3),
+                "helped": np.array([pull.helped for pull in pulls], dtype=bool),
+            }
+            self._journal.keep(f"{_KEY}{number}", columns)
+
+    def finish(self, number: int, pulls: Sequence[Pull]) -> bool:
+        """Add an episode to the dataset; return whether it was stored.
+
+        An episode without pulls, or with a policy's, isn't stored; it may be played later.
+        """
+        stored = bool(pulls) and not any(pull.helped for pull in pulls)
+        if stored:
+            with self._lock:
+                self._store(number, pulls)
+        self.note(number, [])
+        self._taken.discard(number)
+        return stored
+
+    def _store(self, number: int, pulls: Sequence[Pull]) -> None:
+        played = rollouts(_Played(self._policy, pulls), self._task, [self._seed_of(number)])
+        there = [open_episodes(self.folder).episodes] if self.folder.exists() else []
+        publish(
+            [*there, played],
+            self._task,
+            self._metadata,
+            self._root,
+            states=None if ships(self._task.states) else states_file(self._task.states),
+            overwrite=bool(there),
+        )
+        self._seeds.add(self._seed_of(number))
 
     def _seed_of(self, number: int) -> int:
-        return episode_seed(self._seed, number, EVALUATION)
+        return episode_seed(self._seed, number, _STREAM)
 
-    def _continue(self) -> None:
-        reader = EpisodeReader(self.folder)
-        stored = metadata_of(self.folder)
-        task, seeds = reader.task, [reader.attributes(i).get("seed") for i in range(len(reader))]
-        reader.close()
-        if stored is None or stored.algorithm_name != HUMAN or task != self._task:
+    def _stored_seeds(self) -> set[int]:
+        """Return the seeds of the episodes in the dataset, if there is one to continue."""
+        if not os.path.lexists(self.folder):
+            return set()
+        found: EpisodeDataset = open_episodes(self.folder)
+        named = as_json(found.task)
+        own = {**as_json(self._task), "states": named["states"]}
+        if (found.metadata or {}).get("algorithm_name") != HUMAN or named != own:
             raise InvalidFile(
                 f"{self.folder} isn't a recording of this task with these settings: give another"
-                f" --id, or the settings {as_json(task)}"
+                f" --id, or the settings {named}"
             )
-        self._seeds = {int(seed) for seed in seeds if seed is not None}
+        return set(found.episodes.episodes["seed"].tolist())
 
 
-def _journalled(path: Path) -> tuple[int, list[NDArray[np.float32]]]:
-    """Read the number and the pulls of an episode that a killed program was in.
+class _Played:
+    """Repeats the pulls of one episode, then leaves the rope alone."""
 
-    Raises:
-        InvalidFile: the journal isn't one.
-    """
-    content: Any = read_json(path)
-    try:
-        actions = np.array(content["actions"], dtype=np.float32).reshape(-1, 6)
-        number = int(content["number"])
-        if not np.isfinite(actions).all() or number < 0:
-            raise ValueError
-    except (TypeError, ValueError, KeyError) as error:
-        raise InvalidFile(f"{path} isn't a journal of knotgym play; remove it") from error
-    return number, list(np.clip(actions, -1, 1))
+    def __init__(self, name: str, pulls: Sequence[Pull]) -> None:
+        self.name, self._pulls = name, pulls
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        return task
+
+    def player(self, batch: EpisodeBatch) -> Player:
+        self._batch, self.planned = batch, np.zeros(batch.count, dtype=np.int64)
+        return self
+
+    def begin(self, ids: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
+        return
+
+    def act(self, ids: NDArray[np.int64]) -> Pulls:
+        none = Pull(0, np.zeros(3, dtype=np.float32))
+        step = int(self._batch.steps[0])
+        bead, force, _ = self._pulls[step] if step < len(self._pulls) else none
+        return Pulls(ids, np.array([bead]), force[None])

@@ -21,7 +21,7 @@ _SIDES = 10  # of a bead's drawn capsule
 _HEIGHT = 4.5  # scene units above the rope from which viser's camera, of 75 degrees, sees all
 _NARROW = 0.8  # width by height of a tab, below which it is a phone's
 _GRIP = 3.0  # radius within which a finger takes a bead on a phone, in rope radii
-_HINT, _OTHER = (255, 214, 80), (120, 200, 255)  # RGB of foreseen paths
+_HINT = 255, 214, 80  # RGB of a foreseen path
 
 
 class RopeScene:
@@ -110,30 +110,21 @@ class RopeScene:
         if place is not None:
             self._walker.position = SCALE * _at(points, place)
 
-    def draw_paths(self, paths: list[Array]) -> Callable[[], None]:
-        """Draw paths of beads, each float64 (n, 3), as arrows; return what removes them."""
+    def draw_path(self, path: Array) -> Callable[[], None]:
+        """Draw the path of a bead, float64 (n, 3), with an arrow; return what removes it."""
         drawn = []
-        for number, (path, colour) in enumerate(zip(paths, (_HINT, _OTHER), strict=False)):
-            if len(path) < 2:
-                continue
+        if len(path) > 1:
             pairs = SCALE * np.stack([path[:-1], path[1:]], axis=1)
-            if len(pairs) > 1:
-                drawn.append(
-                    self._client.scene.add_line_segments(
-                        f"/paths/{number}/line", pairs, colour, thickness=0.05
-                    )
-                )
-            end = SCALE * np.stack([path[0], path[-1]])[None]
-            drawn.append(
-                self._client.scene.add_arrows(
-                    f"/paths/{number}/arrow",
-                    end,
-                    colour,
-                    shaft_radius=0.03,
-                    head_radius=0.08,
-                    head_length=0.18,
-                )
+            line = self._client.scene.add_line_segments("/path/line", pairs, _HINT, thickness=0.05)
+            arrow = self._client.scene.add_arrows(
+                "/path/arrow",
+                SCALE * np.stack([path[0], path[-1]])[None],
+                _HINT,
+                shaft_radius=0.03,
+                head_radius=0.08,
+                head_length=0.18,
             )
+            drawn = [line, arrow]
 
         def remove() -> None:
             for handle in drawn:

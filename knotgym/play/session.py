@@ -4,23 +4,38 @@ Nothing here knows the page. An undone pull leaves no trace: the episode is rese
 and the pulls before it are repeated, which gives the same bytes.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.streams import Stream, generator
-from knotgym.control.policies import PolicyConfig, make_policy
-from knotgym.control.policy import Policy
-from knotgym.control.rollouts import EVALUATION, episode_seed
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import Player, Policy, Pulls, episode_seed
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.macro_actions import MacroActionConfig
+from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.model import Array
 
 MACRO_PULLS = 10  # most pulls of one foreseen macro-action
 _CONTROL = MacroActionConfig()
+_ROPE = np.zeros(1, dtype=np.int64)  # the only one of a batch
+
+
+class Pull(NamedTuple):
+    """A pull that was made.
+
+    Attributes:
+        bead: that was pulled.
+        force: float32 (3,), in units of the largest.
+        helped: whether a policy chose it.
+    """
+
+    bead: int
+    force: NDArray[np.float32]
+    helped: bool = False
 
 
 @dataclass(frozen=True)
@@ -47,42 +62,50 @@ class Session:
         task: the environment.
         seed: of the run.
         number: the episode's number in the run.
-        episodes: the episode, in a batch of one.
-        actions: float32 (6,) each, the pulls since the reset.
+        batch: the episode, in a batch of one.
+        pulls: since the reset.
         reward: sum of the rewards.
         ended: whether the episode is over.
-        helped: whether a policy has pulled in this episode.
     """
 
     def __init__(self, task: TaskConfig, seed: int = 0, number: int = 0) -> None:
-        self.task, self.seed = task, seed
-        self.episodes = EpisodeBatch(task)
+        self.task, self.seed, self.batch = task, seed, EpisodeBatch(task)
         self._policies: dict[str, Policy] = {}
-        self._acting = ""
+        self._acting: tuple[str, Player] | None = None  # the policy that pulled last, if one did
         self.begin(number)
 
     @property
     def points(self) -> Array:
         """Vertices of the rope, float64 (beads, 3), metres; valid until the next pull."""
-        return self.episodes.simulation.points[0]
+        points: Array = self.batch.simulation.points[0]
+        return points
 
     @property
     def success(self) -> bool:
         """Whether the goal has been reached."""
-        return bool(self.episodes.info(0)["is_success"])
+        return bool(self.batch.successes(_ROPE)[0])
 
     @property
     def left(self) -> int:
         """Pulls that are left."""
-        return int(self.task.horizon - self.episodes.steps[0])
+        return int(self.task.horizon - self.batch.steps[0])
+
+    @property
+    def helped(self) -> bool:
+        """Whether one of the pulls is a policy's."""
+        return any(pull.helped for pull in self.pulls)
 
     def begin(self, number: int) -> None:
         """Reset to the start of an episode."""
         self.number = number
-        seed = episode_seed(self.seed, number, EVALUATION)
-        self.episodes.begin(0, np.random.default_rng(seed))
-        self.actions: list[NDArray[np.float32]] = []
-        self.reward, self.ended, self.helped, self._acting = 0.0, False, False, ""
+        self.batch.begin(_ROPE, [self.episode_seed])
+        self.pulls, self.reward, self.ended = list[Pull](), 0.0, False
+        self._acting = None
+
+    @property
+    def episode_seed(self) -> int:
+        """The seed of the episode's start and goal."""
+        return episode_seed(self.seed, self.number, Stream.EVALUATION_EPISODE)
 
     def pull(self, bead: int, force: ArrayLike) -> None:
         """Pull a bead for one action; ignored once the episode is over.
@@ -92,13 +115,10 @@ class Session:
             force: (3,), in units of the largest force; its components are clipped to [-1, 1], and a
                 force that isn't finite is ignored.
         """
-        wanted = np.asarray(force, dtype=np.float64)
-        if wanted.shape != (3,) or not np.isfinite(wanted).all():
-            return
-        simulation = self.episodes.simulation
-        newtons = np.clip(wanted, -1, 1)[None] * simulation.max_force
-        self._acting = ""
-        self._take(simulation.actions([int(bead) % len(self.points)], newtons, [0])[0])
+        wanted = np.asarray(force, dtype=np.float32)
+        if wanted.shape == (3,) and np.isfinite(wanted).all():
+            self._acting = None
+            self._take(Pull(int(bead) % len(self.points), np.clip(wanted, -1, 1)))
 
     def pull_towards(self, bead: int, target: ArrayLike) -> bool:
         """Pull a bead towards a point, as the waypoint controller does; False if it is there.
@@ -116,11 +136,10 @@ class Session:
 
     def undo(self, pulls: int = 1) -> None:
         """Take back the last pulls."""
-        self._repeat(self.actions[: max(0, len(self.actions) - pulls)])
-
-    def reset(self) -> None:
-        """Take back all pulls."""
-        self._repeat([])
+        kept = self.pulls[: max(0, len(self.pulls) - pulls)]
+        self.begin(self.number)
+        for pull in kept:
+            self._take(pull)
 
     def let_act(self, policy: str) -> None:
         """Let a policy pull once.
@@ -130,13 +149,10 @@ class Session:
         """
         if self.ended:
             return
-        acting = self._policy(policy)
-        if self._acting != policy:
-            rng = generator(Stream.EVALUATION_POLICY, self.seed, self.number, len(self.actions))
-            acting.begin(self.episodes, 0, rng)
-            self._acting = policy
-        self.helped = True
-        self._take(acting.act(self.episodes, np.array([0])).actions[0])
+        if self._acting is None or self._acting[0] != policy:
+            self._acting = policy, self._player(policy, self.batch)
+        pulls = _thought(self._acting[1])
+        self._take(Pull(int(pulls.beads[0]), pulls.forces[0].copy(), helped=True))
 
     def foresee(self, policy: str) -> Foreseen:
         """Return what a policy would do from here, until it pulls another bead.
@@ -146,38 +162,42 @@ class Session:
         Raises:
             InvalidPolicy: as for `let_act`.
         """
-        copy = Session(self.task, self.seed, self.number)
-        copy._policies = self._policies
-        copy._repeat(self.actions)
-        path, bead = [copy.points.copy()], -1
-        while not copy.ended and len(path) <= MACRO_PULLS:
-            copy.let_act(policy)
-            pulled = int(copy.episodes.beads[0])
-            if bead not in (-1, pulled):
+        copy = EpisodeBatch(self.task)
+        copy.copy_from(self.batch, _ROPE, _ROPE)
+        player, path, bead, ended = self._player(policy, copy), list[Array](), -1, self.ended
+        while not ended and len(path) <= MACRO_PULLS:
+            pulls = _thought(player)
+            if bead not in (-1, pulls.beads[0]):
                 break
-            bead = pulled
-            path.append(copy.points.copy())
-        code = str(copy.episodes.codes[0])
-        return Foreseen(bead, np.array([points[bead] for points in path]), code, copy.success)
+            bead = int(pulls.beads[0])
+            path = path or [copy.simulation.points[0, bead].copy()]
+            outcome = copy.pull(*pulls[:3])
+            path.append(copy.simulation.points[0, bead].copy())
+            ended = bool(outcome.terminated[0] or outcome.truncated[0])
+        code, success = str(copy.codes_of(_ROPE)[0]), bool(copy.successes(_ROPE)[0])
+        return Foreseen(bead, np.array(path), code, success)
 
-    def _policy(self, name: str) -> Policy:
+    def _player(self, name: str, batch: EpisodeBatch) -> Player:
         if name not in self._policies:
             made = make_policy(PolicyConfig(policy=name))
-            made.suited(self.task)
+            made.compatible_task(self.task)
             self._policies[name] = made
-        return self._policies[name]
+        player = self._policies[name].player(batch)
+        player.begin(_ROPE, [generator(Stream.POLICY, self.episode_seed, len(self.pulls))])
+        return player
 
-    def _repeat(self, actions: Sequence[NDArray[np.float32]]) -> None:
-        helped = self.helped and len(actions) > 0
-        self.begin(self.number)
-        for action in actions:
-            self._take(action)
-        self.helped = helped
-
-    def _take(self, action: NDArray[np.float32]) -> None:
+    def _take(self, pull: Pull) -> None:
         if self.ended:
             return
-        rewards, terminated, truncated = self.episodes.step(action[None], np.array([0]))
-        self.actions.append(np.clip(action, -1, 1))
-        self.reward += float(rewards[0])
-        self.ended = bool(terminated[0] or truncated[0])
+        outcome = self.batch.pull(_ROPE, np.array([pull.bead]), pull.force[None])
+        self.pulls.append(pull)
+        self.reward += float(outcome.rewards[0])
+        self.ended = bool(outcome.terminated[0] or outcome.truncated[0])
+
+
+def _thought(player: Player) -> Pulls:
+    """Ask a player until it has planned its pull."""
+    pulls = player.act(_ROPE)
+    while not len(pulls.ids):
+        pulls = player.act(_ROPE)
+    return pulls

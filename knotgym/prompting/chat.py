@@ -1,40 +1,48 @@
-"""A client for chat-completions servers that retries failed requests.
+"""Ask a model behind any chat-completions server, through the openai client.
 
-The API key is read from OPENAI_API_KEY. It is sent with requests, and replaced by [key] in
-everything that a server returns, however the server encodes it. Replies are bounded: at most
-MOST_BYTES each, and at most `timeout` seconds per attempt in total.
+The API key is read from OPENAI_API_KEY and sent to the server named by `base_url` alone. It is
+replaced by [key] in everything that a server returns, as it stands, reversed, in hex or base64, or
+escaped for JSON, URLs or HTML; a server that disguises it in another way can still write it into
+your transcripts. Replies are bounded: at most MOST_BYTES each, never decompressed, and at most
+`timeout` seconds per attempt in total. Redirects are errors.
 """
 
 import base64
 import html
+import importlib
 import json
 import math
 import os
 import re
 import threading
 import time
-import urllib.error
 import urllib.request
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future
-from email.message import Message
 from email.utils import parsedate_to_datetime
-from http.client import HTTPException
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 import knotgym
 from knotgym.common.configuration import Count, NonNegative, Positive, configuration
-from knotgym.common.errors import Failed, InvalidInput, one_line
+from knotgym.common.errors import (
+    Failed,
+    InvalidInput,
+    MissingExtra,
+    install_command,
+    one_line,
+)
 
 KEY = "OPENAI_API_KEY"
 PUBLIC = "https://api.openai.com/v1"
+MOST_BYTES = 4_000_000  # size limit of a reply
 _LONGEST_WAIT = 600.0  # longest pause before a retry, even if a server asks for more, seconds
 _RETRIED = (408, 409, 425, 429)  # HTTP statuses that are retried, as are all from 500 on
 _SHOWN = 200  # characters of a server's error message that are shown
 _SECRET = 8  # length from which a key is treated as a secret, characters
-MOST_BYTES = 4_000_000  # size limit of a reply; compressed replies are not requested
-_BLOCK = 65536  # bytes read at a time; the time limit is checked after each block
+_UNSENT = ("openai-organization", "openai-project")  # the client reads them from the environment
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")  # never reached through a proxy
 
 
 @configuration
@@ -53,7 +61,7 @@ class ChatConfig:
 
     model: str
     base_url: str = PUBLIC
-    temperature: NonNegative | None = 1.0
+    temperature: float = 1.0
     timeout: Positive = 120.0
     attempts: Count = 6
     backoff: NonNegative = 1.0
@@ -79,16 +87,19 @@ class Reply(NamedTuple):
     """The reply to one request.
 
     Attributes:
-        text: the model's answer.
-        refused: the model refused, also in the last attempt.
-        prompt_tokens, completion_tokens: totals over all answered attempts.
+        text: the model's answer, without its thinking.
+        fault: "refusal" if the model refused, also in the last attempt; else "".
+        finish: why the model stopped, as the server says: "stop", "length"; "" if it doesn't say.
+        prompt_tokens, completion_tokens: totals over all answered attempts; None if a server
+            didn't say.
         retries: reason for a retry -> how many there were.
     """
 
     text: str
-    refused: bool
-    prompt_tokens: int
-    completion_tokens: int
+    fault: str
+    finish: str
+    prompt_tokens: int | None
+    completion_tokens: int | None
     retries: dict[str, int]
 
 
@@ -96,35 +107,32 @@ class _Attempt(NamedTuple):
     """The outcome of one attempt.
 
     Attributes:
-        text: the model's answer.
+        text, finish: as of `Reply`.
         reason: why the attempt failed and is worth a retry; "" if it succeeded.
         wait: seconds that the server asks to wait before a retry; 0 if it doesn't say.
         detail: error message of the server or of the connection.
-        tokens: of prompt and completion.
+        tokens: of prompt and completion, None each if the server doesn't say; () if the attempt
+            wasn't answered.
     """
 
     text: str = ""
+    finish: str = ""
     reason: str = ""
     wait: float = 0.0
     detail: str = ""
-    tokens: tuple[int, int] = (0, 0)
-
-
-class _NoRedirects(urllib.request.HTTPRedirectHandler):
-    """Report a redirect as an error: following it would send the key to another server."""
-
-    def redirect_request(self, *request: Any) -> None:
-        return None
+    tokens: tuple[int | None, ...] = ()
 
 
 class Chat:
     """A client of one server; several threads may use it at once.
 
     Args:
+        config: settings.
         stop: once it is set, requests raise Failed.
 
     Raises:
         InvalidInput: the key is missing, invalid, or part of the URL or the model's name.
+        MissingExtra: the openai client isn't installed.
     """
 
     def __init__(self, config: ChatConfig, stop: threading.Event | None = None) -> None:
@@ -138,15 +146,10 @@ class Chat:
         if not (key.isascii() and key.isprintable()):
             raise InvalidInput(f"{KEY} must be printable ASCII")
         # a short placeholder such as "EMPTY", for servers without keys, isn't censored
-        self._secret = _spellings(key) if len(key) >= _SECRET else None
+        self._secret = spellings(key) if len(key) >= _SECRET else None
         if self._secret and any(map(self._secret.search, (config.base_url, config.model))):
             raise InvalidInput(f"set the key only in {KEY}, not in --base-url or --model")
-        self._headers = {
-            "Content-Type": "application/json",
-            "User-Agent": f"knotgym/{knotgym.__version__}",
-            **({"Authorization": f"Bearer {key}"} if key else {}),
-        }
-        self._opener = urllib.request.build_opener(_NoRedirects)
+        self._proxy, self._client = _client(config, key)
 
     def ask(self, messages: list[dict[str, Any]]) -> Reply:
         """Send a request; retry with exponential backoff until it is answered.
@@ -156,19 +159,23 @@ class Chat:
 
         Raises:
             InvalidInput: the server rejects the request, the model or the key.
-            Failed: no attempt was answered.
-            Failed: the run was stopped.
+            Failed: no attempt was answered, or the run was stopped.
         """
-        retries: Counter[str] = Counter()
-        tokens = [0, 0]
+        retries, answered = Counter[str](), list[tuple[int | None, ...]]()
         for attempt in range(1, self._config.attempts + 1):
             if self._stop.is_set():
                 raise Failed("stopped")
             tried = self._try(messages)
-            tokens = [sum(pair) for pair in zip(tokens, tried.tokens, strict=True)]
+            answered += [tried.tokens] if tried.tokens else []
             last = attempt == self._config.attempts
             if not tried.reason or (last and tried.reason == "refusal"):
-                return Reply(tried.text, bool(tried.reason), tokens[0], tokens[1], dict(retries))
+                prompt, completion = (
+                    None if None in counts else sum(counts)
+                    for counts in zip(*answered, strict=True)
+                )
+                return Reply(
+                    tried.text, tried.reason, tried.finish, prompt, completion, dict(retries)
+                )
             if last:
                 raise Failed(
                     f"{self._config.base_url} didn't answer in {attempt} attempts; the last one"
@@ -183,8 +190,7 @@ class Chat:
     def _try(self, messages: list[dict[str, Any]]) -> _Attempt:
         """Make one attempt in a thread of its own, with a time limit.
 
-        A server that sends its headers one byte at a time keeps the socket's own timeout from
-        expiring.
+        A server that sends a byte at a time keeps the client's own timeouts from expiring.
         """
         outcome: Future[_Attempt] = Future()
 
@@ -201,39 +207,27 @@ class Chat:
             return _Attempt(reason="timeout")
 
     def _exchange(self, messages: list[dict[str, Any]]) -> _Attempt:
-        """Send the request and read the reply.
+        """Send the request and read the reply; raise InvalidInput if the server rejects it."""
+        import openai
 
-        Raises:
-            InvalidInput: the server rejects the request.
-        """
         config = self._config
-        content: dict[str, Any] = {"model": config.model, "messages": messages}
-        if config.temperature is not None:
-            content["temperature"] = config.temperature
-        request = urllib.request.Request(
-            f"{config.base_url.rstrip('/')}/chat/completions",
-            json.dumps(content).encode(),
-            self._headers,
-        )
-        until = time.monotonic() + config.timeout
+        settings = {} if config.temperature < 0 else {"temperature": config.temperature}
+        complete = self._client.chat.completions.with_raw_response.create
         try:
-            try:
-                with self._opener.open(request, timeout=config.timeout) as response:
-                    return self._read(_bounded(response, until))
-            except urllib.error.HTTPError as error:
-                with error:
-                    return self._failed(error.code, error.headers, _bounded(error, until))
-        except _TooLong:
-            return _Attempt(reason="too long", detail=f"a reply of more than {MOST_BYTES} bytes")
-        except TimeoutError:
+            raw = complete(model=config.model, messages=messages, **settings)
+            return self._read(raw.http_response.text)
+        except openai.APIStatusError as error:
+            return self._failed(error.status_code, error.response.headers, error.response.text)
+        except openai.APITimeoutError:
             return _Attempt(reason="timeout")
-        except (OSError, HTTPException) as error:
-            cause = getattr(error, "reason", error)
-            if isinstance(cause, TimeoutError):
-                return _Attempt(reason="timeout")
-            return _Attempt(reason="connection", detail=self._short(one_line(error)))
+        except _TooLong as error:
+            return _Attempt(reason="too long", detail=one_line(error))
+        except openai.APIError as error:
+            cause = error.__cause__ or error
+            through = f" (through the proxy {self._proxy})" if self._proxy else ""
+            return _Attempt(reason="connection", detail=self._short(one_line(cause)) + through)
 
-    def _failed(self, status: int, headers: Message, body: str) -> _Attempt:
+    def _failed(self, status: int, headers: Mapping[str, str], body: str) -> _Attempt:
         """Turn an HTTP error into an attempt to be retried, or raise it."""
         detail = self._short(_error_message(body))
         if status in _RETRIED or status >= 500:
@@ -248,21 +242,26 @@ class Chat:
         """Parse the JSON body of a reply."""
         try:
             whole = json.loads(body)
-            choice = whole["choices"][0]
-            message = choice["message"]
-            text, refusal = message.get("content"), message.get("refusal")
-            usage = whole.get("usage") or {}
-            tokens = (_count(usage.get("prompt_tokens")), _count(usage.get("completion_tokens")))
-            fits = isinstance(text, str) or refusal or choice.get("finish_reason")
+            choices = [one for one in whole["choices"] if one.get("index", 0) == 0]
+            choice, usage = (choices or whole["choices"])[0], whole.get("usage") or {}
+            content, refusal = (choice["message"].get(name) for name in ("content", "refusal"))
+            finish = self._clean(str(choice.get("finish_reason") or ""))[:_SHOWN]
+            tokens = tuple(_count(usage.get(f"{of}_tokens")) for of in ("prompt", "completion"))
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+            # some servers send their errors with status 200
+            told = _error_message(body)
+            reason = "malformed" if told == body else "error"
+            return _Attempt(reason=reason, detail=self._short(told))
+        words = answer_text(content)
+        if finish == "error":
+            detail = self._short(_error_message(json.dumps(choice)))
+            return _Attempt(reason="error", detail=detail, tokens=tokens)
+        if refusal or finish == "content_filter":
+            reason = refusal if isinstance(refusal, str) else words or ""
+            return _Attempt(self._clean(reason), finish, "refusal", tokens=tokens)
+        if words is None and not finish:
             return _Attempt(reason="malformed")
-        if not fits:
-            return _Attempt(reason="malformed")
-        words = self._clean(text if isinstance(text, str) else "")
-        if refusal or choice.get("finish_reason") == "content_filter":
-            reason = self._clean(refusal) if isinstance(refusal, str) else words
-            return _Attempt(reason, "refusal", tokens=tokens)
-        return _Attempt(words, tokens=tokens)
+        return _Attempt(self._clean(words or ""), finish, tokens=tokens)
 
     def _clean(self, text: str) -> str:
         """Censor the key, and replace lone surrogates, which can't be encoded as UTF-8."""
@@ -277,30 +276,99 @@ class _TooLong(Exception):
     """A reply is longer than MOST_BYTES."""
 
 
-def _bounded(response: Any, until: float) -> str:
-    """Read the body of a response, up to MOST_BYTES and until the monotonic time `until`.
+def _client(config: ChatConfig, key: str) -> tuple[str, Any]:
+    """Return the proxy in use, "" for none, and the openai client on a limited transport."""
+    try:
+        import openai
+    except ImportError as error:
+        raise MissingExtra("openai", install_command("prompt"), "knotgym prompt") from error
+    # the client's HTTP library, which is another one in newer versions of openai
+    http: Any = importlib.import_module(
+        openai.DefaultHttpxClient.__mro__[1].__module__.partition(".")[0]
+    )
+    parts = urlsplit(config.base_url)
+    host = parts.hostname or ""
+    through = host not in _LOOPBACK and not urllib.request.proxy_bypass(host)
+    proxy = urllib.request.getproxies().get(parts.scheme, "") if through else ""
 
-    Raises:
-        _TooLong: the body is longer.
-        TimeoutError: it takes longer.
+    class Bounded(http.SyncByteStream):
+        """A reply's bytes, up to MOST_BYTES and until a monotonic time."""
+
+        def __init__(self, stream: Any) -> None:
+            self._stream, self._until = stream, time.monotonic() + config.timeout
+
+        def __iter__(self) -> Iterator[bytes]:
+            size = 0
+            for block in self._stream:
+                size += len(block)
+                if size > MOST_BYTES:
+                    self.close()
+                    raise _TooLong(f"a reply of more than {MOST_BYTES} bytes")
+                if time.monotonic() > self._until:
+                    self.close()
+                    raise http.ReadTimeout("the reply takes too long")
+                yield block
+
+        def close(self) -> None:
+            self._stream.close()
+
+    class Limited(http.HTTPTransport):
+        """A transport whose replies are bounded, and never decompressed."""
+
+        def handle_request(self, request: Any) -> Any:
+            for name in _UNSENT if key else (*_UNSENT, "authorization"):
+                request.headers.pop(name, None)
+            response = super().handle_request(request)
+            response.headers.pop("content-encoding", None)
+            response.stream = Bounded(response.stream)
+            return response
+
+    client = openai.OpenAI(
+        api_key=key or "none",
+        base_url=config.base_url,
+        max_retries=0,  # `Chat.ask` retries, and counts the reasons
+        timeout=config.timeout,
+        default_headers={
+            "User-Agent": f"knotgym/{knotgym.__version__}",
+            "Accept-Encoding": "identity",
+        },
+        http_client=http.Client(
+            transport=Limited(proxy=proxy or None), follow_redirects=False, trust_env=False
+        ),
+    )
+    told = urlsplit(proxy)  # without user and password
+    return f"{told.scheme}://{told.hostname}:{told.port}" if proxy else "", client
+
+
+def answer_text(content: Any) -> str | None:
+    """Return the text of a message's content without the model's thinking; None if it has none.
+
+    Content is text, or a list of parts, of which those of type "text" count.
+
+    >>> answer_text([{"type": "thinking", "text": "?"}, {"type": "text", "text": "yes"}])
+    'yes'
+    >>> answer_text("<think>a draft</think>final"), answer_text("cut off</think>final")
+    ('final', 'final')
     """
-    body = bytearray()
-    while block := response.read1(_BLOCK):
-        body += block
-        if len(body) > MOST_BYTES:
-            raise _TooLong
-        if time.monotonic() > until:
-            raise TimeoutError
-    return body.decode("utf-8", "replace")
+    if isinstance(content, list):
+        parts = [one for one in content if isinstance(one, dict)]
+        texts = [one.get("text") for one in parts if one.get("type") in ("text", "output_text")]
+        content = "".join(text for text in texts if isinstance(text, str))
+    if not isinstance(content, str):
+        return None
+    # some chat templates put the opening mark into the prompt, so that a reply has the end alone
+    _, closed, after = content.rpartition("</think>")
+    return (after if closed else content).partition("<think>")[0]
 
 
-def _spellings(key: str) -> re.Pattern[str]:
+def spellings(key: str) -> re.Pattern[str]:
     r"""Compile a pattern that matches a key however a server may encode it.
 
-    That is as it stands, escaped for JSON, URLs or HTML (also repeatedly), or in base64.
+    That is as it stands, escaped for JSON, URLs or HTML (also repeatedly), reversed, in hex, or in
+    base64.
 
-    >>> [_spellings("a/b+c").sub("[key]", text) for text in (r"a\/b\u002bc", "a%2Fb%2bc")]
-    ['[key]', '[key]']
+    >>> [spellings("a/b+c").sub("[key]", text) for text in (r"a\/b\u002bc", "a%2Fb%2bc", "c+b/a")]
+    ['[key]', '[key]', '[key]']
     """
     # repetitions are bounded, so that searching takes time linear in the length of the text
     letters = [
@@ -311,13 +379,14 @@ def _spellings(key: str) -> re.Pattern[str]:
     ]
     # Base64 encodes 3 bytes as 4 characters, so the key may have three alignments. Only characters
     # that don't depend on the bytes around the key are matched; both alphabets are.
-    data, encoded = key.encode(), []
+    data, encoded = key.encode(), [key[::-1]]
     for shift in range(3):
         lead = (0, 2, 3)[shift]
         whole = base64.b64encode(b" " * shift + data).decode()
         end = len(whole.rstrip("=")) - (1 if (shift + len(data)) % 3 else 0)
         encoded += [whole[lead:end], whole[lead:end].translate(str.maketrans("+/", "-_"))]
-    return re.compile("|".join([f"(?i:{''.join(letters)})", *map(re.escape, encoded)]))
+    in_hex = r"[\s:]?".join(f"{byte:02x}" for byte in data)
+    return re.compile("|".join([f"(?i:{''.join(letters)}|{in_hex})", *map(re.escape, encoded)]))
 
 
 def retry_after(header: str | None) -> float:
@@ -346,7 +415,7 @@ def _error_message(body: str) -> str:
         return body
 
 
-def _count(value: Any) -> int:
-    """Return a number of tokens, 0 if the server sent none or nonsense."""
-    fits = isinstance(value, int) and not isinstance(value, bool) and 0 < value < 2**53
-    return value if fits else 0
+def _count(value: Any) -> int | None:
+    """Return a number of tokens, None if the server sent none or nonsense."""
+    fits = isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**53
+    return value if fits else None

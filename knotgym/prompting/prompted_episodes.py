@@ -4,28 +4,34 @@ The model is asked once per action, or in mode open once per episode. Where an a
 the actions of mode open are used up, the step is a no-op: an action without force. So a transcript
 always has a full sequence of actions, which `knotgym evaluate --policy prompt:FILE` replays to the
 same codes.
+
+Both are recipes, see `knotgym.runs`: all episodes go on side by side, and each round of requests is
+a batch of calls. Replies are kept by the digest of their request, so a resumed run asks only for
+those that are missing.
 """
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from knotgym.common.configuration import Count, NonNegative, Seed, as_json, choice, configuration
+from knotgym.common.configuration import Count, NonNegative, Seed, as_json, configuration
 from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, derived_seed
+from knotgym.common.streams import Stream
+from knotgym.control.rollouts import episode_seed
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.answers import read_actions, read_code
-from knotgym.prompting.chat import ChatConfig, Reply
-from knotgym.prompting.kept_replies import Asking
+from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompts import (
-    MODES,
     OPEN,
     READ,
     STATEFUL,
     TEXTS,
+    Part,
     Picture,
     Turn,
     caption,
@@ -35,7 +41,13 @@ from knotgym.prompting.prompts import (
     opening,
     reading,
 )
+from knotgym.prompting.summary import total
 from knotgym.prompting.transcripts import PRICES
+from knotgym.runs.journal import Result
+from knotgym.runs.run import Call, Recipe
+
+Transcripts = Recipe[list[dict[str, Any]]]
+Ask = Callable[[list[dict[str, Any]]], Result]  # sends messages; returns a reply, see `packed`
 
 _NO_OP = (0.0,) * 6  # an action without force
 
@@ -56,10 +68,11 @@ class PromptConfig:
         tell_centre: tell the model the world coordinates of the picture's centre.
         prompt_price: price of a million prompt tokens.
         completion_price: price of a million completion tokens.
-        pictures: in mode read, the split of the pictures, then the SHA-256 of each.
+        pictures: in mode read, the split of the pictures, then the SHA-256 of them all.
+        side_by_side: concurrent requests to the server; makes no difference to them.
     """
 
-    mode: Annotated[str, choice(*MODES)] = "stateless"
+    mode: Literal["open", "stateless", "stateful", "read"] = "stateless"
     chat: ChatConfig
     task: TaskConfig = TaskConfig(task="tie", image_size=256)
     episodes: Count = 100
@@ -69,134 +82,161 @@ class PromptConfig:
     prompt_price: NonNegative | None = None
     completion_price: NonNegative | None = None
     pictures: tuple[str, ...] = ()
+    side_by_side: Count = 4
 
     def __post_init__(self) -> None:
-        prices = [name for name in PRICES if getattr(self, name) is not None]
-        if len(prices) == 1:
+        if (self.prompt_price is None) != (self.completion_price is None):
             raise InvalidInput("give the prices of both prompt and completion tokens, or neither")
         if self.task.views != ("top",) or self.task.depth:
             raise InvalidInput("prompts support only the view from the top, without depth")
 
 
-def _totals(replies: Sequence[Reply]) -> dict[str, Any]:
-    """Add up the retries and tokens of an episode's replies, as fields of a transcript."""
-    return {
-        "retries": dict(sum((Counter(reply.retries) for reply in replies), Counter())),
-        "prompt_tokens": sum(reply.prompt_tokens for reply in replies),
-        "completion_tokens": sum(reply.completion_tokens for reply in replies),
-    }
-
-
-def begin_episode(config: PromptConfig, number: int) -> EpisodeBatch:
-    """Reset to episode `number` of a run, in a batch of one."""
-    episodes = EpisodeBatch(config.task)
-    seed = derived_seed(Stream.EVALUATION_EPISODE, config.seed, number)
-    episodes.begin(0, np.random.default_rng(seed))
+def play(config: PromptConfig, ask: Ask) -> Transcripts:
+    """Play all episodes of a run; the recipe returns their transcripts."""
+    count, most = config.episodes, config.task.horizon
+    ids = np.arange(count)
+    seeds = [episode_seed(config.seed, k, Stream.EVALUATION_EPISODE) for k in range(count)]
+    batch = EpisodeBatch(config.task, count)
+    batch.begin(ids, seeds)
+    begun = batch.infos(ids)
+    goals = _pictures(batch, ids, config, goal=True)
+    befores = [opening(goal) for goal in goals]
+    episodes: list[dict[str, Any]] = [
+        {
+            "number": number,
+            "config": flat(config),
+            "seed": seeds[number],
+            "start": int(begun["start"][number]),
+            "goal": int(begun["goal"][number]),
+            "goal_gauss_code": str(begun["goal_gauss_code"][number]),
+            "success": False,
+            "gauss_code": [str(begun["gauss_code"][number])],
+            "actions": [],
+            "prompt": [_named(part) for part in befores[number]],
+            "turns": [],
+        }
+        for number in range(count)
+    ]
+    windows: list[list[Turn]] = [[] for _ in range(count)]
+    planned: list[list[list[float]]] = [[] for _ in range(count)]
+    playing, turns = ids, 0
+    while len(playing):
+        if config.mode != OPEN or not turns:
+            nows = _pictures(batch, playing, config)
+            requests = [
+                (number, messages(befores[number], windows[number], config.mode, most, now))
+                for number, now in zip(playing.tolist(), nows, strict=True)
+            ]
+            replies = yield _calls(requests, turns, ask)
+            turns += 1
+            for number, now, kept in zip(playing.tolist(), nows, replies, strict=True):
+                reply = unpacked(kept)
+                limit = most if config.mode == OPEN else 1
+                actions, fault = read_actions(reply["text"], limit)
+                if reply["fault"]:
+                    actions, fault = [], reply["fault"]
+                planned[number] = list(actions)
+                turn = {
+                    "step": len(episodes[number]["actions"]),
+                    "picture": now.sha256,
+                    "window": len(windows[number]),
+                    **_answer(reply, fault),
+                    "actions": actions,
+                }
+                episodes[number]["turns"].append(turn)
+                if config.mode == STATEFUL:
+                    window = [*windows[number], Turn(now, reply["text"])]
+                    windows[number] = window[-config.window :]
+        # float32, as in policies, so that a replay is the same to the bit
+        chosen = [planned[n].pop(0) if planned[n] else _NO_OP for n in playing.tolist()]
+        pulls = np.array(chosen, dtype=np.float32)
+        outcome = batch.act(pulls, playing)
+        for number, action, code in zip(
+            playing.tolist(), pulls, batch.codes_of(playing), strict=True
+        ):
+            episodes[number]["actions"].append(action.tolist())
+            episodes[number]["gauss_code"].append(str(code))
+        playing = playing[~(outcome.terminated | outcome.truncated)]
+    for one, success in zip(episodes, batch.successes(ids).tolist(), strict=True):
+        one["success"] = success
+        one |= {f"{name}_tokens": total(one["turns"], f"{name}_tokens") for name in PRICES}
     return episodes
 
 
-def goal_picture(episodes: EpisodeBatch) -> Picture:
-    """Encode the goal's picture."""
-    size = episodes.config.image_size
-    return encode_picture(episodes.picture(0)[:, size:], "goal", TEXTS["goal"])
+def read(config: PromptConfig, rows: Sequence[Mapping[str, Any]], ask: Ask) -> Transcripts:
+    """Ask for the Gauss codes of pictures, rows of a perception table; return the transcripts."""
+    pictures = [Picture(row["image"]) for row in rows]
+    requests = [(number, [message(reading(one))]) for number, one in enumerate(pictures)]
+    replies = yield _calls(requests, 0, ask)
+    transcripts = []
+    for number, (row, picture, kept) in enumerate(zip(rows, pictures, replies, strict=True)):
+        reply = unpacked(kept)
+        code, fault = read_code(reply["text"])
+        if reply["fault"]:
+            code, fault = None, reply["fault"]
+        truth = {name: row[name] for name in ("gauss_code", "nx", "grade", "accepted")}
+        transcripts.append(
+            {
+                "number": number,
+                "config": flat(config),
+                "picture": picture.sha256,
+                **truth,
+                **_answer(reply, fault),
+                "read": None if code is None else str(code),
+            }
+        )
+    return transcripts
 
 
-def current_picture(episodes: EpisodeBatch, config: PromptConfig) -> Picture:
-    """Encode the current picture, with its caption."""
-    size = episodes.config.image_size
-    middle = episodes.simulation.points[0].mean(axis=0) / episodes.simulation.rope.config.reach
-    heading = caption(middle[:2].tolist() if config.tell_centre else None)
-    return encode_picture(episodes.picture(0)[:, :size], f"now-{int(episodes.steps[0])}", heading)
+def packed(reply: Mapping[str, Any]) -> Result:
+    """Pack a reply as what a journal keeps: the fields of `chat.Reply` as JSON."""
+    return {"reply": np.frombuffer(json.dumps(reply).encode(), dtype=np.uint8)}
 
 
-def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
-    """Play episode `number` of a run; return its transcript."""
-    episodes, most = begin_episode(config, number), config.task.horizon
-    replies: list[Reply] = []
-    goal = goal_picture(episodes)
-    before = opening(goal)
-    start, done = episodes.info(0), False
-    codes = [str(start["gauss_code"])]
-    turns: list[dict[str, Any]] = []
-    window: list[Turn] = []
-    actions: list[list[float]] = []
-    planned: list[list[float]] = []
-    while not done:
-        if config.mode != OPEN or not actions:
-            now = current_picture(episodes, config)
-            reply = ask(messages(before, window, config.mode, most, now))
-            replies.append(reply)
-            answered, fault = read_actions(reply.text, most if config.mode == OPEN else 1)
-            if reply.refused:
-                answered, fault = [], "refusal"
-            planned = list(answered)
-            turns.append(
-                {
-                    "step": len(actions),
-                    "picture": now.sha256,
-                    "window": len(window),
-                    "answer": reply.text,
-                    "fault": fault,
-                    "actions": answered,
-                    "retries": reply.retries,
-                    "prompt_tokens": reply.prompt_tokens,
-                    "completion_tokens": reply.completion_tokens,
-                }
-            )
-            if config.mode == STATEFUL:
-                window = [*window, Turn(now, reply.text)][-config.window :]
-        # float32, as in policies, so that a replay is the same to the bit
-        action = np.array(planned.pop(0) if planned else _NO_OP, dtype=np.float32)
-        _, terminated, truncated = episodes.step(action[None], np.array([0]))
-        actions.append(action.tolist())
-        codes.append(str(episodes.codes[0]))
-        done = bool(terminated[0] or truncated[0])
-    return {
-        "number": number,
-        "config": flat(config),
-        "start": int(start["start"]),
-        "goal": int(start["goal"]),
-        "goal_gauss_code": str(start["goal_gauss_code"]),
-        "success": bool(episodes.info(0)["is_success"]),
-        "gauss_code": codes,
-        "actions": actions,
-        "prompt": [part if isinstance(part, str) else {"picture": part.sha256} for part in before],
-        "turns": turns,
-        **_totals(replies),
-    }
-
-
-def read(config: PromptConfig, number: int, row: Mapping[str, Any], ask: Asking) -> dict[str, Any]:
-    """Ask for the Gauss code of one picture; return the transcript.
-
-    Args:
-        number: index of the picture in its split.
-        row: the picture's row of a perception table.
-    """
-    picture = Picture(row["image"], "picture")
-    parts = reading(picture)
-    reply = ask([message(parts)])
-    code, fault = read_code(reply.text)
-    if reply.refused:
-        code, fault = None, "refusal"
-    return {
-        "number": number,
-        "config": flat(config),
-        "picture": picture.sha256,
-        "gauss_code": row["gauss_code"],
-        "nx": row["nx"],
-        "grade": row["grade"],
-        "accepted": row["accepted"],
-        "answer": reply.text,
-        "read": None if code is None else str(code),
-        "fault": fault,
-        **_totals([reply]),
-    }
+def unpacked(kept: Result) -> dict[str, Any]:
+    """Unpack a reply that `packed` packed."""
+    reply: dict[str, Any] = json.loads(bytes(kept["reply"]))
+    return reply
 
 
 def flat(config: PromptConfig) -> dict[str, Any]:
     """Convert settings to the JSON of a transcript; in mode read, without the task."""
     fields = as_json(config)
+    del fields["side_by_side"]
     if config.mode == READ:
         del fields["task"]
     return fields
+
+
+def _calls(requests: Sequence[tuple[int, list[dict[str, Any]]]], turn: int, ask: Ask) -> list[Call]:
+    """Return a round of requests as calls, named by the digest of what is asked."""
+    digests = [hashlib.sha256(json.dumps(asked).encode()).hexdigest() for _, asked in requests]
+    return [
+        Call(f"request {turn + 1} {number}:{digest}", ask, (asked,))
+        for (number, asked), digest in zip(requests, digests, strict=True)
+    ]
+
+
+def _answer(reply: Mapping[str, Any], fault: str) -> dict[str, Any]:
+    """Return the fields of a transcript that describe a reply."""
+    kept = ("finish", "retries", *(f"{name}_tokens" for name in PRICES))
+    return {"answer": reply["text"], "fault": fault, **{name: reply[name] for name in kept}}
+
+
+def _named(part: Part) -> Any:
+    return part if isinstance(part, str) else {"picture": part.sha256}
+
+
+def _pictures(
+    batch: EpisodeBatch, ids: NDArray[np.int64], config: PromptConfig, goal: bool = False
+) -> list[Picture]:
+    """Encode the pictures of the goals, or the current ones with their captions."""
+    size = config.task.image_size
+    images = [batch.rgb(index) for index in ids.tolist()]
+    if goal:
+        return [encode_picture(image[:, size:], TEXTS["goal"]) for image in images]
+    middles = batch.simulation.points[ids].mean(axis=1) / config.task.rope.reach
+    return [
+        encode_picture(image[:, :size], caption(middle[:2] if config.tell_centre else None))
+        for image, middle in zip(images, middles.tolist(), strict=True)
+    ]

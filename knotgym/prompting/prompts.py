@@ -40,12 +40,10 @@ class Picture:
 
     Attributes:
         png: its bytes, as they are sent.
-        name: short name for people, such as "goal".
         caption: text before the picture.
     """
 
     png: bytes
-    name: str
     caption: str = ""
 
     @property
@@ -65,9 +63,9 @@ class Turn:
     answer: str
 
 
-def encode_picture(picture: NDArray[np.uint8], name: str, caption: str = "") -> Picture:
+def encode_picture(picture: NDArray[np.uint8], caption: str) -> Picture:
     """Encode a picture, uint8 (height, width, 3), RGB, for a prompt."""
-    return Picture(encode(picture), name, caption)
+    return Picture(encode(picture), caption)
 
 
 def caption(centre: Sequence[float] | None) -> str:
@@ -85,7 +83,7 @@ def caption(centre: Sequence[float] | None) -> str:
 @lru_cache(maxsize=1)
 def first() -> Picture:
     """Return the explanatory picture with which every prompt begins; see docs/first_picture.py."""
-    return Picture((_FOLDER / "first-picture.png").read_bytes(), "first")
+    return Picture((_FOLDER / "first-picture.png").read_bytes())
 
 
 def question(mode: str, most: int) -> str:
@@ -147,19 +145,19 @@ def message(parts: Sequence[Part]) -> dict[str, Any]:
     return {"role": "user", "content": content}
 
 
-def as_text(conversation: Sequence[dict[str, Any]], names: dict[str, str]) -> str:
-    """Format messages for people; `names` maps the SHA-256 of each PNG to its picture's name."""
-    lines = []
+def as_text(conversation: Sequence[dict[str, Any]]) -> tuple[str, dict[str, bytes]]:
+    """Format messages for people; return the text, and the pictures as PNG by the names in it."""
+    lines, pictures = list[str](), dict[str, bytes]()
     for one in conversation:
         lines.append(f"--- {one['role']}")
-        content = one["content"]
+        content: Any = one["content"]
         if isinstance(content, str):
-            lines.append(content)
-            continue
+            content = [{"type": "text", "text": content}]
         for part in content:
             if part["type"] == "text":
                 lines.append(part["text"])
             else:
-                png = base64.b64decode(part["image_url"]["url"].partition(",")[2])
-                lines.append(f"[picture: {names[hashlib.sha256(png).hexdigest()]}]")
-    return "\n".join(lines) + "\n"
+                name = f"picture-{len(pictures) + 1}"
+                pictures[name] = base64.b64decode(part["image_url"]["url"].partition(",")[2])
+                lines.append(f"[{name}]")
+    return "\n".join(lines) + "\n", pictures

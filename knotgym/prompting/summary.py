@@ -11,24 +11,22 @@ from knotgym.runs.intervals import cluster_interval
 def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Summarize the transcripts of one run, at least one, as JSON-compatible values.
 
-    Counts answers by fault, retries and tokens; gives the cost if prices are known. For episodes it
-    adds the success rate with its 95 % interval, and the episodes without any valid answer.
+    Counts answers by fault, answers cut off by the server's limit, retries and tokens; gives the
+    cost if prices are known. Tokens and cost are None if a server didn't state them. For episodes
+    it adds the success rate with its 95 % interval, and the episodes without any valid answer.
     """
     config = transcripts[0]["config"]
-    total = {
-        name: sum(one[name] for one in transcripts)
-        for name in ("prompt_tokens", "completion_tokens")
-    }
-    prices = [config.get(name) for name in PRICES]
-    cost = (
-        None
-        if None in prices
-        else sum(price * n for price, n in zip(prices, total.values(), strict=True)) / 1e6
-    )
+    prices = [config.get(f"{name}_price") for name in PRICES]
+    total = [_sum(one[f"{name}_tokens"] for one in transcripts) for name in PRICES]
+    cost = None
+    if None not in prices and None not in total:
+        cost = sum(price * (n or 0) for price, n in zip(prices, total, strict=True)) / 1e6
+    turns = list(_turns(transcripts))
     facts: dict[str, Any] = {
-        "answers": dict(Counter(_answers(transcripts)).most_common()),
-        "retries": dict(sum((Counter(one["retries"]) for one in transcripts), Counter())),
-        **total,
+        "answers": dict(Counter(turn["fault"] or "valid" for turn in turns).most_common()),
+        "truncated": sum(turn["finish"] == "length" for turn in turns),
+        "retries": dict(sum((Counter(turn["retries"]) for turn in turns), Counter())),
+        **{f"{name}_tokens": n for name, n in zip(PRICES, total, strict=True)},
         "cost": cost,
     }
     if "actions" not in transcripts[0]:
@@ -49,8 +47,17 @@ def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _answers(transcripts: Iterable[Mapping[str, Any]]) -> Iterable[str]:
-    """Yield "valid" or the fault of each answer."""
+def total(replies: Iterable[Mapping[str, Any]], name: str) -> int | None:
+    """Add up the numbers of tokens of replies; None if one is unknown."""
+    return _sum(one[name] for one in replies)
+
+
+def _sum(counts: Iterable[int | None]) -> int | None:
+    known = list(counts)
+    return None if None in known else sum(one or 0 for one in known)
+
+
+def _turns(transcripts: Iterable[Mapping[str, Any]]) -> Iterable[Mapping[str, Any]]:
+    """Yield the requests: the turns of episodes, or the transcripts of pictures themselves."""
     for one in transcripts:
-        for turn in one.get("turns", [one]):
-            yield turn["fault"] or "valid"
+        yield from one.get("turns", [one])

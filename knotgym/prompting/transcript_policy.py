@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json, differences
 from knotgym.common.errors import InvalidFile, InvalidPolicy
-from knotgym.common.streams import Stream, generator
-from knotgym.control.policies import PolicyConfig, PolicyFamily
-from knotgym.control.policy import Choice, Policy, UnplannedPolicy
+from knotgym.control.policies import PolicyFamily
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import Player, Policy, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.transcripts import read_transcripts, transcripts_at
@@ -25,57 +25,69 @@ PREFIX = "prompt:"  # of a policy's name; the path of transcripts follows
 _SHOWN = ("observation", "image_size", "views", "depth", "camera", "renderer")
 
 
-class TranscriptPolicy(UnplannedPolicy):
-    """Repeats the actions of transcripts.
+class TranscriptPolicy:
+    """Repeats the actions of transcripts, in the episodes of the same seeds.
 
-    A policy doesn't know the number of an episode, so it recognizes one by the first draw of the
-    generator that the episode's policy gets.
+    Attributes:
+        name: of the policy.
     """
 
     def __init__(self, transcripts: Sequence[Mapping[str, Any]], name: str) -> None:
-        super().__init__(PREFIX + name)
-        self._transcripts: dict[float, Mapping[str, Any]] = {}
-        for one in transcripts:
-            rng = generator(Stream.EVALUATION_POLICY, one["config"]["seed"], one["number"])
-            self._transcripts[rng.random()] = one
-        self._actions: dict[int, NDArray[np.float32]] = {}
+        self.name, self._transcripts = PREFIX + name, {one["seed"]: one for one in transcripts}
 
-    def suited(self, task: TaskConfig) -> TaskConfig:
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Return the task; raise InvalidPolicy if the transcripts are of another one."""
         here = _episode_settings(as_json(task))
         for one in self._transcripts.values():
             there = _episode_settings(one["config"]["task"])
             changed = [f"--{one.replace('_', '-', 1)}" for one in differences(there, here)]
             if changed:
                 raise InvalidPolicy(
-                    f"{self._name} was recorded in another task: {'; '.join(changed)}"
+                    f"{self.name} was recorded in another task: {'; '.join(changed)}"
                 )
         return task
 
-    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
-        """Find the episode's transcript.
+    def player(self, batch: EpisodeBatch) -> Player:
+        """Return a player; its `begin` raises InvalidPolicy where there is no transcript."""
+        return _TranscriptPlayer(self, batch)
 
-        Raises:
-            InvalidPolicy: there is none, or its start or goal differs.
-        """
-        super().begin(episodes, index, rng)
-        one = self._transcripts.get(rng.random())
+    def actions(self, seed: int, start: int, goal: int) -> NDArray[np.float32]:
+        """Return the actions of an episode, float32 (T, 6)."""
+        one = self._transcripts.get(seed)
         if one is None:
             count = len(self._transcripts)
-            seed = next(iter(self._transcripts.values()))["config"]["seed"]
+            own = next(iter(self._transcripts.values()))["config"]["seed"]
             raise InvalidPolicy(
-                f"{self._name} holds {count} episodes of seed {seed}, but not this one: use"
-                f" --episodes {count} --seed {seed}"
+                f"{self.name} holds {count} episodes of seed {own}, but not this one: use"
+                f" --episodes {count} --seed {own}"
             )
-        info = episodes.info(index)
-        rows = {"start": one["start"], "goal": one["goal"]}
-        changed = list(differences(rows, {name: info[name] for name in rows}))
-        if changed:
-            raise InvalidPolicy(f"{self._name} was recorded in another task: {'; '.join(changed)}")
-        self._actions[index] = np.array(one["actions"], dtype=np.float32).reshape(-1, 6)
+        if found := list(differences(dict(one), {**one, "start": start, "goal": goal})):
+            raise InvalidPolicy(f"{self.name} was recorded in another task: {'; '.join(found)}")
+        return np.array(one["actions"], dtype=np.float32).reshape(-1, 6)
 
-    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        actions = [self._actions[index][episodes.steps[index]] for index in ids.tolist()]
-        return Choice(np.stack(actions), [""] * len(ids))
+
+class _TranscriptPlayer:
+    def __init__(self, policy: TranscriptPolicy, batch: EpisodeBatch) -> None:
+        self._policy, self._batch = policy, batch
+        self._actions: dict[int, NDArray[np.float32]] = {}
+        self.planned = np.zeros(batch.count, dtype=np.int64)
+
+    def begin(self, ids: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
+        columns = self._batch.seed, self._batch.start_row, self._batch.goal_row
+        for index in ids.tolist():
+            self._actions[index] = self._policy.actions(*(int(one[index]) for one in columns))
+
+    def act(self, ids: NDArray[np.int64]) -> Pulls:
+        # an episode that goes on past its transcript is pulled without force, and differs
+        none = np.zeros(6, dtype=np.float32)
+        actions = np.array(
+            [
+                self._actions[k][step] if step < len(self._actions[k]) else none
+                for k, step in zip(ids.tolist(), self._batch.steps[ids].tolist(), strict=True)
+            ]
+        )
+        beads, _ = self._batch.simulation.read_actions(actions, ids)
+        return Pulls(ids, beads, actions[:, 3:])
 
 
 def _episode_settings(task: Mapping[str, Any]) -> dict[str, Any]:

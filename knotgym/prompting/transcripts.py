@@ -15,32 +15,23 @@ from knotgym.common.errors import InvalidFile, MissingFile, one_line
 
 FORMAT = "knotgym-transcript"
 FORMAT_VERSION = 1
-PRICES = ("prompt_price", "completion_price")  # fields of the settings, per million tokens
+PRICES = ("prompt", "completion")  # what tokens are counted and priced for
 FILE = "transcripts.jsonl"  # name of the file in a run's folder
-_PLAYED: dict[str, type] = {
-    "number": int,
-    "config": dict,
-    "start": int,
-    "goal": int,
-    "gauss_code": list,
-    "actions": list,
-    "success": bool,
-    "turns": list,
-    "retries": dict,
-    "prompt_tokens": int,
-    "completion_tokens": int,
+_Count, _Text = (int,), (str,)
+_TOKENS = {f"{name}_tokens": (int, type(None)) for name in PRICES}
+_REQUEST: dict[str, tuple[type, ...]] = {
+    **{"fault": _Text, "finish": _Text, "retries": (dict,)},
+    **_TOKENS,
 }
-_READ: dict[str, type] = {
-    "number": int,
-    "config": dict,
-    "gauss_code": str,
-    "nx": int,
-    "grade": str,
-    "accepted": bool,
-    "fault": str,
-    "retries": dict,
-    "prompt_tokens": int,
-    "completion_tokens": int,
+_PLAYED: dict[str, tuple[type, ...]] = {
+    **{"number": _Count, "config": (dict,), "seed": _Count, "start": _Count, "goal": _Count},
+    **{"gauss_code": (list,), "actions": (list,), "success": (bool,), "turns": (list,)},
+    **_TOKENS,
+}
+_READ: dict[str, tuple[type, ...]] = {
+    **{"number": _Count, "config": (dict,), "gauss_code": _Text, "nx": _Count, "grade": _Text},
+    **{"accepted": (bool,)},
+    **_REQUEST,
 }
 
 
@@ -90,33 +81,37 @@ def _checked(text: str, where: str) -> dict[str, Any]:
             f"{where} has format {name!r} version {version!r}; this version reads {FORMAT!r}"
             f" version {FORMAT_VERSION}"
         )
-    for field, kind in (_PLAYED if "actions" in found else _READ).items():
-        if type(found.get(field)) is not kind:
-            raise InvalidFile(f"{where}: {field} must be {kind.__name__}")
-    turns = found.get("turns", [])
+    _require(found, _PLAYED if "actions" in found else _READ, where)
+    for turn in found.get("turns", []):
+        _require(turn, _REQUEST, f"{where}, turns")
+    retries = [one["retries"] for one in found.get("turns", [found])]
     valid = (
-        all(isinstance(one, dict) and isinstance(one.get("fault"), str) for one in turns)
-        and all(map(_is_action, found.get("actions", [])))
+        all(map(_is_action, found.get("actions", [])))
         and all(isinstance(code, str) for code in found["gauss_code"])
-        and all(_is_count(count) for count in found["retries"].values())
-        and all(_is_price(found["config"].get(name)) for name in PRICES)
+        and all(isinstance(n, int) and n >= 0 for one in retries for n in one.values())
+        and all(_is_price(found["config"].get(f"{name}_price")) for name in PRICES)
         and _is_config(found["config"])
     )
     if not valid:
         raise InvalidFile(
-            f"{where}: config, turns, actions (six numbers in [-1, 1]), codes or counts are invalid"
+            f"{where}: config, actions (six numbers in [-1, 1]), codes or counts are invalid"
         )
     return found
+
+
+def _require(found: Any, fields: Mapping[str, tuple[type, ...]], where: str) -> None:
+    if not isinstance(found, dict):
+        raise InvalidFile(f"{where} aren't objects")
+    for field, kinds in fields.items():
+        if type(found.get(field)) not in kinds:
+            raise InvalidFile(f"{where}: {field} must be {kinds[0].__name__}")
 
 
 def _is_action(value: Any) -> bool:
     return (
         isinstance(value, list)
         and len(value) == 6
-        and all(
-            isinstance(number, (int, float)) and not isinstance(number, bool) and abs(number) <= 1
-            for number in value
-        )
+        and all(type(number) in (int, float) and abs(number) <= 1 for number in value)
     )
 
 
@@ -133,9 +128,5 @@ def _is_config(config: Mapping[str, Any]) -> bool:
     )
 
 
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and value >= 0
-
-
 def _is_price(value: Any) -> bool:
-    return value is None or (isinstance(value, (int, float)) and 0 <= value < math.inf)
+    return value is None or (type(value) in (int, float) and 0 <= value < math.inf)

@@ -1,4 +1,4 @@
-"""Measures of a state's quality, their units, and the limits for curated states.
+"""Measures of a state's quality, their units, and limits.
 
 Lengths are in pixels of the 128 x 128 picture, 5.2 mm each; the rope is two pixels wide.
 `knotgym.quality.measures` computes the measures.
@@ -66,11 +66,13 @@ class Quality:
 
 
 UNITS = {measure.name: str(measure.metadata["unit"]) for measure in fields(Quality)}
+# Limits that are upper bounds of their measure
+_MAXIMA = ("excess_crossing_number", "total_curvature", "curvature_per_crossing")
 
 
 @configuration
 class Limits:
-    """Limits that an accepted state must meet, in the units of `Quality`.
+    """Limits that a state must meet, in the units of `Quality`; None for no limit.
 
     Attributes:
         crossing_angle: minimum; below 25 degrees the two strands overlap over more than five
@@ -87,34 +89,37 @@ class Limits:
         clearance: minimum; beads that overlap deeply spring apart when the episode begins.
         excess_crossing_number: maximum; a coil seen end-on hides about one crossing per turn, and
             two turns are still readable.
-        total_curvature: maximum per crossing, with one more for the loop itself.
+        total_curvature: maximum.
+        curvature_per_crossing: maximum of the total curvature, turns, for each crossing and once
+            more for the loop itself.
         noise_survival: minimum.
     """
 
-    crossing_angle: NonNegative = 25.0
-    crossing_spacing: NonNegative = 6.0
-    base_spacing: NonNegative = 3.0
-    strand_spacing: NonNegative = 3.0
-    smallest_region: NonNegative = 9.0
-    margin: Real = 3.0
-    clearance: NonNegative = 8.0
-    excess_crossing_number: NonNegative = 2.5
-    total_curvature: NonNegative = 2.0
-    noise_survival: Share = 0.95
+    crossing_angle: NonNegative | None = 25.0
+    crossing_spacing: NonNegative | None = 6.0
+    base_spacing: NonNegative | None = 3.0
+    strand_spacing: NonNegative | None = 3.0
+    smallest_region: NonNegative | None = 9.0
+    margin: Real | None = 3.0
+    clearance: NonNegative | None = 8.0
+    excess_crossing_number: NonNegative | None = 2.5
+    total_curvature: NonNegative | None = None
+    curvature_per_crossing: NonNegative | None = 2.0
+    noise_survival: Share | None = 0.95
 
     def faults(self, quality: Quality, nx: int) -> list[str]:
-        """Return the measures that fail their limit; an unmeasured noise_survival passes."""
+        """Return the limits that a state with nx crossings misses; a measure of NaN passes."""
         missed = []
         for limit in fields(self):
-            value, bound = getattr(quality, limit.name), getattr(self, limit.name)
-            if limit.name == "excess_crossing_number":
-                fails = value > bound
-            elif limit.name == "total_curvature":
-                fails = value > bound * (nx + 1)
+            name, bound = limit.name, getattr(self, limit.name)
+            if bound is None:
+                continue
+            if name == "curvature_per_crossing":
+                value = quality.total_curvature / (nx + 1)
             else:
-                fails = value < bound
-            if fails:
-                missed.append(limit.name)
+                value = getattr(quality, name)
+            if value > bound if name in _MAXIMA else value < bound:
+                missed.append(name)
         return missed
 
     def objective(self, quality: Quality, nx: int) -> float:
@@ -128,14 +133,44 @@ class Limits:
         # too much to ask; its penalty is 1 at the limit and 0 from 1 mm above. NaN is unmeasured.
         total = max(0.0, 2 - quality.smallest_face / FACE) ** 2
         for limit in fields(self):
-            value, bound = getattr(quality, limit.name), getattr(self, limit.name)
-            if value != value:
+            name, bound = limit.name, getattr(self, limit.name)
+            if name == "curvature_per_crossing":
+                name, bound = "total_curvature", bound * (nx + 1)
+            value = getattr(quality, name)
+            if value != value or bound is None:
                 continue
-            if limit.name in ("excess_crossing_number", "total_curvature"):
-                allowed = bound if limit.name == "excess_crossing_number" else bound * (nx + 1)
+            if name in ("excess_crossing_number", "total_curvature"):
+                allowed = bound
                 total += max(0.0, 2 * value / allowed - 1)
             elif limit.name == "clearance":
                 total += max(0.0, 1 - (value - bound)) if value < bound + 1 else 0.0
             else:
                 total += max(0.0, 2 - value / bound) ** 2
         return total
+
+
+_NO_LIMITS: dict[str, None] = dict.fromkeys(limit.name for limit in fields(Limits))
+LEGIBLE = Limits()
+# Over-twisted ropes are left out, and nothing else. Total curvature counts the turns of a coil that
+# the picture shows, the excess crossing number those that it hides. A reset draws noise up to
+# twenty times at full scale: at 0.25 all draws lose the code in only 3 of 1,000 resets.
+UNTWISTED = Limits(
+    **{
+        **_NO_LIMITS,
+        "excess_crossing_number": 4.0,
+        "total_curvature": 5.0,
+        "noise_survival": 0.25,
+    }
+)
+# Nothing but the Gauss code is required to be certain. A quarter of a bead is 0.64 pixels and
+# rounding errors are 1e-12 of that; two strands less than 7 mm apart may be painted in the wrong
+# order (see `rendering.rasterizer`).
+UNAMBIGUOUS = Limits(
+    **{
+        **_NO_LIMITS,
+        "crossing_spacing": 0.64,
+        "base_spacing": 0.64,
+        "margin": 0.0,
+        "clearance": 7.0,
+    }
+)

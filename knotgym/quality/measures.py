@@ -3,6 +3,7 @@
 `limits` defines the measures, their units and the limits for curated states.
 """
 
+import hashlib
 from functools import lru_cache
 from typing import Any
 
@@ -11,7 +12,8 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.quality.limits import UNITS, Limits, Quality
+from knotgym.common.streams import Stream, generator
+from knotgym.quality.limits import RESET_NOISE, UNITS, Limits, Quality
 from knotgym.rendering.picture import DEFAULT, PictureConfig, picture_of, project
 from knotgym.rope.model import Array
 from knotgym.rope.reset_noise import noised
@@ -107,10 +109,24 @@ def base_spacing(
 
 
 def noise_survival(
-    points: ArrayLike, scale: float, rng: np.random.Generator, draws: int = NOISE_DRAWS
+    points: ArrayLike,
+    scale: float = RESET_NOISE,
+    rng: np.random.Generator | None = None,
+    draws: int = NOISE_DRAWS,
 ) -> float:
-    """Return the fraction of draws of reset noise that keep the Gauss code and chirality."""
+    """Return the fraction of draws of reset noise that keep the Gauss code and chirality.
+
+    Args:
+        points: float64 (beads, 3), metres.
+        scale: of the noise, see `RESET_NOISE`.
+        rng: generator of the noise; by default one that is seeded with a digest of the points, so
+            that the fraction can be computed again from them alone.
+        draws: number of draws.
+    """
     p = np.asarray(points, dtype=np.float64)[None]
+    if rng is None:
+        seed = int.from_bytes(hashlib.sha256(p.tobytes()).digest()[:7], "little")
+        rng = generator(Stream.NOISE_SURVIVAL, seed)
     varied = noised(np.repeat(p, draws, axis=0), scale, [rng] * draws)
     codes = label_many(np.concatenate([p, varied]))
     return float(np.mean([code == codes[0] for code in codes[1:]]))

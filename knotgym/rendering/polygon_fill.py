@@ -12,6 +12,9 @@ OpenCV's rules, in fixed-point numbers with 16 fractional bits:
                the other coordinate advances by dy / dx in steps that are rounded towards zero
     inside     in each row, the samples between the left and the right edge, at the x that each has
                at the row's centre; an edge begins at its upper vertex, not at the row's centre
+
+After a change run `pytest tests/rendering/test_polygon_fill.py`: fills must be OpenCV's, byte for
+byte.
 """
 
 import numba

@@ -3,6 +3,9 @@
 Each bead is cut across into equal pieces, as many as its span of heights requires. Where two beads
 meet, each ends at the bisector of the joint, as the capsules do. Neighbours then neither overlap
 nor leave a gap, and the order of painting them doesn't matter.
+
+After a change run `pytest tests/rendering` and `python benchmarks/truth.py`: pictures must be
+OpenCV's byte for byte, and the strand on top the one labelled over.
 """
 
 from typing import Any

@@ -12,7 +12,7 @@ VIEWS = ("top", "left", "front")  # see `rendering.camera`
 
 def _known(views: tuple[str, ...]) -> tuple[str, ...]:
     if not views or not set(views) <= set(VIEWS) or len(set(views)) < len(views):
-        raise ValueError(f"must be a list of {', '.join(VIEWS)}, at least one, each at most once")
+        raise InvalidInput(f"must be a list of {', '.join(VIEWS)}, at least one, each at most once")
     return views
 
 

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.actions import CHOICES, choices, chosen_forces
-from knotgym.rope.macro_actions import LONGEST, MacroActionConfig, WaypointController, pass_straight
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import LONGEST, WaypointController, pass_straight
 from knotgym.rope.simulation import Simulation
 
 

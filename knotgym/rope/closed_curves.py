@@ -1,4 +1,7 @@
-"""Closed chains of equal chords: how near they pass each other, and polylines cut into them."""
+"""Closed chains of equal chords: how near they pass each other, and polylines cut into them.
+
+After a change run `pytest tests/rope/test_rope.py tests/rope/test_reset_noise.py`.
+"""
 
 import numba
 import numpy as np

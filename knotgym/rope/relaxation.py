@@ -9,6 +9,9 @@ lead to it, at a thousandth of the cost of simulation. Each iteration
 4. restores the length of every bead by projection.
 
 Source of step 4: position-based dynamics, Müller et al., 2007.
+
+After a change run `pytest tests/rope/test_rope.py`: a relaxed curve must keep its code, and all
+of its edges get the length of a bead.
 """
 
 from dataclasses import astuple

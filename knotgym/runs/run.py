@@ -45,6 +45,7 @@ from knotgym.runs.shards import WHOLE, Shard
 
 Output = TypeVar("Output")
 
+CHECKPOINT = "checkpoint"  # file that may lie beside the journal
 _AHEAD = 4  # calls in progress for each worker, so that one slow call doesn't leave others idle
 
 
@@ -247,7 +248,7 @@ def staged(
     try:
         require_own_tree(partial)
         require_own(path)
-        if has_results(path) and not (existing.resume or existing.restart):
+        if _has_work(path) and not (existing.resume or existing.restart):
             raise Occupied(
                 f"an interrupted run of {out if shard.is_whole else path} left its work: --resume"
                 " continues it, --restart deletes it"
@@ -260,12 +261,12 @@ def staged(
     with journal:
         try:
             for left in partial.iterdir():
-                if left != path:
+                if left != path and not (existing.resume and left.name == CHECKPOINT):
                     remove(left)
             (partial / "made").mkdir()
             yield partial, journal
         except BaseException:
-            if journal.is_held and journal.is_empty:
+            if journal.is_held and journal.is_empty and not (partial / CHECKPOINT).exists():
                 shutil.rmtree(partial, ignore_errors=True)
                 remove(path)
             raise
@@ -274,6 +275,19 @@ def staged(
 def staging_folder(out: Path) -> Path:
     """Return the folder `.NAME.partial` beside `out`, which holds a run until it is finished."""
     return out.parent / f".{out.name}.partial"
+
+
+def checkpoint_of(place: Path) -> Path:
+    """Return the one file that a recipe may keep, and replace, until its output is in place.
+
+    For work that isn't a function of a call, such as a training; a resumed run finds it again.
+    """
+    return place.parents[1] / CHECKPOINT
+
+
+def _has_work(journal: Path) -> bool:
+    beside = journal.with_name(CHECKPOINT)
+    return has_results(journal) or (journal.name == "journal" and beside.exists())
 
 
 def shard_journals(out: Path) -> list[Path]:
@@ -285,7 +299,7 @@ def shard_journals(out: Path) -> list[Path]:
 def require_no_interrupted_run(out: Path, existing: Existing, shard: Shard = WHOLE) -> None:
     """Raise Occupied if an interrupted run left work, unless `existing` says what to do with it."""
     path = staging_folder(out) / "journal" if shard.is_whole else shard.journal(out)
-    if has_results(path) and not (existing.resume or existing.restart):
+    if _has_work(path) and not (existing.resume or existing.restart):
         raise Occupied(
             f"an interrupted run of {out if shard.is_whole else path} left its work: --resume"
             " continues it, --restart deletes it"
@@ -304,7 +318,7 @@ def is_finished(
         InvalidInput: it is the output of another run, and `existing` doesn't overwrite it.
     """
     # A run that was interrupted while it replaced an older output isn't finished.
-    replaces = existing.overwrite and has_results(staging_folder(out) / "journal")
+    replaces = existing.overwrite and _has_work(staging_folder(out) / "journal")
     there = made_by(out) if existing.resume and not replaces else None
     if there is None:
         return False

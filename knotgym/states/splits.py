@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.states.near_duplicates import families, nearest
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import diagram_form
 

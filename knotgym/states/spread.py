@@ -5,7 +5,6 @@ curves), radii of gyration, heights, and where along the rope the crossings are.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -17,40 +16,27 @@ from knotgym.topology.crossings import find_crossings
 MOST = 500  # configurations that are compared pairwise
 
 
-@dataclass(frozen=True)
-class Spread:
-    """The spread of at least one configuration."""
-
-    # median and minimum over all pairs, metres: root mean square over the beads, after the best
-    # rotation about z and translation; None for a single configuration
-    distance: tuple[float, float] | None
-    # the same, also at the best base bead and direction along the rope (bead by bead, two equal
-    # circles traversed in opposite directions are 1.4 radii apart)
-    shape: tuple[float, float] | None
-    # minimum and maximum radius of gyration, metres: root mean square distance of the vertices
-    # from their mean; a circle as long as the rope has 0.212
-    gyration: tuple[float, float]
-    height: tuple[float, float]  # minimum and maximum from the lowest to the highest vertex, metres
-    # mean distance along the rope, in beads, between a crossing in one configuration and one in
-    # another: a quarter of the beads if crossings are uniform, 0 if all are at one position
-    visits: float | None  # None without crossings or with one configuration
-    bare: float | None  # longest stretch where no configuration crosses, beads; None without any
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the measures as values for JSON, tuples as lists."""
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in asdict(self).items()
-        }
-
-
-def spread_of(points: NDArray[np.float64]) -> Spread:
+def spread_of(points: NDArray[np.float64]) -> dict[str, Any]:
     """Measure the spread of configurations; their order doesn't matter for up to MOST of them.
 
     Of more than MOST, only MOST evenly spaced ones are compared pairwise.
 
     Args:
         points: float64 (n, beads, 3), n at least 1, metres.
+
+    Returns:
+        Values for JSON:
+        "distance": median and minimum over all pairs, metres: root mean square over the beads,
+            after the best rotation about z and translation; None for a single configuration;
+        "shape": the same, also at the best base bead and direction along the rope (bead by bead,
+            two equal circles traversed in opposite directions are 1.4 radii apart);
+        "gyration": minimum and maximum radius of gyration, metres: root mean square distance of the
+            vertices from their mean; a circle as long as the rope has 0.212;
+        "height": minimum and maximum from the lowest to the highest vertex, metres;
+        "visits": mean distance along the rope, in beads, between a crossing in one configuration
+            and one in another: a quarter of the beads if crossings are uniform, 0 if all are at one
+            position; None without crossings or with one configuration;
+        "bare": longest stretch where no configuration crosses, beads; None without crossings.
     """
     few = points
     if len(points) > MOST:
@@ -62,15 +48,16 @@ def spread_of(points: NDArray[np.float64]) -> Spread:
     centred = points - points.mean(axis=1, keepdims=True)
     gyration = np.sqrt((centred**2).sum(axis=2).mean(axis=1))
     height = np.ptp(points[..., 2], axis=1)
-    positions = [_visit_positions(one) for one in few]
-    return Spread(
-        distance=_median_and_minimum(pairs[0]),
-        shape=_median_and_minimum(pairs[1]),
-        gyration=(float(gyration.min()), float(gyration.max())),
-        height=(float(height.min()), float(height.max())),
-        visits=visit_distance(positions, points.shape[1]),
-        bare=bare_stretch(np.concatenate(positions), points.shape[1]),
-    )
+    found = [find_crossings(one) for one in few]
+    positions = [np.concatenate([one.over_place, one.under_place]) for one in found]
+    return {
+        "distance": _median_and_minimum(pairs[0]),
+        "shape": _median_and_minimum(pairs[1]),
+        "gyration": [float(gyration.min()), float(gyration.max())],
+        "height": [float(height.min()), float(height.max())],
+        "visits": visit_distance(positions, points.shape[1]),
+        "bare": bare_stretch(np.concatenate(positions), points.shape[1]),
+    }
 
 
 def shape_distances(
@@ -101,11 +88,10 @@ def visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> floa
     total, count = 0.0, 0
     for k, own in enumerate(positions):
         others = np.concatenate([np.empty(0), *positions[k + 1 :]])
-        for position in own:
-            # the rope is closed: the shorter of the two ways along it
-            apart = np.abs(others - position)
-            total += float(np.minimum(apart, beads - apart).sum())
-            count += len(others)
+        # the rope is closed: the shorter of the two ways along it
+        apart = np.abs(own[:, None] - others)
+        total += float(np.minimum(apart, beads - apart).sum())
+        count += apart.size
     return total / count if count else None
 
 
@@ -128,10 +114,5 @@ def _correlation(rows: NDArray[Any], one: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.fft.ifft(np.fft.fft(rows, axis=1) * np.fft.fft(one).conj(), axis=1))
 
 
-def _median_and_minimum(values: NDArray[np.float64]) -> tuple[float, float] | None:
-    return (float(np.median(values)), float(values.min())) if len(values) else None
-
-
-def _visit_positions(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    crossings = find_crossings(points)
-    return np.concatenate([crossings.over_place, crossings.under_place])
+def _median_and_minimum(values: NDArray[np.float64]) -> list[float] | None:
+    return [float(np.median(values)), float(values.min())] if len(values) else None

@@ -5,113 +5,113 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.atomic_files import atomic_write, new_hdf5
-from knotgym.common.errors import InvalidFile
-from knotgym.common.hdf5_files import (
-    Column,
-    members,
-    opened_hdf5,
-    read_attribute,
-    read_column,
-    stored_column,
-)
+from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.common.tables import Table, digest, joined, read, write
 from knotgym.rope.engines import MUJOCO
 from knotgym.states.near_duplicates import repeated
-from knotgym.states.schema import ATTRIBUTES, COLUMNS, DIGEST, FORMAT, FORMAT_VERSION, ROOT
+from knotgym.states.schema import ATTRIBUTES, DIGEST, FORMAT, STATES, WITHOUT_IMAGES
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.notation import dt_text, pd_text
 from knotgym.topology.symmetry import diagram_form
 
-_COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
-_GROUPS = ("quality", "source")
-_DERIVED: Any = None  # a column that follows from the others
+_ACTIONS = "source/actions"
+
+
+def _column(name: str) -> Any:
+    """Return a property that gives a column of the table; None if the table lacks it."""
+    return property(lambda states: states.table.get(name))
 
 
 @dataclass(frozen=True)
 class States:
-    """The rows of a state file, as read-only arrays.
+    """The rows of a state file, as read-only arrays: `states.qpos`, `states.quality["margin"]`.
 
     Attributes:
+        table: all columns, by their names in the file, see `schema.STATES`.
+        attributes: attributes of the file, see `schema.ATTRIBUTES`.
+        digest: checksum of all columns when the file was written; "" if there is none.
         qpos: float64 (n, nq), MuJoCo generalized positions, at rest.
         points: float64 (n, beads, 3), metres.
         image: uint8 (n, size, size, 3); None if read without pictures.
-        gauss_code, gauss_code_chiral, knot, split: str (n,).
+        gauss_code, gauss_code_chiral, pd_code, dt_code, knot, split: str (n,).
         nx: int64 (n,).
-        pd_code, dt_code: str (n,), see `topology.notation`; by default those of gauss_code_chiral.
-        quality: measure -> float64 (n,).
-        units: measure -> its unit.
-        source: name -> (n, ...), the provenance. A rope laid at rest at `start_qpos`, float64
-            (n, nq), and stepped with the first `steps` of `actions`, float32 (n, T, 6), ends in the
-            row's qpos bit for bit; for the other columns see `schema`.
-        attributes: attributes of the file.
-        digest: `content_digest` when the file was written; "" if the file has none.
     """
 
-    qpos: NDArray[np.float64]
-    points: NDArray[np.float64]
-    image: NDArray[np.uint8] | None
-    gauss_code: NDArray[np.str_]
-    gauss_code_chiral: NDArray[np.str_]
-    knot: NDArray[np.str_]
-    nx: NDArray[np.int64]
-    split: NDArray[np.str_]
-    pd_code: NDArray[np.str_] = _DERIVED
-    dt_code: NDArray[np.str_] = _DERIVED
-    quality: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    units: dict[str, str] = field(default_factory=dict)
-    source: dict[str, NDArray[Any]] = field(default_factory=dict)
-    attributes: dict[str, Any] = field(default_factory=dict)
+    table: Table
+    attributes: Mapping[str, Any] = field(default_factory=dict)
     digest: str = ""
 
-    def __post_init__(self) -> None:
+    qpos = _column("qpos")
+    points = _column("points")
+    image = _column("image")
+    gauss_code = _column("gauss_code")
+    gauss_code_chiral = _column("gauss_code_chiral")
+    pd_code = _column("pd_code")
+    dt_code = _column("dt_code")
+    knot = _column("knot")
+    nx = _column("nx")
+    split = _column("split")
+
+    @classmethod
+    def of(
+        cls, columns: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any] | None = None
+    ) -> States:
+        """Make states of columns by their names in the file.
+
+        If they are missing, `pd_code` and `dt_code` are computed, and rows get no demonstration
+        (`source/dataset`, `trajectory`, `step`) and no drawing.
+        """
+        full = dict(columns)
+        if "source/steps" in full:
+            steps = full["source/steps"]
+            full.setdefault("source/dataset", np.full(len(steps), ""))
+            full.setdefault("source/trajectory", np.full(len(steps), -1))
+            full.setdefault("source/step", steps)
+            full.setdefault("source/drawing", np.full(len(steps), ""))
         for name, text_of in (("pd_code", pd_text), ("dt_code", dt_text)):
-            if getattr(self, name) is _DERIVED:
-                written, rows = np.unique(self.gauss_code_chiral, return_inverse=True)
-                texts = [text_of(GaussCode.parse(code)) for code in written.tolist()]
-                object.__setattr__(self, name, np.array(texts, dtype=np.str_)[rows])
-        for name, values in self.columns().items():
-            if len(values) != len(self.qpos):
-                raise InvalidFile(
-                    f"column {name} has {len(values)} rows, qpos has {len(self.qpos)}"
-                )
+            if name not in full:
+                codes, rows = np.unique(full["gauss_code_chiral"], return_inverse=True)
+                texts = [text_of(GaussCode.parse(code)) for code in codes.tolist()]
+                full[name] = np.array(texts, dtype=np.str_)[rows]
+        schema = STATES if "image" in full else WITHOUT_IMAGES
+        return cls(Table(schema, full), attributes or {})
+
+    def __post_init__(self) -> None:
+        for values in self.table.values():
             values.setflags(write=False)
 
     def __len__(self) -> int:
-        return len(self.qpos)
+        return self.table.rows
+
+    @property
+    def quality(self) -> dict[str, NDArray[np.float64]]:
+        """Quality measures, name -> float64 (n,); `quality.limits.UNITS` has their units."""
+        return self._group("quality/")
+
+    @property
+    def source(self) -> dict[str, NDArray[Any]]:
+        """Provenance, name -> (n, ...)."""
+        return self._group("source/")
+
+    def _group(self, prefix: str) -> dict[str, NDArray[Any]]:
+        return {n.removeprefix(prefix): self.table[n] for n in self.table if n.startswith(prefix)}
 
     @property
     def engine(self) -> str:
         """The engine that the provenance is replayed with, see `knotgym.rope.engines`."""
         return str(self.attributes.get("engine", MUJOCO))
-
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Return all columns by their path in the file, such as "nx" and "source/steps"."""
-        root = {column.name: getattr(self, column.name) for column in ROOT}
-        grouped = {
-            f"{group}/{name}": values
-            for group in _GROUPS
-            for name, values in getattr(self, group).items()
-        }
-        return {name: values for name, values in {**root, **grouped}.items() if values is not None}
-
-    def with_columns(self, columns: Mapping[str, NDArray[Any]]) -> States:
-        """Replace all columns; columns that aren't given are dropped."""
-        return replace(self, **_fields_of(columns), digest="")
 
     def rows(self, nx: int, split: str) -> NDArray[np.int64]:
         """Return the indices of the rows with nx crossings in a split.
@@ -141,9 +141,13 @@ class States:
         own = train if base == "train" else test
         return rows[[(form in held) == (base == "test") for form in own]]
 
-    def taken(self, rows: NDArray[np.integer]) -> States:
-        """Select rows, in the order given."""
-        return self.with_columns({name: values[rows] for name, values in self.columns().items()})
+    def taken(self, rows: ArrayLike | slice) -> States:
+        """Select rows, by a mask or by indices, in the order given."""
+        return States(self.table.take(rows), self.attributes)
+
+    def replaced(self, columns: Mapping[str, NDArray[Any]], **attributes: Any) -> States:
+        """Return the states with other values in some columns, by name, and attributes."""
+        return States(self.table.replaced(**columns), {**self.attributes, **attributes})
 
 
 SHIPPED = {  # name -> file
@@ -224,19 +228,9 @@ def demonstrations_id(nx: int, split: str = "train", knot: str = "0_1") -> str:
 def write_states(path: str | os.PathLike[str], states: States) -> None:
     """Write a state file atomically."""
     if states.image is None:
-        raise InvalidFile("a state file needs images, but these states were read without")
-    with atomic_write(path) as temporary, new_hdf5(temporary) as file:
-        file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
-        for name, value in states.attributes.items():
-            file.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
-        file.attrs[DIGEST] = content_digest(states)
-        for group in _GROUPS:  # even if empty
-            file.create_group(group)
-        for name, values in states.columns().items():
-            written = _write(file, name, values)
-            group, _, measure = name.partition("/")
-            if group == "quality":
-                written.attrs["unit"] = states.units[measure]
+        raise InvalidInput("a state file needs images, but these states were read without")
+    attributes = {**states.attributes, DIGEST: digest(states.table)}
+    write(path, [states.table], attributes, format=FORMAT, pack=True)
 
 
 def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
@@ -250,64 +244,19 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         MissingFile: there is no such file.
         InvalidFile: the file is foreign, truncated or of an unknown format version.
     """
-    with opened_hdf5(
-        path, what="state file", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidFile
-    ) as file:
-        names = [column.name for column in ROOT if images or column.name != "image"]
-        names += [f"{group}/{name}" for group in _GROUPS for name in members(file, group)]
-        sizes: dict[str, int] = {}
-        columns = {name: read_column(file, _whole(name), sizes) for name in names}
-        return States(
-            **_fields_of(columns),
-            units={
-                name.removeprefix("quality/"): read_attribute(
-                    stored_column(file, _whole(name), sizes), Column("unit", "text", ())
-                )
-                for name in names
-                if name.startswith("quality/")
-            },
-            attributes=_attributes(file),
-            digest=read_attribute(file, Column(DIGEST, "text", ())) if DIGEST in file.attrs else "",
-        )
-
-
-def content_digest(states: States) -> str:
-    """Hash all columns and their names (SHA-256, hexadecimal), however they are compressed."""
-    whole = hashlib.sha256()
-    for name, values in sorted(states.columns().items()):
-        text = values.dtype.kind == "U"
-        header = [name, "text" if text else values.dtype.str, values.shape]
-        whole.update(json.dumps([*header, values.tolist()] if text else header).encode())
-        whole.update(b"" if text else np.ascontiguousarray(values).tobytes())
-    return whole.hexdigest()
-
-
-def _whole(name: str) -> Column:
-    """Return the schema of a column with its rows; unknown measures and provenance are allowed."""
-    for column in COLUMNS:
-        if column.name == name:
-            return replace(column, shape=("rows", *(column.shape or ())))
-    if name.startswith("quality/"):
-        return Column(name, "float64", ("rows",))
-    return Column(name, "any", None)
-
-
-def _attributes(file: h5py.File) -> dict[str, Any]:
-    """Read all attributes but format, version and digest; check that `config` is JSON."""
-    found = {
-        name: read_attribute(file, Column(name, "text" if name in ATTRIBUTES else "any", ()))
-        for name in file.attrs
-        if name not in ("format", "format_version", DIGEST)
-    }
-    json.loads(found.get("config", "{}"))
-    return found
+    (table,), attributes = read(path, STATES if images else WITHOUT_IMAGES, format=FORMAT)
+    for name in (*ATTRIBUTES, DIGEST):
+        kinds = (dict, list) if name == "config" else str
+        if name in attributes and not isinstance(attributes[name], kinds):
+            raise InvalidFile(f"{path}: attribute {name} is {attributes[name]!r}")
+    return States(table, attributes, attributes.pop(DIGEST, ""))
 
 
 def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     """Merge the rows of several state files, stably sorted by nx.
 
     Args:
-        parts: states of the same rope with the same measures, read with images.
+        parts: states of the same rope and engine with the same columns.
         distinct: refuse states that are equal bit for bit.
 
     Raises:
@@ -315,35 +264,20 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     """
     if not parts:
         raise InvalidFile("nothing to merge: give at least one state file")
-    parts = [_with_drawings(part, parts) for part in parts]
-    first = parts[0]
-    for other in parts[1:]:
-        if other.attributes.get("rope") != first.attributes.get("rope"):
-            raise InvalidFile(
-                f"states to merge must have one rope model, got {first.attributes.get('rope')} and"
-                f" {other.attributes.get('rope')}"
-            )
-        if other.engine != first.engine:
-            raise InvalidFile(
-                f"states to merge must be of one engine, got {first.engine} and {other.engine}"
-            )
-        if set(other.quality) != set(first.quality) or set(other.source) != set(first.source):
-            raise InvalidFile("the files have different quality or source columns")
-    order = merged_order(parts)
-    columns = [_with_actions_padded(part, parts).columns() for part in parts]
-    shared = [name for name in columns[0] if all(name in other for other in columns)]
-    configs = [config for part in parts for config in _configs(part)]
-    merged = first.with_columns(
-        {name: np.concatenate([own[name] for own in columns])[order] for name in shared}
-    )
-    config = json.dumps(configs if len(configs) > 1 else configs[0])
-    twice = repeated(merged.points) if distinct else []
+    _require_equal("rope model", [str(part.attributes.get("rope")) for part in parts])
+    _require_equal("engine", [part.engine for part in parts])
+    _require_equal("quality and source", [", ".join(sorted(part.table)) for part in parts])
+    longest = max(part.table[_ACTIONS].shape[1] if _ACTIONS in part.table else 0 for part in parts)
+    merged = joined([_padded(part.table, longest) for part in parts]).take(merged_order(parts))
+    twice = repeated(merged["points"]) if distinct else []
     if twice:
         raise InvalidFile(
             f"{len(twice)} states occur twice, first in rows {twice[0][0]} and {twice[0][1]} of the"
             " merged file; merge sets that share no state"
         )
-    return replace(merged, attributes={**first.attributes, "config": config})
+    configs = [config for part in parts for config in _configs(part)]
+    config = configs if len(configs) > 1 else configs[0]
+    return States(merged, {**parts[0].attributes, "config": config})
 
 
 def merged_order(parts: Sequence[States]) -> NDArray[np.int64]:
@@ -351,45 +285,22 @@ def merged_order(parts: Sequence[States]) -> NDArray[np.int64]:
     return np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
 
 
-def _with_actions_padded(part: States, parts: Sequence[States]) -> States:
-    """Pad a part's actions with zeros to the longest of all parts."""
-    if "actions" not in part.source:
-        return part
-    longest = max(other.source["actions"].shape[1] for other in parts)
-    actions = part.source["actions"]
+def _require_equal(what: str, found: Sequence[str]) -> None:
+    """Refuse to merge states that differ in something."""
+    others = [one for one in found if one != found[0]]
+    if others:
+        raise InvalidFile(f"states to merge must have one {what}, got {found[0]} and {others[0]}")
+
+
+def _padded(table: Table, longest: int) -> Table:
+    """Pad the actions with zeros."""
+    if _ACTIONS not in table:
+        return table
+    actions = table[_ACTIONS]
     padded = np.pad(actions, ((0, 0), (0, longest - actions.shape[1]), (0, 0)))
-    return replace(part, source={**part.source, "actions": padded})
-
-
-def _with_drawings(part: States, parts: Sequence[States]) -> States:
-    """Add an empty `source/drawing` to a part if another part has that column."""
-    if "drawing" in part.source or not any("drawing" in other.source for other in parts):
-        return part
-    return replace(part, source={**part.source, "drawing": np.full(len(part), "", dtype=np.str_)})
+    return Table(table.schema._replace(sizes=()), {**table, _ACTIONS: padded})
 
 
 def _configs(part: States) -> list[Any]:
-    config = json.loads(part.attributes.get("config", "{}"))
+    config = part.attributes.get("config", {})
     return config if isinstance(config, list) else [config]
-
-
-def _fields_of(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Convert columns by name to the fields of `States`."""
-    arrays: dict[str, Any] = {column.name: columns.get(column.name) for column in ROOT}
-    for group in _GROUPS:
-        arrays[group] = {
-            name.removeprefix(f"{group}/"): values
-            for name, values in columns.items()
-            if name.startswith(f"{group}/")
-        }
-    return arrays
-
-
-def _write(file: h5py.File, name: str, values: NDArray[Any]) -> h5py.Dataset:
-    if values.dtype.kind == "U":
-        return file.create_dataset(
-            name, data=values.astype(object), dtype=h5py.string_dtype("utf-8"), **_COMPRESSED
-        )
-    chunks = (1, *values.shape[1:]) if name == "image" and len(values) else None
-    options = _COMPRESSED if values.size else {}
-    return file.create_dataset(name, data=values, chunks=chunks, **options)

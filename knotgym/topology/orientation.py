@@ -8,6 +8,9 @@ smaller than all before (H. Edelsbrunner and E. P. Muecke, "Simulation of Simpli
 answers together are then those of one curve in general position, so a strand that passes exactly
 over a bead is counted once. The test is exact unless a product of two coordinates over- or
 underflows.
+
+After a change run `pytest tests/topology/test_crossings.py`: a sign must be that of exact
+arithmetic, for points that lie on a line, too.
 """
 
 import numpy as np

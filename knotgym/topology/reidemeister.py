@@ -9,6 +9,9 @@ same is done from below. A lift is a sequence of Reidemeister moves of all three
 Lifts that keep the number of crossings lead from diagram to diagram in a breadth-first search of
 bounded effort, so the result may have more crossings than the knot needs. The search is
 deterministic.
+
+After a change run `pytest tests/topology/test_knots.py tests/topology/test_notation.py`: a move
+must keep both polynomials, and simplified diagrams their knots.
 """
 
 from collections import deque

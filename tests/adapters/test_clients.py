@@ -70,7 +70,7 @@ def played_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
             session = Session(task, 0, number)
             for bead in range(1 + number % 3):
                 session.pull(20 * bead, (1, 0.5, 0.5))
-            recorder.finish(number, session.actions)
+            recorder.finish(number, session.pulls)
     return home
 
 

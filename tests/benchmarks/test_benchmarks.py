@@ -89,7 +89,7 @@ def test_hard_play_is_looked_at_and_goes_on_after_what_is_done(engine: str, tmp_
 
 def test_evaluations_make_the_table_of_learners(tmp_path: Path) -> None:
     page, out = tmp_path / "page.md", tmp_path / "table.csv"
-    words = ("evaluate", "--task", "tie", "--horizon", 1, "--workers", 1, "--quiet")
+    words = ("evaluate", "--task", "tie", "--set", "task.horizon=1", "--workers", 1, "--quiet")
 
     def measured(name: str, *more: object) -> Path:
         assert knotgym(*words, *more, "--out", tmp_path / name) == 0

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from knotgym.loaders.frame_cache import CachedFrames, FrameCache
 
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
 from knotgym.datasets.exports.minari_export import to_minari
-from knotgym.loaders.frame_cache import CachedFrames, FrameCache
 from knotgym.runs.staging import staging_folder
 
 from ..small_job import knotgym
@@ -210,7 +210,7 @@ def test_overwrite_replaces_a_file_and_never_what_a_link_points_to(
 
 
 def test_overwrite_and_restart_make_a_dataset_anew(typed: Type, tmp_path: Path) -> None:
-    path, small = output_of("collect", tmp_path), ("--episodes", "1", "--horizon", "1")
+    path, small = output_of("collect", tmp_path), ("--episodes", "1", "--set", "task.horizon=1")
     exists("folder", path, tmp_path)
     (staging_folder(path)).mkdir()
     (staging_folder(path) / "kept").write_text("")

@@ -20,21 +20,18 @@ from knotgym.common.configuration import (
     updated,
 )
 from knotgym.common.errors import InvalidInput, KnotgymError
-from knotgym.drawing.drawn_curve import DrawingConfig
-from knotgym.drawing.layout_relaxation import LayoutRelaxationConfig
+from knotgym.drawing.drawing_config import DrawingConfig, LayoutRelaxationConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.quality.label_limits import LabelLimits
 from knotgym.quality.limits import Limits
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rendering.camera import PictureConfig
-from knotgym.rope.macro_actions import MacroActionConfig
+from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.model import RopeConfig
 from knotgym.rope.relaxation import RelaxationConfig
 
 CONFIGURATIONS = (
     AppearanceConfig,
     DrawingConfig,
-    LabelLimits,
     LayoutRelaxationConfig,
     Limits,
     MacroActionConfig,

@@ -74,7 +74,7 @@ def test_no_two_keys_of_a_run_are_equal_but_those_that_are_asked_for_again(
     for words_of in (
         ("generate", "--nx", 1, "--count", 1, "--out", folders[0]),
         ("collect", "--task", "tie", "--nx", 1, "--policy", "scripted", "--episodes", 3)
-        + ("--horizon", 4, "--out", folders[1]),
+        + ("--set", "task.horizon=4", "--out", folders[1]),
         ("images", "--nx", 1, "--count", 2, "--out", folders[2]),
     ):
         assert knotgym(*words_of, *common) == 0

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from knotgym.common.errors import InvalidFile, InvalidPolicy
 from knotgym.control.demonstrator import Demonstrator
 from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
+from knotgym.control.old_policies import make_policy
 from knotgym.control.pass_counts import (
     EVERY_CODE,
     PASSES,
@@ -21,14 +22,15 @@ from knotgym.control.pass_counts import (
     templates,
 )
 from knotgym.control.pass_play import goals_not_held_out
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.control.seen_diagrams import SeenDiagram, seen_diagram
 from knotgym.control.transition_counts import ELEMENTS, ArcCoordinates
 from knotgym.datasets.episode_verification import episode_faults
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.macro_actions import MacroActionConfig, Pass
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import Pass
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import find_crossings

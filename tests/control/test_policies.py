@@ -1,5 +1,9 @@
-import json
+"""The contract that every policy meets, the registry, and user code as a policy."""
+
+import dataclasses
 import sys
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -7,129 +11,50 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.cli.main import main
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidPolicy, KnotgymError
 from knotgym.control import policies
-from knotgym.control.old_basic_policies import RandomPolicy
-from knotgym.control.planner_config import PlannerConfig
+from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy, in_blocks
 from knotgym.control.policies import (
-    MIXED,
-    PolicyConfig,
+    PolicyFamily,
     make_policy,
     policy_digests,
     register_policy,
+    training_card,
 )
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.control.policy_config import MIXED, PolicyConfig, PullPlannerConfig
+from knotgym.control.recorded_policy import RecordedPolicy
+from knotgym.control.rollouts import episode_seed, rollouts
+from knotgym.datasets.episode_dataset import write_episodes
+from knotgym.datasets.episodes import PULLS, Episodes, differences
+from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
 
-QUICK = PlannerConfig(budget=8, batch_size=2)
-OURS = ("random", "constant", "scripted", "expert", "noisy", "mixed")
-
-
-def act_once(
-    config: PolicyConfig, states_path: str, seed: int, count: int = 3
-) -> NDArray[np.float32]:
-    """Two actions of each of `count` episodes: float32 (count, 2, 6)."""
-    task = TaskConfig(task="unknot", nx=2, states=states_path, observation="state")
-    episodes, policy = EpisodeBatch(task, count), make_policy(config)
-    for index in range(count):
-        episodes.begin(index, np.random.default_rng([seed, index]))
-        policy.begin(episodes, index, np.random.default_rng([seed, index, 1]))
-    actions: list[NDArray[np.float32]] = []
-    for _ in range(2):
-        if actions:
-            episodes.step(actions[0], np.arange(count))
-        choice = policy.act(episodes, np.arange(count))
-        assert len(choice.moves) == count
-        actions.append(choice.actions)
-    return np.stack(actions, axis=1)
-
-
-@pytest.fixture(scope="module")
-def acted(states_path: str) -> dict[str, NDArray[np.float32]]:
-    """Name of a policy -> what it does with seed 1."""
-    return {
-        name: act_once(PolicyConfig(policy=name, planner=QUICK), states_path, 1) for name in OURS
-    }
-
-
-@pytest.mark.parametrize("name", [name for name in OURS if name != "expert"])  # noisy or mixed
-def test_the_same_seed_gives_the_same_actions(
-    name: str, states_path: str, acted: dict[str, NDArray[np.float32]]
-) -> None:
-    config = PolicyConfig(policy=name, planner=QUICK)
-    assert np.array_equal(act_once(config, states_path, 1), acted[name])
-
-
-@pytest.mark.parametrize("name", ["random", "scripted", "noisy"])
-def test_another_seed_gives_other_actions(
-    name: str, states_path: str, acted: dict[str, NDArray[np.float32]]
-) -> None:
-    config = PolicyConfig(policy=name, planner=QUICK)
-    assert not np.array_equal(act_once(config, states_path, 2), acted[name])
-
-
-@pytest.mark.parametrize("name", ["random", "scripted", "mixed"])
-def test_what_an_episode_sees_does_not_depend_on_its_neighbours(
-    name: str, states_path: str, acted: dict[str, NDArray[np.float32]]
-) -> None:
-    config = PolicyConfig(policy=name, planner=QUICK)
-    assert np.array_equal(act_once(config, states_path, 1, 2), acted[name][:2])
-
-
-def test_actions_are_float32_inside_the_box(acted: dict[str, NDArray[np.float32]]) -> None:
-    for actions in acted.values():
-        assert actions.dtype == np.float32 and np.abs(actions).max() <= 1
-
-
-def test_the_constant_policy_takes_one_action(states_path: str) -> None:
-    actions = act_once(PolicyConfig(policy="constant"), states_path, 1)
-    assert actions.dtype == np.float32 and (actions == 1).all()
-
-
-def test_a_noisy_expert_of_noise_one_is_never_the_expert(states_path: str) -> None:
-    episodes = EpisodeBatch(
-        TaskConfig(task="unknot", nx=2, states=states_path, observation="state")
-    )
-    policy = make_policy(PolicyConfig(policy="noisy", noise=1.0, planner=QUICK))
-    episodes.begin(0, np.random.default_rng(0))
-    policy.begin(episodes, 0, np.random.default_rng(1))
-    assert policy.act(episodes, np.array([0])).moves == ["noise"]
-    assert policy.effort(0).actions == 0
-
-
-def test_a_mixed_policy_with_one_share_is_that_policy(states_path: str) -> None:
-    episodes = EpisodeBatch(TaskConfig(task="tie", nx=2, states=states_path, observation="state"))
-    for name in MIXED:
-        shares = tuple(float(other == name) for other in MIXED)
-        policy = make_policy(PolicyConfig(policy="mixed", shares=shares, planner=QUICK))
-        episodes.begin(0, np.random.default_rng(0))
-        policy.begin(episodes, 0, np.random.default_rng(1))
-        assert policy.name(0) == name
+TASK = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=12)
+ENDLESS = dataclasses.replace(TASK, endless=True)
+QUICK = PullPlannerConfig(budget=80, batch_size=2)
+SEEDS = [episode_seed(0, number) for number in range(20)]
 
 
 class Counter:
     """Pulls a little harder at every step of an episode: a policy with a memory."""
 
     def reset(self, generator: np.random.Generator) -> None:
-        self.pulls = 0
+        self.pulls, self.side = 0, generator.uniform(-1, 1)
 
     def act(self, observation: NDArray[np.float32]) -> list[float]:
         self.pulls += 1
-        return [0, 0, 0, self.pulls / 10, float(observation.shape == (600,)), 0]
+        return [0, 0, 0, self.pulls / 20, float(observation.shape == (600,)), self.side]
 
 
 class Own:
     """A module of the user's."""
 
-    counter, made = Counter, Counter()
-    three = 3
+    counter, made, three, policy = Counter, Counter(), 3, ConstantPolicy([0.0] * 6)
 
     @staticmethod
-    def informed(observation: object, info: dict[str, object], rng: object) -> list[float]:
-        return [0, 0, 0, float("gauss_code" in info), 0, 0]
+    def informed(observation: object, info: dict[str, object], rng: Any) -> list[float]:
+        return [0, 0, 0, float("gauss_code" in info), 0, rng.uniform(-1, 1)]
 
     @staticmethod
     def brief(observation: object) -> list[float]:
@@ -144,6 +69,10 @@ class Own:
         return float("nan")
 
     @staticmethod
+    def short(observation: object) -> list[float]:
+        return [0.0] * 5
+
+    @staticmethod
     def two(observation: object, info: object) -> list[float]:
         return [0.0] * 6
 
@@ -152,35 +81,142 @@ class Own:
         raise KeyError("no such weight")
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "own", Own)
 
 
-@pytest.mark.parametrize(
-    ("name", "pull"), [("informed", 1), ("brief", 0.5), ("counter", 0.1), ("made", 0.1)]
+def played(name: str, seeds: list[int], lanes: int, task: TaskConfig = TASK) -> Episodes:
+    """Play episodes of a policy that is made for them."""
+    policy = make_policy(PolicyConfig(policy=name, planner=QUICK))
+    return rollouts(policy, task, seeds, lanes=lanes)
+
+
+NAMES = (
+    "random",
+    "constant",
+    "scripted",
+    "expert",
+    "noisy",
+    "mixed",
+    "own:informed",
+    "own:counter",
 )
-def test_functions_and_objects_of_the_user_are_policies(
-    states_path: str, own: None, name: str, pull: float
-) -> None:
-    actions = act_once(PolicyConfig(policy=f"own:{name}"), states_path, 0)
-    assert actions[0, 0, 3] == np.float32(pull)
+TASKS = {
+    **{name: TASK for name in NAMES},
+    "play": ENDLESS,
+    "planner": dataclasses.replace(TASK, horizon=6),
+}
 
 
-def test_every_episode_has_an_object_of_its_own(states_path: str, own: None) -> None:
-    episodes = EpisodeBatch(
-        TaskConfig(task="unknot", nx=1, states=states_path, observation="state"), 2
+@pytest.mark.parametrize("name", TASKS)
+def test_an_episode_depends_on_its_own_seed_alone(name: str) -> None:
+    many = played(name, SEEDS, 256, TASKS[name])
+    assert (
+        differences(many, played(name, SEEDS[::-1], 3, TASKS[name]).select(range(19, -1, -1))) == []
     )
-    policy = make_policy(PolicyConfig(policy="own:made"))
-    for index in (0, 1):
-        episodes.begin(index, np.random.default_rng(index))
-        policy.begin(episodes, index, np.random.default_rng(index))
-    policy.act(episodes, np.array([0]))
-    assert policy.act(episodes, np.array([0, 1])).actions[:, 3].tolist() == pytest.approx(
-        [0.2, 0.1]
-    )
-    policy.begin(episodes, 0, np.random.default_rng(2))
-    assert policy.act(episodes, np.array([0])).actions[0, 3] == pytest.approx(0.1)
+    assert differences(many.select([7]), played(name, SEEDS[7:8], 1, TASKS[name])) == []
+    assert (many.episodes["length"] <= TASKS[name].horizon).all()
+
+
+@pytest.mark.parametrize("name", ["random", "scripted", "noisy", "own:informed"])
+def test_another_attempt_draws_other_pulls_from_the_same_starts(name: str) -> None:
+    policy = make_policy(PolicyConfig(policy=name))
+    one, two = (rollouts(policy, TASK, SEEDS[:4], attempt=k) for k in (0, 1))
+    assert np.array_equal(one.episodes["start_qpos"], two.episodes["start_qpos"])
+    assert not np.array_equal(one.steps["force"][0], two.steps["force"][0])
+
+
+@pytest.mark.parametrize("name", ["random", "expert", "mixed"])
+def test_repeating_the_pulls_gives_the_same_bits(name: str) -> None:
+    made = played(name, SEEDS, 16)
+    again = rollouts(RecordedPolicy(made.recording()), TASK, made.episodes, lanes=5)
+    assert differences(made, again) == []
+
+
+@pytest.mark.parametrize("action", ["pull", "bead", "macro"])
+def test_stored_actions_lead_the_environment_through_the_same_states(action: str) -> None:
+    task = dataclasses.replace(TASK, action=action)
+    made = rollouts(RandomPolicy(), task, SEEDS[:2])
+    env = KnotEnv(**vars(dataclasses.replace(TASK, observation="state")))
+    for episode in range(2):
+        env.reset(seed=SEEDS[episode])
+        first, last = made.offsets[episode : episode + 2].tolist()
+        for row in range(first, last - 1):
+            seen, reward, terminated, truncated, _ = env.step(made.steps["action"][row])
+            assert np.array_equal(seen[:300].reshape(100, 3), made.steps["observation"][row + 1])
+            outcome = (made.steps[name][row] for name in ("reward", "terminated", "truncated"))
+            assert (reward, terminated, truncated) == tuple(outcome)
+
+
+def test_mujoco_plays_through_the_same_loop() -> None:
+    task = dataclasses.replace(TASK, engine="mujoco", horizon=3)
+    one, two = (rollouts(RandomPolicy(), task, SEEDS[:5], lanes=lanes) for lanes in (2, 5))
+    assert differences(one, two) == []
+
+
+def test_kept_columns_are_those_asked_for() -> None:
+    assert set(rollouts(RandomPolicy(), TASK, SEEDS[:2], keep=PULLS).steps) == {"bead", "force"}
+    outcomes = rollouts(RandomPolicy(), TASK, SEEDS[:2], keep=None)
+    assert outcomes.episodes.rows == 2 and not len(outcomes.steps)
+    assert rollouts(RandomPolicy(), TASK, []).episodes.rows == 0
+
+
+def test_macro_actions_of_plans_are_stored_with_their_pulls() -> None:
+    steps = played("expert", SEEDS[:4], 4).steps
+    first = np.flatnonzero(steps["macro_start"])
+    assert len(first) and (np.abs(steps["macro_side"][first]) == 1).all()
+    assert not (steps["macro_side"][np.flatnonzero(steps["macro_bead"] == 0)] * 2).any()
+
+
+def test_advice_is_stored_and_not_followed() -> None:
+    expert = make_policy(PolicyConfig(policy="expert"))
+    made = rollouts(RandomPolicy(), TASK, SEEDS[:4], adviser=expert)
+    plain = rollouts(RandomPolicy(), TASK, SEEDS[:4])
+    assert differences(plain, made) == [] and "expert_action" not in plain.steps
+    advised = made.steps["expert_action"][made.offsets[:-1]]
+    followed = rollouts(expert, TASK, SEEDS[:4])
+    assert np.array_equal(advised, followed.steps["action"][followed.offsets[:-1]])
+    assert (made.episodes["planned"] > 0).all() and not made.steps["expert_action"][
+        made.last()
+    ].any()
+
+
+def test_a_mixed_policy_with_one_share_is_that_policy() -> None:
+    for name in MIXED:
+        shares = tuple(float(other == name) for other in MIXED)
+        policy = make_policy(PolicyConfig(policy="mixed", shares=shares))
+        assert set(rollouts(policy, TASK, SEEDS[:2]).episodes["policy"]) == {name}
+
+
+def test_a_network_always_sees_as_many_rows() -> None:
+    shapes = set()
+
+    def network(rows: NDArray[np.float32]) -> NDArray[np.float32]:
+        shapes.add(rows.shape)
+        return rows[:, :1] + 1
+
+    inputs = np.arange(140, dtype=np.float32).reshape(70, 2)
+    assert np.array_equal(in_blocks(network, inputs), inputs[:, :1] + 1)
+    assert shapes == {(32, 2)}
+
+
+# user code
+
+
+@pytest.mark.parametrize(
+    ("name", "pull"),
+    [("informed", 1), ("brief", 0.5), ("counter", 0.05), ("made", 0.05), ("policy", 0)],
+)
+def test_functions_objects_and_policies_of_the_user_act(name: str, pull: float) -> None:
+    made = played(f"own:{name}", SEEDS[:2], 2)
+    assert (made.steps["force"][made.offsets[:-1], 0] == np.float32(pull)).all()
+
+
+def test_every_episode_has_an_object_of_its_own() -> None:
+    made = played("own:made", SEEDS[:3], 2)
+    for first, last in zip(made.offsets[:-1], made.last(), strict=True):
+        assert np.allclose(made.steps["force"][first:last, 0], np.arange(1, last - first + 1) / 20)
 
 
 @pytest.mark.parametrize(
@@ -188,70 +224,66 @@ def test_every_episode_has_an_object_of_its_own(states_path: str, own: None) -> 
     [
         ("far", "must give 6 finite numbers in .* got .*7.0"),
         ("nothing", "must give 6 finite numbers"),
+        ("short", "must give 6 finite numbers .* got .0.0, 0.0, 0.0, 0.0, 0.0."),
         ("faulty", "own:faulty raised KeyError: 'no such weight' .test_policies.py, line"),
+        ("three", "must be a function of"),
+        ("two", "must be a function of"),
+        ("absent", "absent"),
     ],
 )
-def test_what_a_policy_does_wrong_is_one_line_that_names_it(
-    states_path: str, own: None, name: str, says: str
-) -> None:
+def test_what_user_code_does_wrong_is_one_line_that_names_it(name: str, says: str) -> None:
     with pytest.raises(InvalidPolicy, match=says) as refused:
-        act_once(PolicyConfig(policy=f"own:{name}"), states_path, 0)
-    assert "\n" not in str(refused.value)
+        played(f"own:{name}", SEEDS[:2], 2)
+    assert "\n" not in str(refused.value) and "own:" in str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["three", "two"])
-def test_what_is_no_policy_is_refused_before_it_acts(own: None, name: str) -> None:
-    with pytest.raises(InvalidPolicy, match="must be a function of"):
-        make_policy(PolicyConfig(policy=f"own:{name}"))
-
-
-@pytest.mark.thorough
-def test_a_function_is_found_in_the_folder_where_the_command_is_typed(
-    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_module_in_the_current_folder_is_found_and_digested(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "left_alone.py").write_text(
-        "def act(observation, info, rng):\n    return [0, 0, 0, 0, 0, 0]\n"
-    )
+    (tmp_path / "left_alone.py").write_text("def act(observation):\n    return [0] * 6\n")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    words = "--task unknot --nx 1 --policy left_alone:act --horizon 2 --episodes 9 --workers 2"
-    with pytest.raises(SystemExit) as left:
-        main(
-            ["evaluate", *words.split(), "--states", states_path, "--quiet", "--out", "result.json"]
-        )
-    assert left.value.code == 0
-    assert json.loads((tmp_path / "result.json").read_text())["episodes"] == 9
+    path = list(sys.path)
+    assert played("left_alone:act", SEEDS[:1], 1).episodes["policy"][0] == "left_alone:act"
+    assert sys.path == path
+    found = policy_digests(PolicyConfig(policy="left_alone:act"))
+    assert found == {"left_alone.py": sha256(tmp_path / "left_alone.py")}
 
 
-def test_a_function_sees_the_same_in_collect_as_in_evaluate(
-    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "sees_state.py").write_text(
-        "def act(observation):\n    assert observation.shape == (600,)\n    return [0] * 6\n"
-    )
-    monkeypatch.chdir(tmp_path)
-    words = "--task unknot --nx 1 --policy sees_state:act --horizon 2 --episodes 1 --workers 1"
-    words += f" --states {states_path} --quiet --image-size 16"
-    for command in ("evaluate --split train", "collect --out there --id a/b-v0"):
-        with pytest.raises(SystemExit) as left:
-            main([*command.split(), *words.split()])
-        assert left.value.code == 0
-    assert EpisodeReader(tmp_path / "there" / "a" / "b-v0").stored == "both"
+# recordings by name
+
+
+def test_a_recording_is_recognized_by_start_and_goal(tmp_path: Path) -> None:
+    made = played("random", SEEDS, 20)
+    write_episodes(tmp_path / "some.h5", [made.recording()], TASK)
+    policy = make_policy(PolicyConfig(policy=f"recorded:{tmp_path / 'some.h5'}"))
+    again = rollouts(policy, TASK, SEEDS[5:9], lanes=3)
+    assert np.array_equal(again.steps["force"], made.select(range(5, 9)).steps["force"])
+    with pytest.raises(InvalidPolicy, match="none with this start and goal"):
+        rollouts(policy, TASK, [3])
+
+
+# the registry
 
 
 @pytest.mark.parametrize(
     ("policy", "says"),
     [
-        ("genius", "use random"),
+        ("genius", "use random, .*mixed.*module:name"),
         ("no_such_module:act", "no_such_module"),
-        ("nowhere.onnx", "no policy file"),
-        ("knotgym.topology.gauss:absent", "absent"),
+        ("recorded:nowhere", "nowhere"),
     ],
 )
 def test_a_policy_that_is_not_there_is_refused_in_one_line(policy: str, says: str) -> None:
     with pytest.raises(InvalidPolicy, match=says) as refused:
         make_policy(PolicyConfig(policy=policy))
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["expert", "play"])
+def test_policies_that_pull_refuse_other_views(name: str) -> None:
+    task = dataclasses.replace(ENDLESS, action="bead")
+    with pytest.raises(InvalidPolicy, match="action must be 'pull'"):
+        make_policy(PolicyConfig(policy=name)).compatible_task(task)
 
 
 @pytest.mark.parametrize(
@@ -264,56 +296,61 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any]) -> No
 
 
 def test_a_registered_policy_is_made_by_its_name(
-    states_path: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(policies, "_constructors", dict(policies._constructors))
-    register_policy("restless", lambda config: RandomPolicy())
-    config = PolicyConfig(policy="restless")
-    assert config.short == "restless"
-    expected = act_once(PolicyConfig(policy="random"), states_path, 0)
-    assert np.array_equal(act_once(config, states_path, 0), expected)
-    with pytest.raises(InvalidPolicy, match="mixed, restless, .*module:name"):
-        PolicyConfig(policy="genius")
+    monkeypatch.setattr(policies, "_files", dict(policies._files))
+    weights = tmp_path / "weights"
+    weights.write_bytes(b"weights")
+    register_policy("restless", lambda config: RandomPolicy(), [weights])
+    assert isinstance(make_policy(PolicyConfig(policy="restless")), RandomPolicy)
+    assert policy_digests(PolicyConfig(policy="restless")) == {"weights": sha256(weights)}
+    weights.unlink()
+    with pytest.raises(InvalidPolicy, match="weights"):
+        policy_digests(PolicyConfig(policy="restless"))
 
 
-@pytest.mark.parametrize("name", ["expert", "", "module:function", "policy.zip"])
+@pytest.mark.parametrize("name", ["expert", "", "module:function", "model.zip"])
 def test_a_name_that_is_taken_or_reads_as_a_place_is_not_registered(name: str) -> None:
     with pytest.raises(InvalidPolicy):
         register_policy(name, lambda config: RandomPolicy())
 
 
-def test_digests_are_of_a_module_and_of_what_it_imports_beside_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "digested" / "nets").mkdir(parents=True)
-    for name, source in {
-        "digested/__init__.py": "",
-        "digested/policy.py": "import numpy\nfrom . import nets\nact = lambda seen: [0] * 6\n",
-        "digested/nets/__init__.py": "def load():\n    from ..weights import VALUES\n",
-        "digested/weights.py": "import aside.deep",
-        "aside.py": "",
-        "unused.py": "",
-    }.items():
-        (tmp_path / name).write_text(source)
-    found = policy_digests(PolicyConfig(policy="digested.policy:act"))
-    used = ("__init__", "policy", "nets/__init__", "weights")
-    names = ["aside.py", *(f"digested/{name}.py" for name in used)]
-    assert found == {name: sha256(tmp_path / name) for name in names}
+@pytest.mark.parametrize(("name", "tables"), [("expert", 3), ("planner", 1), ("random", 0)])
+def test_digests_are_of_the_planners_tables(name: str, tables: int) -> None:
+    assert len(policy_digests(PolicyConfig(policy=name))) == tables
 
 
-def test_digests_are_of_weights_transcripts_and_the_planner_s_table(tmp_path: Path) -> None:
-    (tmp_path / "model.pt").write_bytes(b"weights")
-    (tmp_path / "transcripts.jsonl").write_bytes(b"{}")
-    model, prompted = tmp_path / "model.pt", tmp_path / "transcripts.jsonl"
-    asked = {str(model): ["model.pt"], f"prompt:{prompted}": ["transcripts"], "random": []}
-    tables = ["passes-by-code.h5", "passes.h5", "transitions.h5"]
-    asked |= {name: tables for name in ("expert", "noisy", "mixed")}
-    asked |= {"planner": ["transitions.h5"]}
-    for name, files in asked.items():
-        assert list(policy_digests(PolicyConfig(policy=name))) == files
-    assert policy_digests(PolicyConfig(policy=str(model))) == {"model.pt": sha256(model)}
-    model.unlink()
-    with pytest.raises(InvalidPolicy, match="model.pt"):
-        policy_digests(PolicyConfig(policy=str(model)))
+still = PolicyFamily(
+    form="still:WORD",
+    matches=lambda name: name.startswith("still:"),
+    make=lambda config: ConstantPolicy([0.0] * 6),
+    files=lambda name: {"this": Path(__file__)},
+    card=lambda name: {"word": name.partition(":")[2]},
+)
+
+
+@pytest.fixture
+def provided(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[EntryPoint]]:
+    """The installed entry points, empty at first."""
+    found: list[EntryPoint] = []
+    monkeypatch.setattr(policies, "entry_points", lambda group: found)
+    policies._entry_point_families.cache_clear()
+    monkeypatch.setitem(sys.modules, "still_policies", sys.modules[__name__])
+    yield found
+    policies._entry_point_families.cache_clear()
+
+
+def test_another_package_s_family_makes_policies(provided: list[EntryPoint]) -> None:
+    provided.append(EntryPoint("still", "still_policies:still", policies.GROUP))
+    config = PolicyConfig(policy="still:now")
+    assert isinstance(make_policy(config), ConstantPolicy)
+    assert list(policy_digests(config)) == ["this"]
+    assert training_card("still:now") == {"word": "now"} and training_card("random") is None
+
+
+def test_a_family_that_cannot_be_loaded_is_named_in_one_line(provided: list[EntryPoint]) -> None:
+    provided.append(EntryPoint("broken", "no_such_module:family", policies.GROUP))
+    with pytest.raises(InvalidPolicy, match="broken = no_such_module:family") as refused:
+        make_policy(PolicyConfig(policy="pretrained"))
+    assert "\n" not in str(refused.value)

@@ -15,23 +15,21 @@ from knotgym.common.errors import InvalidFile
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import decode, encode, read_table, write_rows
 from knotgym.datasets.image_verification import shard_faults
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.gauss import GaussCode
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
 )
-SOURCE = dict.fromkeys(("walk", "pulls", "rounds", "base_shift", "family", "seed", "row"), 0)
-UNMOVED = dict.fromkeys(("reflect", "switch", "reverse"), False)
+SOURCE = dict.fromkeys(("start", "rope", "pulls", "base_shift", "seed", "row"), 0)
+UNMOVED = {"policy": "random", **dict.fromkeys(("reflect", "switch", "reverse"), False)}
 
 
 @pytest.fixture(scope="module")
 def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A shard with one picture."""
     states = read_states(shipped(), images=False).taken(np.array([20]))
-    code = GaussCode.parse(states.gauss_code_chiral[0])
-    row = Row(states.points[0], code, "train", {**SOURCE, **UNMOVED})
+    row = Row(states.points[0], "train", {**SOURCE, **UNMOVED})
     path = tmp_path_factory.mktemp("shard") / "train-00000-of-00001.parquet"
     write_rows(path, [record(row, AppearanceConfig())])
     return path
@@ -75,7 +73,6 @@ def test_a_sound_shard_has_no_fault(shard: Path) -> None:
         (("appearance", "size", 2**31 - 1), "appearance.size is 2147483647, should be 64 to 512"),
         (("appearance", "blur", 1e30), "appearance.blur is 1e+30, should be 0 to 1000"),
         (("appearance", "colours", "x"), "should be published or single or gradient"),
-        (("source", "seed", -1), "can't be rendered or measured"),
         (("gauss_code", None), "column gauss_code has missing values"),
     ],
 )
@@ -110,7 +107,7 @@ def test_a_picture_that_would_fill_the_memory_is_refused() -> None:
 
 def test_an_origin_that_was_changed_is_found_by_the_checksum(shard: Path, tmp_path: Path) -> None:
     assert shard_faults(shard) == []
-    (fault,) = shard_faults(with_cell(shard, tmp_path, "source", "walk", 99))
+    (fault,) = shard_faults(with_cell(shard, tmp_path, "source", "rope", 99))
     assert fault.endswith("its rows were changed after writing (SHA-256 differs)")
 
 

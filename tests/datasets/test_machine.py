@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.datasets import verification
+from knotgym.control import verification
 from knotgym.datasets.machine import distinct, machine, others
 
 REPLAYED = "states.h5 row 0: replay of its start and actions does not end in qpos bit for bit"

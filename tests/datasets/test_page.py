@@ -1,28 +1,24 @@
-"""The HTML page of a dataset: its contents, and its behaviour in Chromium."""
+"""Tests of the HTML page of a dataset: its contents, and that a stranger's text stays text."""
 
 from __future__ import annotations
 
 import base64
 import json
 import re
-from collections.abc import Iterator
-from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common.errors import InvalidInput
+from knotgym.datasets import open_episodes
 from knotgym.datasets.page import page_data as data_module
 from knotgym.datasets.page.page_data import page_data
 from knotgym.datasets.page.page_writer import page_html
 from knotgym.states.state_file import States, write_states
-
-from .. import chromium
-from ..chromium import Chromium
-from ..small_job import knotgym
 
 HOSTILE = "</script><img src=http://a/ onerror=fault()>"
 
@@ -50,40 +46,36 @@ class Tags(HTMLParser):
         self.data += data if self._inside else ""
 
 
-@pytest.fixture(scope="module")
-def run_page(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of the small run."""
-    out = tmp_path_factory.mktemp("page") / "page.html"
-    assert knotgym("dataset", "page", curated, "--out", out, "--quiet") == 0
-    return out
-
-
-@pytest.fixture(scope="module")
-def shown(run_page: Path) -> dict[str, Any]:
-    """The data in the page."""
-    return json.loads(Tags(run_page.read_text(encoding="utf-8")).data)
-
-
 def hostile(states: States) -> States:
     """States with markup in their text columns."""
-    return replace(states, knot=np.array([HOSTILE] * len(states)))
+    return states.replaced({"knot": np.array([HOSTILE] * len(states))})
 
 
-def test_a_page_holds_the_run_its_states_and_the_ways_to_them(shown: dict[str, Any]) -> None:
-    assert len(shown["states"]) == len(shown["episodes"]) == 8 and len(shown["growth"]) > 1
-    ways = {(one["set"], one["number"]) for one in shown["episodes"]}
-    assert {(one["set"], one["trajectory"]) for one in shown["states"]} == ways
+@pytest.fixture(scope="module")
+def shown(states_path: str) -> dict[str, Any]:
+    return page_data("run", states=Path(states_path), episodes=[TINY["expert"]])
 
 
-def test_vertices_come_back_within_half_a_unit(states: States, states_path: str) -> None:
-    data = page_data("s", states=Path(states_path))
-    whole = np.frombuffer(base64.b64decode(data["points"]), "<i2").reshape(states.points.shape)
-    laid = states.points - states.points.mean(axis=1, keepdims=True)
-    assert np.abs(data["unit"] * whole - laid).max() < 0.51 * data["unit"]
+def test_a_page_holds_states_and_episodes(states: States, shown: dict[str, Any]) -> None:
+    assert len(shown["states"]) == len(states) and len(shown["episodes"]) == 3
+    assert shown["says"] == f"{len(states)} states, 3 episodes"
 
 
-def test_crossings_of_a_page_spell_the_code(states_path: str) -> None:
-    for row in page_data("s", states=Path(states_path))["states"]:
+def test_an_episode_of_a_page_is_that_of_the_columns(shown: dict[str, Any]) -> None:
+    (own, steps), offsets = (made := open_episodes(TINY["expert"]).episodes), made.offsets
+    one, pulls = shown["episodes"][1], slice(offsets[1], offsets[2] - 1)
+    assert one["bead"] == [-1, *steps["bead"][pulls].tolist()]
+    assert one["rewards"] == steps["reward"][pulls].tolist()
+    assert one["seed"] == str(own["seed"][1]) and one["success"] is True
+    count = int(own["length"][1]) + 1
+    whole = np.frombuffer(base64.b64decode(one["points"]), "<i2").reshape(count, -1, 3)
+    laid = steps["observation"][offsets[1] : offsets[2]].astype(float)
+    laid -= laid.mean(axis=1, keepdims=True)
+    assert np.abs(shown["unit"] * whole - laid).max() < 0.51 * shown["unit"]
+
+
+def test_crossings_of_a_page_spell_the_code(shown: dict[str, Any]) -> None:
+    for row in shown["states"]:
         visits = [
             (place, f"{label}{'+-'[under]}{'ac'[sign > 0]}")
             for label, (*places, sign) in enumerate(row["x"], 1)
@@ -94,14 +86,17 @@ def test_crossings_of_a_page_spell_the_code(states_path: str) -> None:
 
 def test_nothing_in_a_file_becomes_markup(states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", hostile(states))
+    harmful = written(tmp_path / "e.h5", episodes([2], policy=HOSTILE), TASK)
     plain = Tags(page_html(page_data("plain", states=tmp_path / "s.h5")))
     marked = Tags(page_html(page_data(HOSTILE, states=tmp_path / "s.h5")))
-    assert marked.names == plain.names
+    played = Tags(page_html(page_data("plain", episodes=[harmful])))
+    assert marked.names == plain.names == played.names
     assert json.loads(marked.data)["states"][0]["knot"] == HOSTILE
+    assert json.loads(played.data)["episodes"][0]["policy"] == HOSTILE
 
 
-def test_a_page_names_no_address(run_page: Path) -> None:
-    text = run_page.read_text(encoding="utf-8")
+def test_a_page_names_no_address(shown: dict[str, Any]) -> None:
+    text = page_html(shown)
     assert Tags(text).links == ["data:,"] and "default-src 'none'" in text
     assert re.findall(r"https?:|url\(|@import|\bfetch\(|XMLHttp|innerHTML|eval\(", text) == []
 
@@ -111,200 +106,26 @@ def test_pages_at_their_limits_stay_under_10_mb(shown: dict[str, Any]) -> None:
         return len(json.dumps(value))
 
     frames = sum(len(one["code"]) for one in shown["episodes"])
-    ways = size(shown["episodes"]) / frames * data_module.MOST_FRAMES
-    states = (size(shown["states"]) + size(shown["points"])) / 8 * data_module.MOST_STATES
-    assert ways + states < 9e6
+    films = size(shown["episodes"]) / frames * data_module.MOST_FRAMES
+    count = len(shown["states"])
+    states = (size(shown["states"]) + size(shown["points"])) / count * data_module.MOST_STATES
+    assert films + states < 9e6
 
 
-def test_a_large_set_is_sampled_and_says_so(curated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_set_is_sampled_and_says_so(
+    states_path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(data_module, "MOST_STATES", 3)
-    monkeypatch.setattr(data_module, "MOST_FRAMES", 20)
+    monkeypatch.setattr(data_module, "MOST_FRAMES", 7)
     monkeypatch.setattr(data_module, "MOST_STEPS", 2)
-    ways = sorted(curated.glob("minari/**/main_data.hdf5"))
-    data = page_data("run", states=curated / "states.h5", episodes=ways)
-    assert [row["row"] for row in data["states"]] == [0, 4, 7]
-    assert sum(len(one["code"]) for one in data["episodes"]) <= 20
-    told = " ".join(data["notices"])
-    assert "3 of 8 states" in told and "of 8 episodes" in told and "first 2 steps" in told
+    data = page_data("run", states=Path(states_path), episodes=[*TINY.values()])
+    assert len(data["states"]) == 3
+    assert sum(len(one["code"]) for one in data["episodes"]) <= 7
+    notices = " ".join(data["notices"])
+    assert "Showing 3 of" in notices and "of 6 episodes" in notices and "first 2 steps" in notices
 
 
 def test_a_file_without_rows_has_no_page(states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", states.taken(np.arange(0)))
     with pytest.raises(InvalidInput, match="nothing to show"):
         page_data("empty", states=tmp_path / "s.h5")
-
-
-@pytest.mark.parametrize("name", ["minari", "states.h5"])
-def test_page_takes_what_the_other_commands_take(
-    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str
-) -> None:
-    assert knotgym("dataset", "page", curated / name, "--out", tmp_path / "p.html") == 0
-    what = {"minari": "8 episodes", "states.h5": "8 states"}[name]
-    assert f"p.html: {what}, 0." in capfd.readouterr().out
-
-
-# In a Chromium.
-
-clients = pytest.mark.clients
-DRAWN = """(() => {{ const canvas = document.getElementById("{0}"), seen = new Set();
-  const dots = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
-  for (let i = 0; i < dots.length; i += 4) if (dots[i + 3]) seen.add(dots[i] >> 5 << 6 |
-    dots[i + 1] >> 5 << 3 | dots[i + 2] >> 5); return seen.size; }})()"""
-LOOKS = 'document.getElementById("{0}").toDataURL()'
-CARDS = "document.querySelectorAll('.card').length"
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    if not chromium.FOUND:
-        pytest.skip("there is no Chromium")
-    with Chromium(tmp_path_factory.mktemp("profile")) as one:
-        yield one
-
-
-@pytest.fixture
-def tab(browser: Chromium) -> Iterator[Chromium]:
-    """A desktop browser tab; errors logged in it fail the test."""
-    browser.resize(1300, 900)
-    browser.faults.clear()
-    browser.requests.clear()
-    yield browser
-    assert browser.faults == []
-    assert [one for one in browser.requests if not one.startswith(("file:", "about:"))] == []
-
-
-@clients
-def test_the_states_picture_is_not_blank_and_turns(tab: Chromium, run_page: Path) -> None:
-    tab.open(run_page, "#states/6")
-    assert tab.ask(DRAWN.format("stage")) > 20 and tab.ask(CARDS) == 8
-    before, box = tab.ask(LOOKS.format("stage")), "document.getElementById('stage')"
-    x, y = (tab.ask(f"{box}.getBoundingClientRect().{side} + 100") for side in ("left", "top"))
-    tab.drag((x, y), (x + 60, y + 90))
-    tab.until(f"{LOOKS.format('stage')} !== '{before}'")
-    tab.press("t")
-    tab.until(f"{LOOKS.format('stage')} === '{before}'")
-
-
-@clients
-def test_filters_filter(tab: Chromium, run_page: Path) -> None:
-    tab.open(run_page)
-    tab.ask("document.querySelector('[data-filter=nx][data-value=\"1\"]').click()")
-    assert tab.ask(CARDS) == 4 and "4 of 8" in tab.ask("document.body.innerText")
-    tab.ask("document.querySelector('[data-filter=split][data-value=test]').click()")
-    assert tab.ask(CARDS) == 2
-    typing = "document.querySelector('[data-filter=code]')"
-    tab.ask(f"{typing}.value = '9+'; {typing}.dispatchEvent(new Event('input'))")
-    assert tab.ask(CARDS) == 0
-
-
-@clients
-def test_chirality_is_a_filter(tab: Chromium, run_page: Path) -> None:
-    tab.open(run_page)
-    hands = "[...document.querySelectorAll('[data-filter=chirality]')]"
-    counts = [int(one) for one in tab.ask(f"{hands}.map((one) => one.lastChild.textContent)")]
-    assert len(counts) > 1 and sum(counts) == 8
-    for place, count in enumerate(counts):
-        tab.ask(f"{hands}[{place}].click()")
-        assert tab.ask(CARDS) == count
-        tab.ask(f"{hands}[{place}].click()")
-
-
-@clients
-def test_a_finger_turns_a_state(tab: Chromium, run_page: Path) -> None:
-    tab.resize(390, 800, mobile=True)
-    tab.open(run_page, "#states/6")
-    before, box = tab.ask(LOOKS.format("stage")), "document.getElementById('stage')"
-    x, y = (tab.ask(f"{box}.getBoundingClientRect().{side} + 60") for side in ("left", "top"))
-    tab.touch([(x, y), (x + 80, y + 60)])
-    tab.until(f"{LOOKS.format('stage')} !== '{before}'")
-
-
-@clients
-def test_a_measure_sorts_and_cuts(tab: Chromium, run_page: Path, shown: dict[str, Any]) -> None:
-    tab.open(run_page)
-    select = "document.querySelector('[data-filter=measure]')"
-    tab.ask(f"{select}.value = '0'; {select}.dispatchEvent(new Event('change'))")
-    rows = tab.ask("[...document.querySelectorAll('[data-row]')].map((one) => +one.dataset.row)")
-    values = [shown["states"][row]["q"][0] for row in rows]
-    assert len(rows) == 8 and values == sorted(values)
-    low = "document.querySelector('.ends input')"
-    tab.ask(f"{low}.value = 990; {low}.dispatchEvent(new Event('input'))")
-    assert 1 <= tab.ask(CARDS) < 8
-
-
-@clients
-def test_the_code_is_walked_in_step(tab: Chromium, run_page: Path) -> None:
-    tab.open(run_page, "#states/6")
-    tab.press(" ")
-    tab.until("document.querySelectorAll('#state-code .passed').length > 0")
-    place = "document.getElementById('place')"
-    tab.ask(f"{place}.value = 100; {place}.oninput()")
-    assert tab.ask("document.querySelectorAll('#state-code .passed').length") == 2
-
-
-@clients
-def test_an_episode_plays_to_its_end(tab: Chromium, run_page: Path, shown: dict[str, Any]) -> None:
-    tab.open(run_page, "#episodes/2")
-    before = tab.ask(LOOKS.format("film"))
-    assert tab.ask(DRAWN.format("film")) > 20 and tab.ask(DRAWN.format("time")) > 2
-    tab.press("ArrowRight")
-    step = "document.querySelector('#episode-facts dd').textContent"
-    assert tab.ask(step).startswith("1 of ")
-    tab.until(f"{LOOKS.format('film')} !== '{before}'")  # drawn with the next frame
-    tab.ask("for (const one of document.querySelectorAll('#episode-tools button'))"
-            " if (one.textContent === '1 ×') { one.click(); one.click(); }")  # fmt: skip
-    tab.press(" ")
-    tab.until(f"((of) => of[0] === of[1])({step}.split(' of '))")
-    episode, at = next(
-        (k, t)
-        for k, one in enumerate(shown["episodes"])
-        for t, force in enumerate(one["force"][1:])
-        if not any(force) and one["applied_share"][t + 1] == 1
-    )
-    tab.open(run_page, f"#episodes/{episode}/{at}")
-    assert "none, the rope settles" in tab.ask("document.body.innerText")
-
-
-@clients
-def test_growth_and_rejections_are_plotted(tab: Chromium, run_page: Path) -> None:
-    tab.open(run_page)
-    tab.press("3")
-    assert tab.ask(DRAWN.format("growth")) > 2 and tab.ask(DRAWN.format("rejected")) > 1
-
-
-@clients
-def test_a_card_shows_its_whole_code_and_a_configuration_unfolds(
-    tab: Chromium, run_page: Path, shown: dict[str, Any]
-) -> None:
-    tab.open(run_page)
-    codes = tab.ask("[...document.querySelectorAll('.card b')].map((one) => one.textContent)")
-    assert codes == [row["code"] or "loop" for row in shown["states"]]
-    assert tab.ask("[...document.querySelectorAll('.card b')]"
-                   ".every((one) => one.scrollWidth <= one.clientWidth)")  # fmt: skip
-    tab.press("3")
-    tab.ask("document.querySelector('#about details').open = true")
-    assert '"count": 4' in tab.ask("document.querySelector('#about pre').innerText")
-
-
-@clients
-def test_a_phone_has_no_sideways_scrolling_and_opens_a_state(tab: Chromium, run_page: Path) -> None:
-    tab.resize(390, 800, mobile=True)
-    tab.open(run_page)
-    assert tab.ask("document.documentElement.scrollWidth") <= 390
-    tab.ask("document.querySelector('.card').click()")
-    assert tab.ask("document.getElementById('stage').getBoundingClientRect().width") > 300
-    tab.press("2")
-    assert tab.ask("document.documentElement.scrollWidth") <= 390
-
-
-@clients
-def test_markup_in_a_file_is_text_in_the_browser(
-    tab: Chromium, states: States, tmp_path: Path
-) -> None:
-    write_states(tmp_path / "s.h5", hostile(states))
-    (tmp_path / "p.html").write_text(
-        page_html(page_data(HOSTILE, states=tmp_path / "s.h5")), encoding="utf-8"
-    )
-    tab.open(tmp_path / "p.html", "#states/3")
-    assert tab.ask("document.querySelectorAll('img').length") == 0
-    assert HOSTILE in tab.ask("document.body.innerText")

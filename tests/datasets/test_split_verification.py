@@ -189,7 +189,7 @@ def test_a_row_that_names_another_episode_is_a_fault(curated: Path, states: Stat
     first, second = states.rows(1, "train").tolist()
     named = {key: states.source[key].copy() for key in ("trajectory", "step")}
     named["trajectory"][[first, second]], named["step"][first] = (1, 7), 3
-    wrong = replace(states, source={**states.source, **named})
+    wrong = states.replaced({f"source/{key}": values for key, values in named.items()})
     name = demonstrations_id(1)
     elsewhere, absent = demonstration_faults(wrong, name, ways(curated, "train"))
     assert elsewhere.startswith(
@@ -201,7 +201,7 @@ def test_a_row_that_names_another_episode_is_a_fault(curated: Path, states: Stat
 def test_a_row_of_the_other_split_than_its_demonstration_is_a_fault(
     curated: Path, states: States
 ) -> None:
-    swapped = replace(states, split=np.where(states.split == "train", "test", "train"))
+    swapped = states.replaced({"split": np.where(states.split == "train", "test", "train")})
     faults = list(demonstration_faults(swapped, demonstrations_id(1), ways(curated, "train")))
     assert len(faults) == 2
     assert all("is of the train split, the row of the other" in fault for fault in faults)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS, split
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of

@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.drawing.layout_relaxation import (
-    LayoutRelaxationConfig,
-    _repel,
-    _square,
-    _stiffen,
-    relax_layout,
-)
+from knotgym.drawing.drawing_config import LayoutRelaxationConfig
+from knotgym.drawing.layout_relaxation import _repel, _square, _stiffen, relax_layout
 
 Array = NDArray[np.float64]
 # a figure of eight: node 0 is the crossing, the walk passes it twice

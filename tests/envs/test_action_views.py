@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidInput, InvalidPolicy
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv

@@ -745,12 +745,13 @@ def test_environments_in_one_process_do_not_share(
     mirrored = states.points * [1, 1, -1]
     codes = [label(points) for points in mirrored]
     rope = make().episodes.simulation.rope
-    other = replace(
-        states,
-        points=mirrored,
-        qpos=np.array([rope.qpos(points) for points in mirrored]),
-        gauss_code=np.array([str(code) for code in codes]),
-        gauss_code_chiral=np.array([code.chiral for code in codes]),
+    other = states.replaced(
+        {
+            "points": mirrored,
+            "qpos": np.array([rope.qpos(points) for points in mirrored]),
+            "gauss_code": np.array([str(code) for code in codes]),
+            "gauss_code_chiral": np.array([code.chiral for code in codes]),
+        }
     )
     write_states(tmp_path / "mirrored.h5", other)
     settings: list[dict[str, Any]] = [

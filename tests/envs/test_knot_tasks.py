@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidInput
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_verification import episode_faults
 from knotgym.envs.environment import KnotEnv
@@ -81,8 +82,8 @@ def test_evaluation_refuses_it_in_one_line(path: str, capsys: pytest.CaptureFixt
 def test_a_file_of_two_knots_is_refused(trefoils: States, tmp_path: Path) -> None:
     loops = read_states(shipped())
     loops = loops.taken(np.flatnonzero(loops.nx == 3))
-    bare = {name: loops.columns()[name] for name in trefoils.columns()}
-    both = merge_states([trefoils, loops.with_columns(bare)])
+    bare = States(loops.table.only(*trefoils.table), loops.attributes)
+    both = merge_states([trefoils, bare])
     write_states(tmp_path / "both.h5", both)
     with pytest.raises(InvalidInput, match="keep one type, with knotgym dataset select"):
         made("unknot", str(tmp_path / "both.h5"), nx=3)

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.marked import TOKENS, Marked, join, mark, size, split
-from knotgym.rope.macro_actions import MacroActionConfig, pass_straight
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import pass_straight
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry

@@ -14,11 +14,10 @@ from knotgym.datasets.image_table import COLUMNS, read_rows, write_rows
 from knotgym.datasets.image_verification import row_faults
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rope.model import Rope
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.crossings import label
 from knotgym.topology.notation import parse_code
 
 from ..conftest import curled
@@ -109,10 +108,10 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
 ) -> None:
     ropes = [rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)]
     whole = dict.fromkeys(COLUMNS["source"], 0)
-    whole |= dict.fromkeys(("reflect", "switch", "reverse"), False)
-    sources = [whole | {"family": number, "row": number} for number in range(len(ropes))]
+    whole |= {"policy": "", **dict.fromkeys(("reflect", "switch", "reverse"), False)}
+    sources = [whole | {"rope": number, "row": number} for number in range(len(ropes))]
     rows = [
-        record(Row(points, label(points), "test", source), AppearanceConfig())
+        record(Row(points, "test", source), AppearanceConfig())
         for points, source in zip(ropes, sources, strict=True)
     ]
     write_rows(tmp_path / "table.parquet", rows)
@@ -131,12 +130,11 @@ def test_line_drawings_are_transcribed_to_pd_codes(
 ) -> None:
     states = read_states(shipped(), images=False)
     chosen = [int(np.flatnonzero(states.nx == nx)[0]) for nx in (0, 1, 3, 4)]
-    source = dict.fromkeys(COLUMNS["source"], 0) | dict.fromkeys(
-        ("reflect", "switch", "reverse"), False
-    )
+    source = dict.fromkeys(COLUMNS["source"], 0) | {"policy": ""}
+    source |= dict.fromkeys(("reflect", "switch", "reverse"), False)
     look = AppearanceConfig(style="knotbench", vary=("turn",))
     rows = [
-        record(Row(points, label(points), "test", source | {"family": row, "row": row}), look)
+        record(Row(points, "test", source | {"rope": row, "row": row}), look)
         for row, points in enumerate(states.points[chosen])
     ]
     write_rows(tmp_path / "table.parquet", rows)
@@ -156,7 +154,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
 def test_a_network_is_trained_to_read_and_says_how_well(tmp_path: Path) -> None:
-    config = ImagesConfig(nx=(0, 1), count=20, test_nx=(), test_share=0.3, steps=4)
+    config = ImagesConfig(nx=(0, 1), count=20, test_nx=(), test_share=0.3, pulls=4)
     folder = make_images(config, tmp_path / "pictures", RunOptions(workers=1, quiet=True))
     run_script(
         FOLDER / "perception" / "read.py",

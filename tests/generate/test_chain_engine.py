@@ -17,30 +17,26 @@ import pytest
 
 from knotgym.cli.inspection import film, merge
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.old_policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import episode_faults, replay, verify_episodes
 from knotgym.datasets.state_verification import folder_faults
-from knotgym.datasets.walks_file import retrace
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect, distinct_id
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.generate.episodes.collect import collect, distinct_id
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.evaluate import run as evaluate
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.suite import SuiteConfig
 from knotgym.generate.episodes.suite_scores import read_scores
-from knotgym.generate.images.seed_states import seed_states
-from knotgym.generate.images.walks import Unit, Walk, WalkConfig, make_walks
-from knotgym.generate.states.random_walk import RandomWalkConfig
-from knotgym.generate.states.random_walk_recipe import walk_states
-from knotgym.generate.states.search import SearchConfig, new_archive
+from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
+from knotgym.generate.states.state_recipe import make_states
 from knotgym.rope.model import Rope
-from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import merge_states, read_states
 
-from ..played import advance
 from ..small_job import knotgym
 
 QUIET = RunOptions(workers=1, quiet=True)
@@ -159,7 +155,17 @@ def test_the_bytes_depend_neither_on_workers_nor_on_company(tmp_path: Path) -> N
 
 @pytest.mark.slow  # compiles for half a minute
 def test_a_fresh_compilation_collects_the_same_bytes_as_a_cached_one(tmp_path: Path) -> None:
-    words = ("collect", "--task", "tie", "--policy", "random", "--episodes", "2", "--horizon", "5")
+    words = (
+        "collect",
+        "--task",
+        "tie",
+        "--policy",
+        "random",
+        "--episodes",
+        "2",
+        "--set",
+        "task.horizon=5",
+    )
     found = []
     for name in ("cold", "warm"):
         subprocess.run(
@@ -205,10 +211,11 @@ def test_results_of_two_engines_are_not_pooled(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    small = RandomWalkConfig(
-        nx=(1,), count=2, burn_in=12, every=2, longest=30, batch=3, wave=1, engine="chain"
+    walk = PlayConfig(settle=0, random=30, opening=0, rounds=0, first=12, every=2, ropes=3)
+    small = GenerateConfig(
+        nx=(1,), count=2, source="random-walk", walk=walk, engine="chain", demonstrations=False
     )
-    return walk_states(small, tmp_path_factory.mktemp("walked") / "walks", QUIET)
+    return make_states(small, tmp_path_factory.mktemp("walked") / "walks", QUIET)
 
 
 def test_states_of_random_walks_are_verified_with_their_engine(walked: Path) -> None:
@@ -234,33 +241,12 @@ def test_a_file_that_names_another_engine_has_faults(walked: Path, tmp_path: Pat
         assert any(fault in one for one in folder_faults(folder))
 
 
-def test_play_finds_states_of_its_engine_and_pictures_start_from_no_others(tmp_path: Path) -> None:
-    search = SearchConfig(batch_size=4, steps=4, max_nx=3, engine="chain")
-    archive = new_archive(search)
-    advance(archive, search, InProcess())
-    archive.save(tmp_path / "archive.h5")
-    with pytest.raises(InvalidInput, match="made with engine chain, and walks with engine mujoco"):
-        seed_states((1,), archive=tmp_path / "archive.h5")
-    start = seed_states((1,), archive=tmp_path / "archive.h5", engine="chain")
-    walks = tuple(Walk(number, 0) for number in range(2))
-    unit = Unit(walks, start.states[[0, 0]], 0, 4, 2, 3, "chain", WalkConfig(relaxations=()))
-    frames = make_walks(unit)
-    again = retrace(unit.states, frames.beads, frames.forces, "chain")
-    rows = [frames.number.tolist().index(walk) for walk in frames.walk.tolist()]
-    assert len(rows) and np.array_equal(again[rows, frames.steps], frames.points)
-
-
 @pytest.mark.slow
-def test_demonstrations_of_play_are_verified_with_their_engine(tmp_path: Path) -> None:
+def test_demonstrations_are_verified_with_their_engine(tmp_path: Path) -> None:
     out = tmp_path / "nx1"
     words = ("generate", "--nx", "1", "--count", "2", "--engine", "chain", "--workers", "1")
     assert knotgym(*words, "--quiet", "--out", out) == 0
     assert list(folder_faults(out)) == [] and (out / "minari").is_dir()
-    again = knotgym(
-        *("generate", "--nx", "1", "--count", "1", "--workers", "1", "--quiet"),
-        *("--archive", out / "archive.h5", "--out", tmp_path / "other"),
-    )
-    assert again == 2 and not (tmp_path / "other").exists()
 
 
 def test_the_expert_plans_in_the_engine_of_the_environment() -> None:

@@ -1,196 +1,155 @@
 import json
-import multiprocessing
-import os
-import re
-import signal
-import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import h5py
 import numpy as np
 import pytest
 
-from knotgym.cli.main import main
 from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import InvalidInput, Occupied
-from knotgym.control.expert import Expert
-from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig
+from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
+from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.rollouts import episode_seed
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_verification import verify_episodes
-from knotgym.datasets.episode_writer import EpisodeWriter
-from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
-from knotgym.datasets.trajectory import relabel_all
-from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.control.verification import verify
+from knotgym.datasets.episode_dataset import columns_of, open_episodes
+from knotgym.datasets.episodes import differences
+from knotgym.datasets.minari_form import metadata_of
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect
-from knotgym.loaders import Transitions
+from knotgym.generate.episodes import collect as collecting
+from knotgym.generate.episodes.blocks import blocks
+from knotgym.generate.episodes.collect import collect, distinct_id, run_facts
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.rope.model import RopeConfig
-from knotgym.runs.engine import request_of
 from knotgym.runs.run_options import RunOptions
-from knotgym.runs.staging import staging_folder
 from knotgym.states.state_file import States, write_states
 
 from ..minari_list import check_minari
 from ..small_job import knotgym
 
-FORK = multiprocessing.get_context("forkserver")
-FORK.set_forkserver_preload(["knotgym.cli.main", "knotgym.generate.episodes.collect"])
-VIEWS_ID = "tests/views-v0"
 QUIET = RunOptions(workers=1, quiet=True)
 RESUMED = replace(QUIET, resume=True)
+CHAIN = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=8)
 
 
-def config(states_path: str, **settings: Any) -> CollectConfig:
-    task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
-    return CollectConfig(
-        **{"task": task, "policy": PolicyConfig(policy="scripted"), "episodes": 6, **settings}
-    )
+def config(**settings: Any) -> CollectConfig:
+    policy = PolicyConfig(policy=settings.pop("policy", "random"))
+    return CollectConfig(**{"task": CHAIN, "policy": policy, "episodes": 6, **settings})
 
 
-def made(folder: Path) -> bytes:
-    return (folder / "data" / "main_data.hdf5").read_bytes()
-
-
-def test_the_dataset_takes_its_id_and_holds_every_episode(states_path: str, tmp_path: Path) -> None:
-    folder = collect(config(states_path), tmp_path, QUIET)
-    assert folder == tmp_path / "knotgym/unknot-nx1/scripted-v0"
-    assert len(EpisodeReader(folder)) == 6
-    assert list(folder.parent.iterdir()) == [folder]
-
-
-def test_labels_are_an_expert_s_and_change_nothing_that_is_played(
-    states_path: str, tmp_path: Path
-) -> None:
-    policy = PolicyConfig(policy="random", planner=PlannerConfig(budget=16))
-    task = replace(config(states_path).task, horizon=2)
-    plain = config(states_path, task=task, policy=policy, episodes=2)
-    labelled = config(states_path, task=task, policy=policy, episodes=2, labels="expert")
-    assert labelled.dataset_id == "knotgym/unknot-nx1/random-labelled-v0"
-    made_plain, made_labelled = (collect(one, tmp_path, QUIET) for one in (plain, labelled))
-    assert verify_episodes(made_labelled) == []
-    for before, after in zip(EpisodeReader(made_plain), EpisodeReader(made_labelled), strict=True):
-        labels = after.expert_action
-        assert labels is not None and before.digest() == replace(after, expert_action=None).digest()
-        assert not labels[-1].any() and labels[:-1].any(axis=1).all()
-        assert not np.array_equal(labels[:-1], after.actions)
-    reader = EpisodeReader(made_labelled)
-    told = np.concatenate([reader.column(row, "expert_action")[:-1] for row in range(2)])
-    assert np.array_equal(Transitions(made_labelled, labels=True).actions, told)
-    for dataset, relabel in ((made_plain, None), (made_labelled, "all")):
-        with pytest.raises(InvalidInput):
-            Transitions(dataset, labels=True, relabel=relabel)
-
-
-@pytest.mark.slow  # its plans are acted out in tests/control/test_expert.py
-def test_what_the_expert_says_at_every_state_leads_to_the_goal(states_path: str) -> None:
-    task = replace(config(states_path).task, horizon=50)
-    episodes, expert = EpisodeBatch(task, 1), Expert()
-    episodes.begin(0, np.random.default_rng(0))
-    for step in range(50):
-        action, _ = expert.advise(episodes, 0, np.random.default_rng(step))
-        _, terminated, _ = episodes.step(action[None], np.array([0]))
-        if terminated[0]:
-            return
-    raise AssertionError("the goal wasn't reached in 50 steps")
-
-
-@pytest.mark.slow
-def test_of_several_attempts_the_shortest_success_is_kept(states_path: str, tmp_path: Path) -> None:
-    acted = {
-        "task": replace(config(states_path).task, horizon=10),
-        "policy": PolicyConfig(policy="random"),
-        "episodes": 4,
-    }
-    once, twice = (
-        EpisodeReader(collect(config(states_path, **acted, attempts=number), tmp_path, QUIET))
-        for number in (1, 2)
-    )
-    assert [episode.seed for episode in once] == [episode.seed for episode in twice]
-    assert verify_episodes(twice.path) == []
-    pairs = list(zip(once, twice, strict=True))
-    assert all(len(best) <= len(first) for first, best in pairs if first.is_success[-1])
-    assert sum(first.digest() != best.digest() for first, best in pairs)
-    assert all(best.is_success[-1] for first, best in pairs if first.digest() != best.digest())
-
-
-@pytest.mark.slow  # tests/datasets/test_episodes.py does it
-def test_every_episode_can_be_acted_out_again(states_path: str, tmp_path: Path) -> None:
-    folder = collect(config(states_path), tmp_path, QUIET)
-    assert verify_episodes(folder, act_out=True) == []
-
-
-@pytest.mark.thorough
-def test_episodes_of_a_rope_integrated_otherwise_say_so_and_can_be_acted_out_again(
-    states_path: str, tmp_path: Path
-) -> None:
-    usual, coarse = (
-        config(states_path, episodes=2),
-        config(
-            states_path,
-            task=replace(config(states_path).task, integrator_steps=20),
-            episodes=2,
-        ),
-    )
-    folders = [
-        collect(one, tmp_path / str(one.task.integrator_steps), QUIET) for one in (usual, coarse)
-    ]
-    assert verify_episodes(folders[1], act_out=True) == []
-    one, other = map(EpisodeReader, folders)
-    assert (one.rope, other.rope) == (
-        usual.task.rope.fingerprint,
-        coarse.task.rope.fingerprint,
-    ) and one.rope != other.rope
-    apart = np.linalg.norm(one.episode(0).points[1] - other.episode(0).points[1], axis=1).max()
-    assert 0 < apart < 0.002 and np.array_equal(
-        one.episode(0).actions[0], other.episode(0).actions[0]
-    )
-    with pytest.raises(SystemExit) as stopped:
-        main(["dataset", "replay", str(folders[1]), "--out", str(tmp_path / "film.gif")])
-    assert stopped.value.code == 0
-    metadata = [json.loads((folder / "data" / "metadata.json").read_text()) for folder in folders]
-    assert json.loads(metadata[1]["env_spec"])["kwargs"]["integrator_steps"] == 20
+def test_the_dataset_has_its_id_and_holds_every_episode(tmp_path: Path) -> None:
+    folder = collect(config(), tmp_path, QUIET)
+    assert folder == tmp_path / "knotgym/tie-nx2/random-chain-v0"
+    made = columns_of(folder)
+    assert made.episodes.episodes["seed"].tolist() == [episode_seed(0, k) for k in range(6)]
+    assert set(made.episodes.episodes["policy"]) == {"random"}
+    assert made.task == CHAIN and verify(folder) == []
+    tally = run_facts(folder)["tally"]
+    assert tally["played"] == tally["kept"] == 6
+    assert tally["steps"] == made.episodes.episodes["length"].sum()
 
 
 def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(
     states_path: str, tmp_path: Path
 ) -> None:
-    made_config = config(states_path)
-    episode = EpisodeReader(collect(made_config, tmp_path, QUIET)).episode(3)
-    assert episode.seed == episode_seed(0, 3)
-    env = gym.make("knotgym/Unknot-v0", nx=1, states=states_path, observation="state", horizon=4)
-    for options in (None, dict(episode.options)):
-        observation, info = env.reset(seed=episode.seed, options=options)
-        assert (info["start"], info["goal"]) == (episode.options["start"], episode.options["goal"])
-        for step, action in enumerate(episode.actions):
-            assert np.array_equal(
-                observation[:300], episode.points[step].reshape(-1).astype(np.float32)
-            )
+    task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
+    episodes = columns_of(collect(config(task=task, policy="scripted"), tmp_path, QUIET)).episodes
+    own, env = episodes.select([3]), gym.make("knotgym/Unknot-v0", **_keywords(task))
+    row = {name: own.episodes[name][0] for name in ("seed", "start", "goal")}
+    for options in (None, {"start": int(row["start"]), "goal": int(row["goal"])}):
+        observation, info = env.reset(seed=int(row["seed"]), options=options)
+        assert (info["start"], info["goal"]) == (row["start"], row["goal"])
+        for step, action in enumerate(own.steps["action"][:-1]):
+            assert np.array_equal(observation[:300], own.steps["observation"][step].ravel())
             observation, reward, terminated, truncated, info = env.step(action)
-            assert (reward, terminated, truncated) == (
-                episode.rewards[step],
-                episode.terminations[step],
-                episode.truncations[step],
-            )
-            assert info["gauss_code_chiral"] == episode.gauss_code_chiral[step + 1]
-            assert info["bead"] == episode.bead[step + 1] and np.array_equal(
-                info["force"], episode.force[step + 1]
-            )
+            assert reward == own.steps["reward"][step]
+            assert terminated == own.steps["terminated"][step]
+            assert truncated == own.steps["truncated"][step]
+            assert info["bead"] == own.steps["bead"][step]
+
+
+@pytest.mark.parametrize("episodes", [1, 63, 200, 5000, 100_000])
+def test_blocks_are_about_equal_and_hold_every_episode(episodes: int) -> None:
+    made = blocks(episodes, 50)
+    assert [k for few in made for k in few] == list(range(episodes))
+    assert max(map(len, made)) - min(map(len, made)) <= 1 and max(map(len, made)) <= 1024
+
+
+def test_bytes_depend_neither_on_workers_nor_on_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = collect(config(), tmp_path / "one", QUIET)
+    two = collect(config(), tmp_path / "two", replace(QUIET, workers=2))
+    smaller = [range(2), range(2, 3), range(3, 6)]
+    monkeypatch.setattr(collecting, "blocks", lambda episodes, horizon: smaller)
+    three = collect(config(), tmp_path / "three", QUIET)
+    assert len({sha256(folder / "data/episodes.h5") for folder in (one, two, three)}) == 1
+
+
+def test_labels_are_the_expert_s_and_change_nothing_that_is_played(tmp_path: Path) -> None:
+    plain = columns_of(collect(config(episodes=2), tmp_path, QUIET)).episodes
+    folder = collect(config(episodes=2, labels="expert"), tmp_path, QUIET)
+    labelled = columns_of(folder).episodes
+    assert folder.name == "random-chain-labelled-v0"
+    assert differences(plain, labelled) == [] and labelled.steps["expert_action"].any()
+
+
+def test_of_several_attempts_the_shortest_success_is_kept(tmp_path: Path) -> None:
+    task = TaskConfig(task="unknot", nx=1, engine="chain", observation="state", horizon=12)
+    many = config(task=task, policy="scripted", episodes=8, attempts=3)
+    kept = columns_of(collect(many, tmp_path, QUIET)).episodes
+    tried = []
+    for attempt in range(3):
+        own = collecting.play(replace(many, attempts=1), range(8)) if not attempt else None
+        tried.append(own)
+    assert tried[0] is not None
+    once = tried[0]["episodes/success"]
+    assert (kept.episodes["success"] >= once).all() and kept.episodes["success"].sum() > once.sum()
+    both = once & kept.episodes["success"]
+    assert (kept.episodes["length"][both] <= tried[0]["episodes/length"][both]).all()
+
+
+def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> None:
+    task = TaskConfig(task="unknot", nx=1, engine="chain", observation="state", horizon=12)
+    asked = config(task=task, policy="scripted", episodes=12, keep_failed=False)
+    folder = collect(asked, tmp_path, QUIET)
+    tally = run_facts(folder)["tally"]
+    assert columns_of(folder).episodes.episodes["success"].all()
+    assert 0 < tally["kept"] == tally["succeeded"] < tally["played"] == 12
+
+
+def test_with_nothing_left_nothing_is_written(tmp_path: Path) -> None:
+    asked = config(policy="constant", episodes=2, keep_failed=False)
+    with pytest.raises(InvalidInput, match="none of 2 episodes reached the goal"):
+        collect(asked, tmp_path, QUIET)
+    assert not list(tmp_path.rglob("episodes.h5"))
+
+
+def test_a_finished_dataset_is_not_replaced_unasked(tmp_path: Path) -> None:
+    folder = collect(config(episodes=1), tmp_path, QUIET)
+    before = sha256(folder / "data/episodes.h5")
+    with pytest.raises(Occupied, match="exists"):
+        collect(config(episodes=1), tmp_path, QUIET)
+    assert collect(config(episodes=1), tmp_path, RESUMED) == folder
+    with pytest.raises(InvalidInput, match="belongs to a different run: config.episodes is 1"):
+        collect(config(episodes=2), tmp_path, RESUMED)
+    assert sha256(folder / "data/episodes.h5") == before
+    collect(config(episodes=2), tmp_path, replace(QUIET, overwrite=True))
+    assert sha256(folder / "data/episodes.h5") != before
+
+
+def test_a_dataset_says_nothing_of_a_run_that_it_does_not_come_from(tmp_path: Path) -> None:
+    folder = collect(config(episodes=1), tmp_path, QUIET)
+    from knotgym.datasets.episode_dataset import write_episodes
+
+    write_episodes(tmp_path / "some.h5", [open_episodes(folder).episodes], CHAIN)
+    with pytest.raises(InvalidFile, match="nothing about the run"):
+        run_facts(tmp_path / "some.h5")
 
 
 @pytest.mark.parametrize(
-    "observation",
-    [
-        pytest.param("pixels", marks=pytest.mark.slow),  # three views of it are tried below
-        pytest.param("state", marks=pytest.mark.slow),
-        "both",
-    ],
+    "observation", [pytest.param("pixels", marks=pytest.mark.slow), "both", "symbolic"]
 )
 def test_minari_does_with_a_dataset_all_that_it_does(
     observation: str, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -199,319 +158,80 @@ def test_minari_does_with_a_dataset_all_that_it_does(
         task="tie", nx=1, states=states_path, observation=observation, horizon=3, image_size=32
     )
     name = "tests/scripted-v3"
-    collect(
-        config(
-            states_path,
-            task=task,
-            policy=PolicyConfig(policy="scripted"),
-            episodes=3,
-            dataset_id=name,
-        ),
-        tmp_path,
-        QUIET,
-    )
+    collect(config(task=task, policy="scripted", episodes=3, dataset_id=name), tmp_path, QUIET)
     check_minari(tmp_path, name, monkeypatch)
 
 
-@pytest.fixture(scope="module")
-def many_views(tmp_path_factory: pytest.TempPathFactory, states_path: str) -> Path:
-    """The root of a dataset of three views with depth, made by the command."""
-    root = tmp_path_factory.mktemp("views")
-    ended = knotgym(
-        *("collect", "--task", "tie", "--nx", 1, "--policy", "scripted", "--episodes", 2),
-        *("--states", states_path, "--horizon", 2, "--image-size", 16, "--observation", "pixels"),
-        *("--views", "top,left,front", "--depth", "--id", VIEWS_ID),
-        *("--workers", 1, "--quiet", "--out", root),
-    )
-    assert ended == 0
-    return root
-
-
-def test_minari_does_it_with_three_views_and_depth(
-    many_views: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    check_minari(many_views, VIEWS_ID, monkeypatch)
-    reader = EpisodeReader(many_views / VIEWS_ID)
-    assert reader.task.views == ("top", "left", "front") and reader.task.depth
-    assert reader.observations(0).shape == (3, 48, 32, 4)
-    metadata = json.loads((many_views / VIEWS_ID / "data/metadata.json").read_text())
-    assert json.loads(metadata["env_spec"])["kwargs"]["views"] == ["top", "left", "front"]
-
-
-@pytest.mark.parametrize("place", [(1, 40, 3, 0), (1, 8, 24, 3)])  # the front view; a depth
-def test_a_changed_pixel_of_a_side_view_or_of_the_depth_is_found(
-    many_views: Path, tmp_path: Path, place: tuple[int, int, int, int]
-) -> None:
-    spoilt = tmp_path / "spoilt.h5"
-    spoilt.write_bytes((many_views / VIEWS_ID / "data/main_data.hdf5").read_bytes())
-    with h5py.File(spoilt, "a") as file:
-        file["episode_1/observations"][place] ^= 1
-    faults = verify_episodes(spoilt, pyknotid=False)
-    assert len(faults) == 1 and "episode 1: step 1: the stored pixels isn't what" in faults[0]
-
-
-def test_views_that_are_not_there_are_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert knotgym("collect", "--views", "top,below", "--out", tmp_path / "out") == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "views must be a list of top, left, front" in said
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow  # test_episodes reads relabelled episodes through Minari
-def test_minari_does_it_with_hindsight_too(
-    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    task = TaskConfig(
-        task="tie", nx=1, states=states_path, observation="both", horizon=16, image_size=32
-    )
-    played = collect(config(states_path, task=task, episodes=5), tmp_path / "played", QUIET)
-    name = "knotgym/tie-nx1/hindsight-v0"
-    with EpisodeWriter(tmp_path / "hindsight.h5", replace(task, states=name)) as writer:
-        for episode in relabel_all(EpisodeReader(played), "all"):
-            writer.add(episode)
-    publish(
-        [tmp_path / "hindsight.h5"],
-        MinariMetadata(dataset_id=name, algorithm_name="scripted", description="Codes passed."),
-        tmp_path / "root",
-        states=states_path,
-    )
-    check_minari(tmp_path / "root", name, monkeypatch)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", ["scripted", pytest.param("noisy", marks=pytest.mark.slow)])
-def test_workers_do_not_change_the_bytes(name: str, states_path: str, tmp_path: Path) -> None:
-    policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=40, batch_size=2))
-    one = collect(config(states_path, policy=policy), tmp_path / "one", QUIET)
-    two = collect(config(states_path, policy=policy), tmp_path / "two", replace(QUIET, workers=2))
-    assert made(one) == made(two)
-
-
-def test_failed_episodes_are_dropped_when_asked_and_counted(
-    states_path: str, tmp_path: Path
-) -> None:
-    policy = PolicyConfig(policy="scripted")
-    kept = collect(config(states_path, policy=policy), tmp_path / "kept", QUIET)
-    tally = json.loads((kept / "data" / "collection.json").read_text())["tally"]
-    assert 0 < tally["succeeded"] < tally["played"] == tally["kept"] == 6
-    dropped = collect(
-        config(states_path, policy=policy, keep_failed=False), tmp_path / "dropped", QUIET
-    )
-    assert len(EpisodeReader(dropped)) == tally["succeeded"]
-    assert all(episode.is_success[-1] for episode in EpisodeReader(dropped))
-
-
-def test_with_nothing_left_nothing_is_written(states_path: str, tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="nothing is left"):
-        collect(
-            config(
-                states_path, policy=PolicyConfig(policy="random"), episodes=1, keep_failed=False
-            ),
-            tmp_path,
-            QUIET,
-        )
-    assert not (tmp_path / "knotgym/unknot-nx1/random-v0").exists()
-
-
-def test_a_finished_dataset_is_not_written_over(states_path: str, tmp_path: Path) -> None:
-    folder = collect(config(states_path, episodes=1), tmp_path, QUIET)
-    with pytest.raises(Occupied):
-        collect(config(states_path, episodes=1), tmp_path, QUIET)
-    assert collect(config(states_path, episodes=1), tmp_path, RESUMED) == folder
-    with pytest.raises(InvalidInput, match="config.episodes is 1 there and 2 here"):
-        collect(config(states_path, episodes=2), tmp_path, RESUMED)
-
-
-@pytest.mark.slow  # test_kills kills a collection and compares the bytes
-def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_bytes(
-    states_path: str, tmp_path: Path
-) -> None:
-    arguments = [
-        "collect",
-        "--task",
-        "unknot",
-        "--nx",
-        "1",
-        "--policy",
-        "scripted",
-        "--id",
-        "knotgym/unknot-nx1/scripted-v0",
-        "--states",
-        states_path,
-        "--horizon",
-        "4",
-        "--episodes",
-        "24",
-    ]
-    arguments += ["--observation", "state", "--workers", "1", "--quiet", "--out"]
-    program = "import sys; from knotgym.cli.main import main; main(sys.argv[1:])"
-    broken = subprocess.Popen([sys.executable, "-c", program, *arguments, str(tmp_path / "broken")])
-    partial = tmp_path / "broken/knotgym/unknot-nx1/.scripted-v0.partial"
-    while broken.poll() is None and len(list(partial.glob("episodes-*.json"))) < 2:
-        time.sleep(0.01)
-    os.kill(broken.pid, signal.SIGKILL)
-    broken.wait()
-    assert not (partial.parent / "scripted-v0").exists()
-    for where, resume in (("broken", ["--resume"]), ("whole", [])):
-        assert knotgym(*arguments, tmp_path / where, *resume) == 0
-    assert made(tmp_path / "broken/knotgym/unknot-nx1/scripted-v0") == made(
-        tmp_path / "whole/knotgym/unknot-nx1/scripted-v0"
-    )
-
-
-@pytest.mark.slow
-def test_ten_kills_at_random_moments_leave_nothing_half_written_and_change_no_byte(
-    states_path: str, tmp_path: Path
-) -> None:
-    name, episodes, rng = "knotgym/unknot-nx1/scripted-v0", 24, np.random.default_rng(7)
-    words = [
-        "collect",
-        "--task",
-        "unknot",
-        "--nx",
-        "1",
-        "--policy",
-        "scripted",
-        "--id",
-        "knotgym/unknot-nx1/scripted-v0",
-        "--states",
-        states_path,
-        "--horizon",
-        "12",
-    ]
-    words += ["--image-size", "32", "--episodes", str(episodes), "--quiet", "--resume", "--out"]
-
-    def begun(where: str) -> multiprocessing.process.BaseProcess:
-        process = FORK.Process(
-            target=main,
-            args=([*words, str(tmp_path / where), "--workers", str(1 + int(rng.integers(2)))],),
-        )
-        process.start()
-        return process
-
-    began = time.perf_counter()
-    unbroken = begun("whole")
-    unbroken.join()
-    took = time.perf_counter() - began
-    assert unbroken.exitcode == 0
-    kills, runs = 0, 0
-    while kills < 10 or not (tmp_path / f"broken-{runs}" / name).exists():
-        where = tmp_path / f"broken-{runs}"
-        process = begun(where.name)
-        process.join(rng.uniform(0, took) if kills < 10 else None)
-        if process.is_alive():
-            process.kill()
-            process.join()
-            kills += 1
-        else:
-            assert process.exitcode == 0
-        if (where / name).exists():  # perhaps just before the kill
-            assert verify_episodes(where / name) == []
-            assert [made(where / name), len(EpisodeReader(where / name))] == [
-                made(tmp_path / "whole" / name),
-                episodes,
-            ]
-            runs += kills < 10
-    assert all(
-        list((tmp_path / f"broken-{run}" / name).parent.iterdir())
-        == [tmp_path / f"broken-{run}" / name]
-        for run in range(runs)
-    )
-
-
-def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> None:
-    folder = tmp_path / "knotgym/unknot-nx1/scripted-v0"
-    collect(config(states_path, seed=1, episodes=1), tmp_path / "other", QUIET)
-    made_by = request_of(tmp_path / "other" / folder.relative_to(tmp_path))
-    staging_folder(folder).mkdir(parents=True)
-    (staging_folder(folder) / "request.json").write_text(json.dumps(made_by))
-    with pytest.raises(InvalidInput, match="seed is 1 there and 0 here"):
-        collect(config(states_path, episodes=1), tmp_path, RESUMED)
-
-
 @pytest.fixture
-def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CollectConfig:
+def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, states: States) -> CollectConfig:
     """A collection by a module in the current folder, on states beside it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "collected_policy", raising=False)
     (tmp_path / "collected_policy.py").write_text("act = lambda seen: [0.5] * 6\n")
-    return config(
-        str(tmp_path / "states.h5"), policy=PolicyConfig(policy="collected_policy:act"), episodes=1
-    )
+    write_states(tmp_path / "states.h5", states)
+    task = TaskConfig(task="unknot", nx=1, states=str(tmp_path / "states.h5"), horizon=2)
+    task = replace(task, observation="state")
+    return config(task=task, policy="collected_policy:act", episodes=1)
 
 
 @pytest.mark.parametrize("swapped", ["states.h5", "collected_policy.py"])
-@pytest.mark.parametrize("finished", [True, False])
 def test_a_file_swapped_in_between_is_refused_by_name(
-    swapped: str,
-    finished: bool,
-    own_policy: CollectConfig,
-    states: States,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    swapped: str, own_policy: CollectConfig, states: States, tmp_path: Path
 ) -> None:
-    write_states(tmp_path / "states.h5", states)
-    if finished:
-        collect(own_policy, tmp_path / "out", QUIET)
-    else:
-        with monkeypatch.context() as stopped, pytest.raises(KeyboardInterrupt):
-            stopped.setattr("knotgym.generate.episodes.collect.play", interrupted)
-            collect(own_policy, tmp_path / "out", QUIET)
+    collect(own_policy, tmp_path / "out", QUIET)
     if swapped == "states.h5":
         write_states(tmp_path / swapped, states.taken(np.arange(len(states))[::-1]))
     else:
         with (tmp_path / swapped).open("a") as file:
             file.write("# changed\n")
-    name = "states.own" if swapped == "states.h5" else re.escape(swapped)
+    name = "states.own" if swapped == "states.h5" else swapped
     with pytest.raises(InvalidInput, match=rf"{name} is .* there and .* here"):
         collect(own_policy, tmp_path / "out", RESUMED)
 
 
-def interrupted(file: Any) -> Any:
-    """As a person who stops the run while a file is written."""
-    file.path.touch()
-    raise KeyboardInterrupt
-
-
 def test_a_dataset_holds_the_digests_of_what_made_it(
-    own_policy: CollectConfig, states: States, tmp_path: Path
+    own_policy: CollectConfig, tmp_path: Path
 ) -> None:
-    write_states(tmp_path / "states.h5", states)
     folder = collect(own_policy, tmp_path / "out", QUIET)
-    of_minari = json.loads((folder / "data" / "metadata.json").read_text())["digests"]
-    stored = metadata_of(folder)
-    assert stored is not None and stored.digests == of_minari
-    assert of_minari["states"] == {"own": sha256(tmp_path / "states.h5")}
+    stored = metadata_of(open_episodes(folder))
+    assert stored is not None
+    assert stored.digests["states"] == {"own": sha256(tmp_path / "states.h5")}
     file = "collected_policy.py"
-    assert of_minari["policies"] == {"collected_policy:act": {file: sha256(tmp_path / file)}}
-    assert of_minari["rope"] == RopeConfig().fingerprint and of_minari["versions"]["code"]
+    assert stored.digests["policies"] == {"collected_policy:act": {file: sha256(tmp_path / file)}}
+    assert stored.digests["rope"] == RopeConfig().fingerprint
+    assert stored.digests["versions"]["code"]
 
 
-def test_transcripts_are_no_policy_of_a_dataset(states_path: str) -> None:
+def test_ids_tell_every_setting_that_changes_the_data() -> None:
+    usual = config(task=TaskConfig(task="tie", observation="both"), policy="expert")
+    budget = PolicyConfig(policy="expert", planner=PullPlannerConfig(budget=7))
+    others = [
+        replace(usual, seed=1),
+        replace(usual, keep_failed=False),
+        replace(usual, attempts=2),
+        replace(usual, labels="expert"),
+        replace(usual, policy=budget),
+        *(
+            replace(usual, task=replace(usual.task, **changed))
+            for changed in (
+                {"nx": 3},
+                {"split": "test"},
+                {"states": "random-walk"},
+                {"engine": "chain"},
+                {"observation": "state"},
+                {"horizon": 7},
+                {"max_goals": 2},
+            )
+        ),
+    ]
+    ids = [distinct_id(one) for one in (usual, *others)]
+    assert ids[0] == "knotgym/tie-nx2/expert-v0" and len(set(ids)) == len(ids)
+
+
+def test_transcripts_are_no_policy_of_a_dataset() -> None:
     with pytest.raises(InvalidInput, match="give knotgym evaluate --policy prompt:run"):
-        config(states_path, policy=PolicyConfig(policy="prompt:run"))
-
-
-def test_a_run_of_another_version_is_not_resumed(states_path: str, tmp_path: Path) -> None:
-    folder = collect(config(states_path, episodes=1), tmp_path, QUIET)
-    report = folder / "data" / "collection.json"
-    said = json.loads(report.read_text())
-    said["versions"]["mujoco"] = "3.0.0"
-    report.write_text(json.dumps(said))
-    with pytest.raises(InvalidInput, match='versions.mujoco is "3.0.0" there and') as caught:
-        collect(config(states_path, episodes=1), tmp_path, RESUMED)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("settings", [{"episodes": 0}, {"seed": -1}])
-def test_settings_that_make_no_sense_are_refused(
-    settings: dict[str, Any], states_path: str
-) -> None:
-    with pytest.raises(InvalidInput):
-        config(states_path, **settings)
+        config(policy="prompt:run")
 
 
 @pytest.mark.parametrize(
@@ -521,39 +241,34 @@ def test_settings_that_make_no_sense_are_refused(
         ["--task", "knit"],
         ["--split", "dev"],
         ["--id", "no version"],
-        ["--shares", "a"],
+        ["--set", "policy.shares=a"],
+        ["--set", "task.views=top,below"],
+        ["--episodes", "0"],
+        ["--seed", "-1"],
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["collect", "--out", str(tmp_path), *words])
-    assert left.value.code == 2
+    assert knotgym("collect", "--out", tmp_path, *words) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_limit_of_goals_is_kept_stored_and_verified(tmp_path: Path) -> None:
-    words = ("--task", "tie", "--nx", 3, "--max-goals", 2, "--workers", 1, "--quiet")
-    random = ("collect", "--policy", "random", "--episodes", 6, "--horizon", 2)
-    assert knotgym(*random, "--observation", "state", *words, "--out", tmp_path) == 0
-    (folder,) = tmp_path.glob("knotgym/tie-nx3/random-state-rules*-v0")  # a set of its own
-    reader = EpisodeReader(folder)
-    goals = [reader.attributes(k)["options/goal"] for k in range(6)]
-    env = gym.make("knotgym/Tie-v0", nx=3, max_goals=2).unwrapped
-    assert reader.task.max_goals == 2 and {*goals} == {*env.episodes.rows("goal")}  # type: ignore[attr-defined]
-    said = json.loads((folder / "data" / "metadata.json").read_text())
-    assert json.loads(said["env_spec"])["kwargs"]["max_goals"] == 2
-    assert json.loads(said["eval_env_spec"])["kwargs"]["max_goals"] is None  # of the test split
-    assert verify_episodes(folder) == []
-    reader.close()
-    with h5py.File(folder / "data" / "main_data.hdf5", "r+") as file:
-        task = {**json.loads(file.attrs["task"]), "max_goals": 1}
-        file.attrs["task"] = json.dumps(task)
-    assert any("not of the first 1, max_goals" in fault for fault in verify_episodes(folder))
-    scores = tmp_path / "scores.json"
-    assert knotgym("evaluate", "--episodes", 1, "--horizon", 1, *words, "--out", scores) == 0
-    assert json.loads(scores.read_text())["settings"]["task"]["max_goals"] == 2
-    assert knotgym("evaluate", "--max-goals", 0, "--out", tmp_path / "none.json") == 2
-    assert not (tmp_path / "none.json").exists()
+def test_the_command_makes_a_dataset_of_every_crossing_number(tmp_path: Path) -> None:
+    words = ("--set", "task.max_goals=2", "--set", "task.horizon=2", "--workers", 1, "--quiet")
+    random = ("collect", "--policy", "random", "--episodes", 6, "--engine", "chain")
+    assert knotgym(*random, "--nx", "2,3", "--observation", "state", *words, "--out", tmp_path) == 0
+    for nx in (2, 3):
+        (folder,) = tmp_path.glob(f"knotgym/tie-nx{nx}/random-chain-state-rules*-v0")
+        made = columns_of(folder)
+        env: Any = gym.make("knotgym/Tie-v0", nx=nx, max_goals=2).unwrapped
+        assert made.task.max_goals == 2
+        assert {*made.episodes.episodes["goal"]} <= {*env.episodes.rows("goal")}
+        entries = json.loads((folder / "data" / "metadata.json").read_text())
+        assert json.loads(entries["env_spec"])["kwargs"]["max_goals"] == 2
+        assert json.loads(entries["eval_env_spec"])["kwargs"]["max_goals"] is None
+
+
+def _keywords(task: TaskConfig) -> dict[str, Any]:
+    return {name: value for name, value in vars(task).items() if name != "task"}

@@ -1,5 +1,5 @@
-"""Perception tables: what `knotgym images` writes, that it is true, that `verify` finds what is
-not, and how it is read.
+"""Pictures: what `knotgym images` writes, that it is true, that `verify` finds what is not, and how
+it is read. Interrupted, divided and merged runs are in tests/runs/test_run.py.
 """
 
 import importlib.metadata
@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.cli.main import main
-from knotgym.common.errors import InvalidFile, InvalidInput, MissingExtra, Occupied
+from knotgym.common.errors import Failed, InvalidFile, InvalidInput, MissingExtra
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import (
@@ -31,25 +31,20 @@ from knotgym.datasets.image_table import (
     write_rows,
 )
 from knotgym.datasets.image_verification import image_faults, row_faults
-from knotgym.generate.images import image_recipe
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
-from knotgym.generate.images.seed_states import seed_states
-from knotgym.generate.images.selection import _options
 from knotgym.loaders import images as load
 from knotgym.quality.difficulty import grade
 from knotgym.quality.measures import UNITS, Limits, measure
-from knotgym.rendering.appearance import VARIED, AppearanceConfig
+from knotgym.rendering.appearance_config import VARIED, AppearanceConfig
 from knotgym.rope.model import Array, Rope
-from knotgym.rope.relaxation import RelaxationConfig, relaxed
 from knotgym.runs.run_options import RunOptions
-from knotgym.states.near_duplicates import NEAR, distances, families
+from knotgym.states.near_duplicates import NEAR, distances
 from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.topology.crossings import find_crossings, label
+from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
 
-from ..conftest import curled
 from ..small_job import knotgym
 
 ROOT = Path(__file__).parents[2]
@@ -58,12 +53,13 @@ pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
 )
 
+NOTHING = Limits(margin=1e6)
 CONFIG = ImagesConfig(
     nx=(0, 1, 2),
     count=6,
     test_share=0.4,
-    steps=4,
-    stride=2,
+    engine="chain",
+    pulls=4,
     rows_per_file=3,
     appearance=AppearanceConfig(vary=VARIED, sizes=(64, 128)),
 )
@@ -76,14 +72,6 @@ def made(out: Path, config: ImagesConfig = CONFIG, **options: Any) -> Path:
 def _pixel_altered(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     image[5, 5, 0] ^= 1
     return image
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +99,7 @@ def test_the_largest_nx_is_for_test_nx_alone(rows: list[dict[str, Any]]) -> None
 def test_every_check_passes(folder: Path) -> None:
     told: list[tuple[str, int, int]] = []
     assert list(image_faults(folder, count=lambda *said: told.append(said))) == []
-    assert {what for what, _, _ in told} == {"files of pictures", "walks repeated"}
+    assert {what for what, _, _ in told} == {"files of pictures"}
     assert all(0 <= done <= of for _, done, of in told) and told[-1][1] == told[-1][2] > 0
 
 
@@ -120,25 +108,6 @@ def test_no_two_rows_are_near_duplicates(folder: Path) -> None:
     assert len(points) == CONFIG.count
     for k in range(len(points) - 1):
         assert distances(points[k], points[k + 1 :]).min() >= NEAR
-
-
-@pytest.mark.slow  # a collection stands for it in tests/runs/test_kills.py
-def test_a_run_that_was_interrupted_and_resumed_on_other_workers_gives_the_same_bytes(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(image_recipe.ImageRecipe, "_table_files", killed)
-        with pytest.raises(KeyboardInterrupt):
-            made(tmp_path / "table")
-    assert not (tmp_path / "table").exists()
-    assert contents(made(tmp_path / "table", workers=2, resume=True)) == contents(folder)
-    assert [path.name for path in tmp_path.iterdir()] == ["table"]
-    made(tmp_path / "table", resume=True)  # finished already: nothing to do
-    with pytest.raises(Occupied):
-        made(tmp_path / "table")
 
 
 def test_another_run_is_not_resumed_and_what_differs_is_named(folder: Path, tmp_path: Path) -> None:
@@ -210,25 +179,15 @@ def test_a_near_duplicate_in_another_split_is_found(
     rows: list[dict[str, Any]], tmp_path: Path, symmetry: Symmetry
 ) -> None:
     """The planted row is true in every other way: a training row's rope moved by a symmetry and
-    shaken, with labels, picture and family of its own.
+    shaken, with labels and a picture of its own, of another rope.
     """
     train = next(row for row in rows if row["split"] == "train" and row["nx"] == 1)
     points = symmetry.configuration(np.array(train["points"]).reshape(-1, 3))
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
-    planted = Row(points, label(points), "test", {**train["source"], "family": 10**6, "row": 10**6})
+    planted = Row(points, "test", {**train["source"], "rope": 10**6, "row": 10**6})
     write_rows(tmp_path / "data.parquet", [train, record(planted, AppearanceConfig())])
     [fault] = image_faults(tmp_path / "data.parquet")
     assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault
-
-
-def test_a_walk_that_ends_elsewhere_is_found(folder: Path, tmp_path: Path) -> None:
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
-    first = shards(copy, "train")[0]
-    some = list(read_rows(first))
-    some[0]["source"]["base_shift"] += 1
-    write_rows(first, some)
-    assert any("does not end in its points" in fault for fault in image_faults(copy))
 
 
 def test_a_missing_shard_is_found(folder: Path, tmp_path: Path) -> None:
@@ -273,13 +232,13 @@ def test_without_pyarrow_one_line_names_the_extra(
         ["--count", "0"],
         ["--nx", "7"],
         ["--nx", "x"],
-        ["--test-nx", "0"],
+        ["--set", "test_nx=0"],
         ["--vary", "hue"],
         ["--size", "12"],
         ["--size", "big"],
         ["--seed", "-1"],
         ["--workers", "-1"],
-        ["--code-share", "0.9"],
+        ["--set", "code_share=0.9"],
         ["--archive", "nowhere.h5"],
         ["--archive", "a.h5", "--states", "b.h5"],
     ],
@@ -305,6 +264,38 @@ def test_show_and_verify_know_a_table(folder: Path, capsys: Any) -> None:
     assert "no faults" in capsys.readouterr().out
 
 
+def test_all_frames_of_a_rope_are_in_one_split_and_several_are_shown(tmp_path: Path) -> None:
+    config = replace(CONFIG, count=40, pulls=8, appearance=AppearanceConfig())
+    splits: dict[int, list[str]] = {}
+    for row in read_rows(made(tmp_path / "table", config)):
+        splits.setdefault(row["source"]["rope"], []).append(row["split"])
+    assert all(len(set(own)) == 1 for own in splits.values())
+    assert any(len(own) > 1 for own in splits.values())
+
+
+def test_held_out_codes_are_in_test_code_alone(tmp_path: Path) -> None:
+    config = ImagesConfig(nx=(2, 3), test_nx=(), count=24, code_share=0.25, engine="chain")
+    shown: dict[str, set[str]] = {}
+    for row in read_rows(made(tmp_path / "table", config)):
+        shown.setdefault(row["split"], set()).add(row["gauss_code"])
+    assert set(shown) == {"train", "test", "test-code"}
+    assert not shown["test-code"] & (shown["train"] | shown["test"])
+
+
+def test_codes_are_balanced(tmp_path: Path) -> None:
+    config = ImagesConfig(nx=(1,), count=20, test_share=0, code_share=0, engine="chain")
+    codes = [row["gauss_code"] for row in read_rows(made(tmp_path / "table", config))]
+    assert [codes.count(code) for code in set(codes)] == [10, 10]
+
+
+def test_states_that_give_no_more_pictures_end_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = ImagesConfig(nx=(1,), count=4, pulls=2, idle=2, engine="chain", limits=NOTHING)
+    with pytest.raises(Failed, match=r"0 of 4 pictures found, then none in 2 waves of ropes"):
+        made(tmp_path / "table", config)
+
+
 def test_quality_holds_every_measure() -> None:
     assert tuple(COLUMNS["quality"]) == tuple(UNITS)
 
@@ -317,48 +308,14 @@ def test_quotas_add_up_and_hold_the_shares() -> None:
     assert {nx for split, nx in wanted if split == "test-code"} == {2, 3}
 
 
-@pytest.mark.parametrize("nx", [1, 2, 3, 4])
-def test_a_walk_begun_in_another_gap_shows_the_code_foretold(nx: int, rope: Rope) -> None:
-    points = rope.from_curve(curled(nx, 0.3))
-    found = find_crossings(points)
-    places = np.sort(np.concatenate([found.over_place, found.under_place]))
-    for option in _options(found.code):
-        base = int(np.ceil(places[option.gap - 1])) % 100
-        base_shift = (-base if option.reverse else base) % 100
-        moved = Symmetry(
-            switch=option.switch, reverse=option.reverse, base_shift=base_shift
-        ).configuration(points)
-        assert label(moved).plain == option.shown
-
-
-def test_mirror_images_reversals_and_renumberings_are_one_family(rope: Rope) -> None:
-    first, second = (rope.from_curve(curled(nx, 0.3)) for nx in (2, 3))
-    kin = Symmetry(reflect=True, switch=True, reverse=True, turn=1.0, base_shift=37).configuration(
-        first
-    )
-    assert families(np.stack([first, second, kin]), 2 * NEAR).tolist() in ([0, 1, 0], [1, 0, 1])
-
-
-def test_relaxation_keeps_the_code_and_the_rope(rope: Rope) -> None:
-    points = rope.from_curve(curled(3, 0.3))
-    opened = relaxed(points, 10, rope, RelaxationConfig())
-    assert opened is not None and label(opened) == label(points)
-    assert np.allclose(
-        np.linalg.norm(np.roll(opened, -1, axis=0) - opened, axis=1), rope.config.bead_length
-    )
-
-
 def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
     limits, quality = Limits(), measure(rope.loop())
     assert grade(quality, limits) == "easy"
     for factor, name in ((1.2, "medium"), (0.7, "hard"), (0.2, "extreme")):
-        worse = type(quality)(**{**vars(quality), "crossing_angle": factor * limits.crossing_angle})
+        worse = type(quality)(
+            **{**vars(quality), "crossing_angle": factor * (limits.crossing_angle or 0)}
+        )
         assert grade(worse, limits) == name
-
-
-def test_seed_states_come_from_one_file(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput):
-        seed_states((1,), archive=tmp_path / "a.h5", states=tmp_path / "b.h5")
 
 
 def test_the_code_shown_is_the_one_of_the_points(rows: list[dict[str, Any]]) -> None:

@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.verification import verify
-from knotgym.generate.states.imported_curves import import_curves, read_curves, write_curves
+from knotgym.control.verification import verify
+from knotgym.datasets.exports.curves_export import write_curves
+from knotgym.generate.states.imported_curves import import_curves, read_curves
 from knotgym.states.state_file import read_states, shipped, write_states
 from knotgym.topology.crossings import label
 

@@ -1,6 +1,8 @@
-"""The states of a run: slots dealt to shards, codes drawn, sequences planned, all of it resumed."""
+"""States from three sources: drawn, met by play, met by random walks; and their demonstrations."""
 
+import contextlib
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,286 +10,218 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.configuration import as_json
-from knotgym.common.errors import KnotgymError
-from knotgym.common.streams import Stream, key
-from knotgym.control.planner_config import PlannerConfig
-from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.generate.states import planned_sequences
-from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.code_order import CodeOrder
-from knotgym.generate.states.demonstrations import DemonstrationTask, demonstrate
-from knotgym.generate.states.drawn_states import DrawnUnit, draw_states
-from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.planned_sequences import Target, reach
-from knotgym.generate.states.search import SearchConfig, new_archive
-from knotgym.generate.states.state_recipe import StateRecipe
-from knotgym.quality.measures import Limits
+from knotgym.common.errors import Failed, InvalidInput
+from knotgym.datasets.episode_dataset import open_episodes
+from knotgym.datasets.manifest_check import listed_faults, read_manifest
+from knotgym.datasets.state_verification import state_faults
+from knotgym.generate.states.drawing_source import drawn_rows
+from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
+from knotgym.generate.states.play_source import ropes_of, rows_of_ropes
+from knotgym.generate.states.rope_lives import coil
+from knotgym.generate.states.selection import Selection
+from knotgym.generate.states.state_filter import judge
+from knotgym.generate.states.state_recipe import make_states
+from knotgym.generate.states.state_rows import Rows, taken
+from knotgym.generate.states.wanted_codes import WantedCodes
+from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope.model import Rope
-from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.runs.engine import CHECKPOINT
-from knotgym.runs.executors import InProcess
+from knotgym.runs.run import Memory, compute
+from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
-from knotgym.states.state_file import merge_states, read_states, shipped
+from knotgym.states.near_duplicates import pairs_within
+from knotgym.states.state_file import States, read_states
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import knot_type, shows
-from knotgym.topology.symmetry import mirror_images
 
-from ..conftest import curled, trefoil
-from ..small_job import SMALL, knotgym
+ALONE = RunOptions(workers=1, quiet=True)
+DRAWN = GenerateConfig(nx=(0, 1), every_code=1, demonstrations=False, engine="chain")
+LIVES = PlayConfig(settle=20, opening=30, rounds=1, scripted=6, spreading=4, ropes=8)
+PLAYED = replace(DRAWN, every_code=0, count=4, source="play", play=LIVES)
+WALK = PlayConfig(settle=0, random=40, opening=0, rounds=0, first=16, every=4, ropes=8)
+WALKED = replace(PLAYED, nx=(1,), count=2, source="random-walk", walk=WALK)
 
-WANTED = ("--no-demonstrations", "--nx", "0-1", "--every-code", 1, "--workers", 1, "--quiet")
+
+def folder_of(config: GenerateConfig, factory: pytest.TempPathFactory) -> Path:
+    return make_states(config, factory.mktemp(config.source) / "out", ALONE)
 
 
 @pytest.fixture(scope="module")
-def drawn_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a state of each of the three codes to nx 1; only ever read."""
-    folder = tmp_path_factory.mktemp("drawn") / "nx0-1"
-    settings = folder.parent / "settings.json"  # the last to be named counts
-    settings.write_text("{}")
-    assert knotgym("generate", *WANTED, "--settings", settings, "--out", folder) == 0
-    return folder
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a state of each of the three codes up to nx 1, demonstrated; only read."""
+    return folder_of(replace(DRAWN, demonstrations=True), tmp_path_factory)
 
 
-def test_every_code_is_drawn_and_the_folder_has_no_fault(drawn_folder: Path) -> None:
-    states = read_states(drawn_folder / "states.h5", images=False)
-    assert len(states) == len(set(states.gauss_code)) == 3
-    assert set(states.source["policy"]) == {"drawing"} and set(states.knot) == {"0_1"}
-    assert (states.quality["noise_survival"] >= 0.95).all()
-    assert list(folder_faults(drawn_folder)) == []
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with four loops and four states of nx 1, met by play; only read."""
+    return folder_of(PLAYED, tmp_path_factory)
 
 
-def test_a_start_that_its_seed_does_not_draw_is_a_fault(drawn_folder: Path) -> None:
-    states = read_states(drawn_folder / "states.h5").taken(np.array([1]))
-    seed = states.source["seed"].copy()
-    seed[0, -1] += 1
-    moved = replace(states, source={**states.source, "seed": seed})
-    assert any("drawing" in fault for fault in state_faults(moved))
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two states of random walks; only read."""
+    return folder_of(WALKED, tmp_path_factory)
 
 
-def test_drawn_states_merge_with_searched_ones_and_are_counted(
-    drawn_folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+def same(one: Rows, other: Rows) -> bool:
+    return one.keys() == other.keys() and all(np.array_equal(one[k], other[k]) for k in one)
+
+
+def states_in(folder: Path) -> States:
+    return read_states(folder / "states.h5", images=False)
+
+
+def test_every_code_is_drawn(drawn: Path) -> None:
+    states = states_in(drawn)
+    assert len(states) == len(set(states.gauss_code.tolist())) == 3
+    assert set(states.source["policy"]) == {"drawing"}
+
+
+@pytest.mark.parametrize("source", ["drawn", "played", "walked"])
+def test_every_row_is_recomputed_and_replays_bit_for_bit(
+    source: str, request: pytest.FixtureRequest
 ) -> None:
-    searched = read_states(shipped())
-    merged = merge_states([searched, read_states(drawn_folder / "states.h5")], distinct=True)
-    assert sorted(set(merged.source["drawing"]))[0] == "" and len(merged) == len(searched) + 3
-    assert knotgym("dataset", "show", drawn_folder) == 0
-    assert "sources: drawing 3" in capsys.readouterr().out
+    folder = request.getfixturevalue(source)
+    assert list(state_faults(read_states(folder / "states.h5"))) == []
+    assert list(listed_faults(folder, read_manifest(folder)[0])) == []
 
 
-def follow(recipe: StateRecipe, folder: Path, waves: int = 1000) -> StateRecipe:
-    """Follow a recipe for some waves, saved after each."""
-    for batch in recipe.batches(folder):
-        for _ in batch.follow(InProcess()):
-            pass
-        if batch is CHECKPOINT:
-            recipe.save(folder)
-            waves -= 1
-        if not waves:
-            break
-    return recipe
+def test_a_folder_holds_states_gallery_card_and_manifest(played: Path) -> None:
+    names = {path.name for path in played.iterdir()}
+    assert names == {"states.h5", "gallery.png", "README.md", "manifest.json"}
+    assert "random and scripted policies" in (played / "README.md").read_text()
 
 
-def signature(recipe: StateRecipe) -> list[object]:
-    """What a run came to, every bit of it."""
-    states = {slot: (one.seed, one.qpos.tobytes()) for slot, one in recipe.states.items()}
-    ways = {slot: one.points.tobytes() for slot, one in recipe.demonstrations.items()}
-    return [states, ways, recipe.report(), recipe.archive.growth]
+@pytest.mark.parametrize("source", ["played", "walked"])
+def test_the_splits_share_no_rope(source: str, request: pytest.FixtureRequest) -> None:
+    states = states_in(request.getfixturevalue(source))
+    ropes = np.array(ropes_of(dict(states.table)))
+    train, test = (set(ropes[states.split == split].tolist()) for split in ("train", "test"))
+    assert train and test and not train & test
 
 
-@pytest.mark.thorough
-def test_a_run_saved_after_any_wave_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
-    config = replace(SMALL, nx=(1,), every_code=1, wave=1)
-    whole = StateRecipe(config)
-    whole.begin()
-    follow(whole, tmp_path)
-    assert whole.cycle >= 3 and len(whole.states) == 2
-    for waves in range(1, whole.cycle):
-        folder = tmp_path / str(waves)
-        folder.mkdir()
-        first, resumed = StateRecipe(config), StateRecipe(config)
-        first.begin()
-        follow(first, folder, waves)
-        assert resumed.load(folder)
-        assert signature(follow(resumed, folder)) == signature(whole)
+def test_as_many_states_are_met_in_each_split_as_were_asked_for(played: Path) -> None:
+    states = states_in(played)
+    found = Counter(zip(states.nx.tolist(), states.split.tolist(), strict=True))
+    assert found == {(nx, split): 2 for nx in (0, 1) for split in ("train", "test")}
 
 
-@pytest.fixture(scope="module", params=["demonstrator", "planner"])
-def planned(request: pytest.FixtureRequest) -> Archive:
-    """An archive with a sequence to a code with one crossing, and what is on the way."""
-    search = SearchConfig(max_nx=2)
-    archive = new_archive(search)
-    elites = tuple(archive.niches[GaussCode(chirality="")])
-    goal = GaussCode.parse("1+,1-")
-    planner = PlannerConfig(budget=800)
-    target = Target(search, planner, elites[:1], goal, True, frozenset(), 0, (7, 0, 0, 0, 0))
-    with pytest.MonkeyPatch.context() as patch:
-        if request.param == "planner":  # as if the demonstrator found no way
-            patch.setattr(planned_sequences, "lead", lambda *_: 0)
-        found = reach(target)
-    assert any(one.exact and one.code.plain in (goal, goal.mirrored()) for one in found.elites)
-    assert found.spent > 0
-    for elite in found.elites:
-        archive.offer(elite, search.archive)
-    return archive
+def test_play_keeps_readable_states_that_are_not_over_twisted_and_new(played: Path) -> None:
+    states = states_in(played)
+    for points in states.points:
+        assert judge(points, [LEGIBLE, UNTWISTED]).faults == []
+    assert pairs_within(states.points) == []
 
 
-def test_a_planned_sequence_is_demonstrated_to_the_code_and_to_its_mirror_image(
-    planned: Archive, rope: Rope
+def test_random_walks_need_no_actions_and_no_readability(walked: Path) -> None:
+    states = states_in(walked)
+    assert "actions" not in states.source
+    assert all(judge(points, [UNTWISTED]).faults == [] for points in states.points)
+
+
+@pytest.mark.parametrize("config", [DRAWN, WALKED])
+def test_shards_are_merged_to_the_rows_of_the_whole_run(config: GenerateConfig) -> None:
+    source = drawn_rows if config.source == "drawing" else rows_of_ropes
+    memory = Memory()
+    for number in (1, 2):
+        with contextlib.suppress(Failed):  # results of the other are missing
+            compute(source(config, {}), memory, shard=Shard(number, 2))
+    assert len(memory)
+    assert same(compute(source(config, {}), memory), compute(source(config, {})))
+
+
+def test_demonstrations_end_in_the_codes_of_the_set(drawn: Path) -> None:
+    states, ended = states_in(drawn), set[str]()
+    for path in sorted(drawn.glob("minari/**/episodes.h5")):
+        played = open_episodes(path).episodes
+        assert played.episodes["success"].all() and set(played.episodes["policy"]) == {"expert"}
+        goals = played.episodes["goal"]
+        assert np.array_equal(
+            played.episodes["goal_points"], states.points[goals].astype(np.float32)
+        )
+        ended |= set(states.gauss_code[goals].tolist())
+    assert ended == set(states.gauss_code.tolist())
+
+
+def test_a_code_without_demonstration_is_named_in_the_card(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    goal = GaussCode.parse("1+,1-")
-    elites = tuple(
-        one
-        for niche, elites in planned.niches.items()
-        if goal in {image.plain for image in mirror_images(niche)}
-        for one in elites
-        if one.exact
-    )
-    for index, code in enumerate((goal, goal.mirrored())):
-        seed = key(Stream.CANDIDATE, 0, 1, index)
-        task = DemonstrationTask(SMALL, "0_1", code, index, rope.loop(), elites, seed)
-        made = demonstrate(task).demonstration
-        assert made is not None and label(made.points[-1]).matches(code)
-        assert not any(label(points).matches(code) for points in made.points[:-1])
-        simulation = MujocoSimulation(1, rope)
-        simulation.lay(made.start_qpos[None])
-        for action in made.actions:
-            assert simulation.act(action[None]).all()
-        assert np.array_equal(simulation.points[0], made.points[-1])
-        episode = made.episode(made.points[-1], code)
-        assert episode.hold == 1 and episode.is_success[-1]
+    monkeypatch.setattr("knotgym.generate.states.demonstrations.HORIZON", 1)
+    config = replace(DRAWN, nx=(1,), count=1, every_code=0, demonstration_attempts=1)
+    folder = make_states(replace(config, demonstrations=True), tmp_path / "out", ALONE)
+    code = str(states_in(folder).gauss_code[0])
+    assert f"reached no goal of these codes: `{code}`" in (folder / "README.md").read_text()
+    assert json.loads((folder / "manifest.json").read_text())["report"]["demonstrations"] == 0
 
 
-def test_what_play_met_and_keeps_all_limits_is_a_state(rope: Rope, tmp_path: Path) -> None:
-    loose = Limits(
-        margin=-99.0,
-        crossing_angle=0.0,
-        base_spacing=0.0,
-        strand_spacing=0.0,
-        smallest_region=0.0,
-        clearance=0.0,
-        noise_survival=0.0,
-    )
-    recipe = StateRecipe(replace(SMALL, nx=(1,), limits=loose, every_code=1))
-    recipe.begin()
-    follow(recipe, tmp_path)
-    state = next(one for one in recipe.states.values() if one.policy == "play")
-    simulation = MujocoSimulation(1, rope)
-    simulation.lay(state.start_qpos[None])
-    for action in state.actions:
-        simulation.act(action[None])
-    assert np.array_equal(simulation.qpos()[0], state.qpos)
-    made = recipe.demonstrations[1, state.index, 0]
-    assert np.array_equal(made.points[-1], state.points)  # it ends in the very state
+def test_a_run_that_gives_up_goes_on_with_more_attempts(tmp_path: Path) -> None:
+    few = replace(WALKED, attempts=4, walk=replace(WALK, ropes=1, random=17), twist=Limits())
+    with pytest.raises(Failed, match="states are missing for nx 1 train, nx 1 test after"):
+        make_states(few, tmp_path / "out", ALONE)
+    more = replace(few, attempts=5)
+    with pytest.raises(Failed, match="after 12 ropes"):
+        make_states(more, tmp_path / "out", replace(ALONE, resume=True))
 
 
-def test_a_code_without_a_sequence_is_passed_over_for_the_next() -> None:
-    recipe = StateRecipe(replace(SMALL, nx=(2,), count=4, searches=1))
-    recipe.begin()
-    order = [index for index, _ in recipe.codes[2].slots()]
-    assert [index for _, index, _ in recipe._window(2, {})[1]] == order[:5]  # a quarter more
-    recipe.searches[2, order[0]] = 1
-    assert [index for _, index, _ in recipe._window(2, {})[1]] == order[1:6]
-    assert recipe.report()["passed_over"]["2"] == [str(recipe.codes[2][order[0]])]
+def test_the_filter_names_what_is_wrong(rope: Rope) -> None:
+    coiled, loop = coil(rope), rope.loop()
+    assert judge(loop, [LEGIBLE, UNTWISTED]).faults == []
+    assert "crossing_angle" in judge(coiled, [LEGIBLE]).faults
+    assert judge(loop, [Limits(total_curvature=0.9)]).faults == ["total_curvature"]
+    assert judge(loop, [], code=GaussCode.parse("1+a,1-a")).faults == ["code lost at rest"]
+    assert judge(loop, [], knot="3_1").faults == ["not certified as 3_1"]
 
 
-def test_sequences_begin_at_the_curve_of_a_file_even_of_an_unknot(tmp_path: Path) -> None:
-    np.save(tmp_path / "curled.npy", curled(2))
-    recipe = StateRecipe(replace(SMALL, nx=(1,), knot=str(tmp_path / "curled.npy")))
-    recipe.begin()
-    assert recipe.knot == "0_1" and recipe.search.max_nx == 2
-    assert recipe.archive.settings["start"] == recipe.start.points.tolist()
+def test_the_second_labeller_can_refuse_a_state(
+    rope: Rope, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = GaussCode.parse("1+a,1-a")
+    monkeypatch.setattr("knotgym.generate.states.state_filter.pyknotid_code", lambda _: other)
+    assert judge(rope.loop(), []).faults == ["labellers disagree"]
 
 
-def test_an_archive_that_begins_elsewhere_is_refused(tmp_path: Path, rope: Rope) -> None:
-    new_archive(SearchConfig(), rope.from_curve(trefoil())).save(tmp_path / "archive.h5")
-    with pytest.raises(KnotgymError, match="start from another curve"):
-        StateRecipe(SMALL, archive=tmp_path / "archive.h5").begin()
+def test_a_selection_refuses_near_duplicates_up_to_symmetry(played: Path) -> None:
+    table = dict(states_in(played).table)
+    rows = taken(table, table["nx"] == 1)
+    mirrored = {**rows, "points": rows["points"] * (1, 1, -1)}
+    selection = Selection()
+    assert selection.offer(rows, 0)
+    assert not selection.offer(mirrored, 0)
+    assert selection.near[1] == 1 and len(selection.rows()["nx"]) == 1
 
 
-def test_codes_whose_sequences_are_known_first_fill_the_count() -> None:
-    recipe = StateRecipe(replace(SMALL, nx=(2,), count=4))
-    order = [index for index, _ in recipe.codes[2].slots()]
-    known = {recipe.codes[2][index].plain: list[Any]([None]) for index in order[1:5]}
-    ready, unknown = recipe._window(2, known)
-    assert [index for _, index, _ in ready] == order[1:5]
-    assert [index for _, index, _ in unknown] == order[:1]
+def test_a_code_that_is_given_up_leaves_its_places_to_others() -> None:
+    codes = WantedCodes(GenerateConfig(nx=(2,), count=4), 2)
+    first, *others = codes.lacking({}, ())
+    assert codes.lacking({}, ()).total() == 4
+    later = codes.lacking({}, {first})
+    assert later.total() == 4 and first not in later and {*others} < {*later}
+    assert codes.lacking({first: 1}, {first}) == Counter(others)
 
 
-def test_shards_deal_out_every_state_once() -> None:
-    for config in (GenerateConfig(every_code=1), GenerateConfig(nx=(0,), count=17)):
-        nx = config.nx[0]
-        orders = [CodeOrder(config, "0_1", Shard(number, 3), nx) for number in (1, 2, 3)]
-        found = [slot for order in orders for slot in order.slots()]
-        assert len(set(found)) == len(found) == sum(order.wanted for order in orders)
-        assert len(found) == (46 if nx else 17)
-
-
-def test_more_codes_than_states_are_all_tried_once_before_any_twice() -> None:
-    slots = list(CodeOrder(GenerateConfig(nx=(2,), count=20), "0_1", Shard(), 2).slots())
-    assert len({index for index, _ in slots[:8]}) == 8 and len(slots) == 24
-
-
-def test_with_more_crossings_than_are_listed_codes_are_drawn_at_random() -> None:
-    config = GenerateConfig(nx=(7,), count=3, demonstrations=False)
-    codes = StateRecipe(config).codes[7]
-    assert len({codes[k] for k in range(3)}) == 3 and codes[0].nx == 7
-    assert codes.wanted == 3 and codes.listed is None
-
-
-def test_a_code_asked_for_by_name_keeps_its_chirality() -> None:
-    config = GenerateConfig(nx=(1,), codes=("1+c,1-c",))
-    made = draw_states(DrawnUnit(config, "0_1", GaussCode.parse("1+c,1-c"), 0, 0, 5, 1))
-    assert [one.code.chiral for one in made.states] == ["1+c,1-c"]
+def test_the_coil_is_as_small_as_the_published_one(rope: Rope) -> None:
+    points = coil(rope)
+    radius = np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
+    assert label(points).nx == 1 and 0.10 < radius < 0.12
 
 
 @pytest.mark.parametrize(
-    ("knot", "letters"), [pytest.param("3_1", "ccc", marks=pytest.mark.slow), ("m3_1", "aaa")]
-)
-def test_a_knot_is_drawn_with_its_hand(knot: str, letters: str) -> None:
-    config = GenerateConfig(knot=knot, every_code=1)
-    codes = StateRecipe(config).codes[3]
-    assert codes.listed is not None and codes.existing == 2
-    made = draw_states(DrawnUnit(config, knot, codes[1], 1, 1, 10, 1))
-    assert [one.code.chirality for one in made.states] == [letters]
-
-
-def test_a_large_knot_is_drawn_as_the_tables_diagram_from_every_base() -> None:
-    codes = StateRecipe(GenerateConfig(knot="m8_19", nx=(8,), count=3)).codes[8]
-    assert codes.listed is not None and codes.wanted == 3 and codes.existing is None
-    assert {knot_type(code) for code in codes.listed} == {"8_19"}
-    assert all(shows(code, "m8_19") for code in codes.listed)
-
-
-@pytest.mark.parametrize(
-    ("changes", "problem"),
+    ("wrong", "named"),
     [
-        ({"nx": (12,)}, "from 0 to 11, got 12"),
-        ({"nx": (2,), "codes": ("1+,2-,1-,2+",)}, "no closed curve shows the code"),
-        ({"nx": (3,), "codes": ("1+,2-,3+,1-,2+,3-",)}, "shows the knot 3_1, not 0_1"),
-        ({"nx": (2,), "codes": ("1+,1-",)}, "nx must include the crossings"),
-        ({"knot": "9_50"}, "no knot '9_50'; there are 0_1, .*; or a file"),
-        ({"knot": "9_42", "nx": (8,)}, "no diagram of 9_42 has 8 crossings; it has at least 9"),
-        ({"knot": "9_42", "nx": (9,), "codes": ("1+,1-",)}, "nx must include the crossings"),
-        (
-            {"knot": "m3_1", "codes": ("1-c,2+c,3-c,1+c,2-c,3+c",)},
-            r"shows the knot 3_1, not m3_1 \(handedness differs\)",
-        ),
-        ({"stir": -1}, "stir must be a whole number of at least 0"),
-        ({"nx": (7,)}, "limited to 6 crossings, got nx 7; --no-demonstrations"),
+        ({"nx": (12,)}, "nx takes numbers of crossings from 0 to 11"),
+        ({"nx": ()}, "at least one number"),
+        ({"source": "drawn"}, "source must be 'drawing', 'play' or 'random-walk'"),
+        ({"source": "play", "knot": "3_1"}, "--knot needs --source drawing, not play"),
+        ({"source": "random-walk", "nx": (7,)}, "takes nx up to 6"),
+        ({"nx": (7,)}, "demonstrations are limited to 6 crossings"),
+        ({"nx": (2,), "knot": "3_1"}, "no diagram of 3_1 has 2 crossings; it has at least 3"),
+        ({"knot": "3_9"}, "3_9"),
+        ({"beads": 60}, "demonstrations are for a rope of 100 beads"),
+        ({"codes": ("1+,2-,1-,2+",), "nx": (2,)}, "closed curve"),
+        ({"codes": ("1+,1-",), "nx": (2,)}, "nx must include the crossings of all codes"),
+        ({"every_code": 1, "nx": (7,), "demonstrations": False}, "give a count"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(changes: dict[str, object], problem: str) -> None:
-    with pytest.raises(KnotgymError, match=problem) as caught:
-        StateRecipe(GenerateConfig(**changes))  # type: ignore[arg-type]
-    assert "\n" not in str(caught.value)
-
-
-def test_every_code_of_seven_crossings_is_refused() -> None:
-    with pytest.raises(KnotgymError, match="too many codes with 7 crossings to list"):
-        GenerateConfig(nx=(7,), every_code=1)
-
-
-def test_the_configuration_is_json() -> None:
-    assert json.loads(json.dumps(as_json(GenerateConfig())))["drawing"]["easing"]["first"] > 0
+def test_what_makes_no_sense_is_refused(wrong: dict[str, Any], named: str) -> None:
+    with pytest.raises(InvalidInput, match=named):
+        GenerateConfig(**wrong)

@@ -128,7 +128,17 @@ def test_a_finished_suite_is_left_alone_and_shows_evaluations_that_came_since(
 ) -> None:
     before = {path: path.stat().st_mtime_ns for path in unbroken.rglob("main_data.hdf5")}
     scores = unbroken / "scores.json"
-    words = ("evaluate", "--task", "tie", "--episodes", 1, "--horizon", 1, "--workers", 1)
+    words = (
+        "evaluate",
+        "--task",
+        "tie",
+        "--episodes",
+        1,
+        "--set",
+        "task.horizon=1",
+        "--workers",
+        1,
+    )
     assert knotgym(*words, "--quiet", "--out", scores) == 0
     assert knotgym(*CHEAP, "--resume", "--scores", scores, "--quiet", "--out", unbroken) == 0
     assert {path: path.stat().st_mtime_ns for path in before} == before

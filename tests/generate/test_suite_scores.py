@@ -7,16 +7,11 @@ import pytest
 
 from knotgym.common.errors import InvalidFile
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
-from knotgym.generate.episodes.evaluate import (
-    EvaluateConfig,
-    PlayedEpisode,
-    as_text,
-    report,
-    sources_of,
-)
+from knotgym.generate.episodes.evaluate import PlayedEpisode, as_text, report, sources_of
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.suite_scores import best_learner, read_scores, score_tables
 from knotgym.runs.intervals import cluster_interval
 

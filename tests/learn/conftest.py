@@ -1,42 +1,61 @@
-"""A small dataset and a learner barely trained on it. Run with -m clients; needs torch."""
+"""A small dataset and learners barely trained on it. Run with -m clients; needs torch."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from knotgym.runs.run_options import Existing
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import rollouts
+from knotgym.datasets.episodes import Episodes
+from knotgym.datasets.minari_form import MinariMetadata, publish
+from knotgym.envs.tasks import TaskConfig
+from knotgym.learn.train_config import CloneConfig, ReaderConfig
+from knotgym.runs.run_options import RunOptions
 
-from ..small_job import knotgym
+READER = ReaderConfig(steps=6, batch=2, save_every=2)
+CLONE = CloneConfig(steps=4, batch=4, save_every=2, width=16, layers=1, guided=True)
+TASK = TaskConfig(task="tie", nx=2, horizon=12, observation="state", engine="chain")
 
-TINY = {"steps": 6, "batch": 2, "save_every": 2}
 
-
-@pytest.fixture(scope="session")
-def episodes(tmp_path_factory: pytest.TempPathFactory, states_path: str) -> Path:
-    """Three episodes of macro-actions, of the train split."""
-    out = tmp_path_factory.mktemp("episodes")
-    arguments = ("--task", "tie", "--nx", 3, "--policy", "scripted", "--episodes", 3)
-    settings = ("--horizon", 6, "--observation", "state", "--states", states_path)
-    named = ("--id", "knotgym/tie-nx3/scripted-v0")
-    assert (
-        knotgym("collect", *arguments, *settings, *named, "--out", out, "--workers", 1, "--quiet")
-        == 0
+def published(root: Path, episodes: Episodes, task: TaskConfig = TASK, name: str = "a") -> Path:
+    metadata = MinariMetadata(
+        dataset_id=f"knotgym/{name}-v0", algorithm_name="scripted", description=""
     )
-    return out / "knotgym" / "tie-nx3" / "scripted-v0"
+    return publish([episodes], task, metadata, root, minari=False)
+
+
+def train(data: Sequence[Path], out: Path, config: Any, *, resume: bool = False) -> Path:
+    from knotgym.learn.train import train
+
+    return train(data, out, config, RunOptions(workers=1, quiet=True, resume=resume))
+
+
+def weights(folder: Path) -> bytes:
+    return (folder / "weights.safetensors").read_bytes()
 
 
 @pytest.fixture(scope="session")
-def learner(tmp_path_factory: pytest.TempPathFactory, episodes: Path) -> Path:
-    """A checkpoint folder."""
-    out = tmp_path_factory.mktemp("learner") / "made"
-    train_tiny(episodes, out)
-    return out
+def played() -> Episodes:
+    """Three episodes of macro-actions, as if each had reached its goal."""
+    episodes = rollouts(make_policy(PolicyConfig(policy="scripted")), TASK, [1, 2, 3])
+    episodes.episodes["success"][:] = np.array([True, True, False])
+    return episodes
 
 
-def train_tiny(episodes: Path, out: Path, **changes: Any) -> None:
-    from knotgym.learn.train_config import TrainConfig
-    from knotgym.learn.training import train
+@pytest.fixture(scope="session")
+def data(tmp_path_factory: pytest.TempPathFactory, played: Episodes) -> Path:
+    return published(tmp_path_factory.mktemp("data"), played)
 
-    existing = Existing(resume=changes.pop("resume", False))
-    train([episodes], out, TrainConfig(**{**TINY, **changes}), existing=existing, quiet=True)
+
+@pytest.fixture(scope="session")
+def learner(tmp_path_factory: pytest.TempPathFactory, data: Path) -> Path:
+    return train([data], tmp_path_factory.mktemp("learner") / "made", READER)
+
+
+@pytest.fixture(scope="session")
+def clone(tmp_path_factory: pytest.TempPathFactory, data: Path) -> Path:
+    return train([data], tmp_path_factory.mktemp("clone") / "made", CLONE)

@@ -30,17 +30,17 @@ def changed(learner: Path, tmp_path: Path, **card: object) -> Path:
 
 def refusal(folder: Path) -> str:
     from knotgym.common.errors import InvalidFile
-    from knotgym.learn.checkpoint import load_policy
+    from knotgym.learn.checkpoint import load_reader
 
     with pytest.raises(InvalidFile) as raised:
-        load_policy(str(folder))
+        load_reader(str(folder))
     return str(raised.value)
 
 
 def test_a_learner_comes_back_as_it_was_kept(learner: Path) -> None:
-    from knotgym.learn.checkpoint import load_policy
+    from knotgym.learn.checkpoint import load_reader
 
-    one, other = load_policy(str(learner)), load_policy(str(learner))
+    one, other = load_reader(str(learner)), load_reader(str(learner))
     assert np.array_equal(one.starts, other.starts) and one.starts.shape == (3, 3)
 
 
@@ -90,7 +90,7 @@ def test_weights_that_are_not_finite_are_refused(learner: Path, tmp_path: Path) 
 
 
 def test_weights_of_another_type_are_refused(learner: Path, tmp_path: Path) -> None:
-    assert "places is float64 (3, 3), should be" in refusal(
+    assert "places is float64 (3, 3), should be float32" in refusal(
         forged(learner, tmp_path, "places", lambda tensor: tensor.double())
     )
 
@@ -103,3 +103,15 @@ def test_a_pipe_is_not_waited_for(learner: Path, tmp_path: Path) -> None:
         (copy / name).unlink()
         os.mkfifo(copy / name)
         assert refusal(copy).isprintable()
+
+
+def test_a_clone_is_as_large_as_its_weights_whatever_its_card_says(
+    clone: Path, tmp_path: Path
+) -> None:
+    from knotgym.common.errors import InvalidFile
+    from knotgym.learn.clone_policy import load_clone
+
+    huge = changed(clone, tmp_path, config={"width": 10**9, "layers": 10**9, "guided": False})
+    assert len(load_clone(huge).network.norm.weight) == 16
+    with pytest.raises(InvalidFile, match="don't make a clone"):
+        load_clone(forged(clone, tmp_path / "forged", "codes.2.weight", lambda own: own[:8]))

@@ -11,11 +11,6 @@ from numpy.typing import NDArray
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
 
-from knotgym.control.transition_counts import TransitionCounts  # noqa: E402
-from knotgym.control.transition_graph import (  # noqa: E402
-    TransitionGraph,
-    TransitionGraphConfig,
-)
 from knotgym.learn.agent import Agent  # noqa: E402
 from knotgym.learn.imagination import BEADS, imagine  # noqa: E402
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses  # noqa: E402
@@ -99,9 +94,8 @@ def test_similar_hypotheses_are_merged(tracked: tuple[ShapeHypotheses, TwoReadin
 
 
 def test_the_code_shown_is_not_the_goal_while_the_episode_continues() -> None:
-    graph = TransitionGraph(TransitionCounts(), TransitionGraphConfig())
     reader: Any = TwoReadings(tilted_loop())
-    agent = Agent(reader, graph, np.zeros((1, 3)))
+    agent = Agent(reader, np.zeros((1, 3)))
     agent.begin(0, np.random.default_rng(0), 50)
     episode, plain, kink = agent._episodes[0], GaussCode.parse(""), GaussCode.parse("1+,1-")
     episode.goals = {plain: 0.6, kink: 0.4}

@@ -1,193 +1,142 @@
-"""Training: the same bytes every time, broken off or not, and on nothing but train episodes."""
+"""Training: the same bytes every time, interrupted or not, and on nothing but train episodes."""
 
 from __future__ import annotations
 
 import csv
 import json
 import os
-import shutil
-import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
-from ..small_job import knotgym
-from .conftest import train_tiny
+from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile, Occupied
+from knotgym.datasets.episodes import Episodes
+from knotgym.runs.run import staging_folder
+
+from .conftest import CLONE, READER, TASK, published, train, weights
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
 pytest.importorskip("safetensors")
 
 
-def weights(folder: Path) -> bytes:
-    return (folder / "weights.safetensors").read_bytes()
-
-
-def test_the_same_seed_and_data_give_the_same_weights(
-    episodes: Path, learner: Path, tmp_path: Path
+@pytest.mark.parametrize("config", [READER, CLONE], ids=["reader", "clone"])
+def test_an_interrupted_training_ends_with_the_same_weights(
+    config: Any, data: Path, tmp_path: Path, request: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    train_tiny(episodes, tmp_path / "again")
-    assert weights(tmp_path / "again") == weights(learner)
+    from knotgym.learn.training import Training
 
+    whole = request.getfixturevalue("learner" if config is READER else "clone")
+    out, save = tmp_path / "broken", Training.save
 
-def test_another_seed_gives_others(episodes: Path, learner: Path, tmp_path: Path) -> None:
-    train_tiny(episodes, tmp_path / "other", seed=1)
-    assert weights(tmp_path / "other") != weights(learner)
+    def save_and_stop(training: Training, path: Path) -> None:
+        save(training, path)
+        raise KeyboardInterrupt
 
-
-def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
-    episodes: Path, learner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from knotgym.learn.reader_training import ReaderTraining
-
-    advance = ReaderTraining.advance
-
-    def break_off(training: ReaderTraining) -> None:
-        if training.step == 3:  # one step after the last that was kept
-            raise KeyboardInterrupt
-        advance(training)
-
-    monkeypatch.setattr(ReaderTraining, "advance", break_off)
+    monkeypatch.setattr(Training, "save", save_and_stop)
     with pytest.raises(KeyboardInterrupt):
-        train_tiny(episodes, tmp_path / "broken")
+        train([data], out, config)
     monkeypatch.undo()
-    assert not (tmp_path / "broken" / "weights.safetensors").exists()
-    train_tiny(episodes, tmp_path / "broken", resume=True)
-    assert weights(tmp_path / "broken") == weights(learner)
+    assert not out.exists()
+    with pytest.raises(Occupied, match="--resume continues it"):
+        train([data], out, config)
+    with pytest.raises(InvalidInput, match="seed is 0 there and 1 here"):
+        train([data], out, replace(config, seed=1), resume=True)
+    train([data], out, config, resume=True)
+    assert weights(out) == weights(whole)
+    assert (out / "policy.json").read_bytes() == (whole / "policy.json").read_bytes()
+    assert not staging_folder(out).exists()
+    train([data], out, config, resume=True)  # it is finished already
 
 
-def test_the_curve_has_a_row_for_the_last_steps(learner: Path) -> None:
+def test_another_seed_gives_others(data: Path, learner: Path, tmp_path: Path) -> None:
+    assert weights(train([data], tmp_path / "other", replace(READER, seed=1))) != weights(learner)
+
+
+def test_the_curve_and_the_card_say_how_it_was_trained(learner: Path) -> None:
     with (learner / "curve.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert rows and {"step", "join", "correct"} == set(rows[0])
     assert (learner / "curve.png").stat().st_size > 0
-
-
-def test_the_card_says_what_was_trained_on(learner: Path) -> None:
     card = json.loads((learner / "policy.json").read_text())
     assert card["episodes"] == 3 and card["config"]["steps"] == 6
 
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Type `knotgym train`, which must say one line and end with status 2."""
-    assert knotgym("train", *arguments, "--quiet") == 2
-    said = capsys.readouterr().err.strip()
-    assert said.count("\n") == 0
-    return said
+def test_a_finished_learner_is_not_replaced(data: Path, learner: Path) -> None:
+    with pytest.raises(Occupied, match="exists already"):
+        train([data], learner, READER)
 
 
-def test_a_folder_in_use_is_refused(
-    episodes: Path, learner: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"split": "test"}, "test split"),
+        ({"integrator_steps": 30, "engine": "mujoco"}, "30 integrator steps"),
+    ],
+)
+def test_episodes_of_another_kind_are_refused(
+    changes: Any, message: str, played: Episodes, tmp_path: Path
 ) -> None:
-    assert "exists already" in refused(capsys, "--data", episodes, "--out", learner)
-
-
-def test_resuming_another_training_names_what_differs(tmp_path: Path) -> None:
-    training = pytest.importorskip("knotgym.learn.training")
-    begun = {"config": {"steps": 6, "seed": 0}, "data_sha256": "ab"}
-    (tmp_path / training.REQUEST).write_text(json.dumps(begun))
-    asked = {"config": {"steps": 9, "seed": 0}, "data_sha256": "ab"}
-    with pytest.raises(training.InvalidInput, match=r"config\.steps is 6 there and 9 here;"):
-        training.begin_training(tmp_path, asked)
-
-
-def test_a_missing_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "no episodes at" in refused(capsys, "--data", tmp_path / "no", "--out", tmp_path / "new")
+    other = published(tmp_path, played, replace(TASK, **changes))
+    with pytest.raises(InvalidInput, match=message):
+        train([other], tmp_path / "new", READER)
     assert not (tmp_path / "new").exists()
 
 
-def copied(episodes: Path, tmp_path: Path) -> tuple[Path, Path]:
-    """A copy of the set, and its file."""
-    copy = tmp_path / "copy"
-    shutil.copytree(episodes, copy)
-    return copy, copy / "data" / "main_data.hdf5"
+def test_nothing_to_learn_from_is_one_line(played: Episodes, tmp_path: Path) -> None:
+    for config in (READER, CLONE):
+        with pytest.raises(InvalidInput, match="nothing to learn from"):
+            train([], tmp_path / "new", config)
+    with pytest.raises(InvalidInput, match="has no episodes"):
+        train([published(tmp_path, played.select([]))], tmp_path / "new", READER)
+    with pytest.raises(InvalidInput, match="no episode reached its goal"):
+        train([published(tmp_path, played.select([2]), name="b")], tmp_path / "new", CLONE)
+    with pytest.raises(MissingFile, match="no episodes at"):
+        train([tmp_path / "no"], tmp_path / "new", READER)
 
 
-def test_a_set_of_the_test_split_is_refused(
-    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    copy, path = copied(episodes, tmp_path)
-    with h5py.File(path, "a") as file:
-        file.attrs["task"] = json.dumps({**json.loads(file.attrs["task"]), "split": "test"})
-    assert "test split" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
+def test_a_prediction_is_of_the_forces_that_were_applied(played: Episodes) -> None:
+    from knotgym.learn.training_data import states_and_pulls
+
+    own = states_and_pulls([played, played])
+    steps, count = played.steps, played.steps.rows
+    assert own.beads[0] == -1 and own.beads[count] == -1
+    assert own.starts.tolist()[3:] == [count + start for start in own.starts.tolist()[:3]]
+    np.testing.assert_array_equal(own.beads[1:3], steps["bead"][:2])
+    np.testing.assert_array_equal(own.forces[1], steps["force"][0] * steps["share"][0])
 
 
-def test_a_prediction_is_of_the_forces_that_were_applied(episodes: Path, tmp_path: Path) -> None:
-    from knotgym.learn.training_data import read_training_data
-
-    copy, path = copied(episodes, tmp_path)
-    with h5py.File(path, "a") as file:
-        group = file[min(name for name in file if "actions" in file[name])]["infos"]
-        group["force"][1], group["applied_share"][1] = group["force"][1] / 2, 0.5
-        force = group["force"][1]
-    data = read_training_data([copy], "mujoco")
-    assert (data.forces == force).all(axis=1).any()
-
-
-def test_an_empty_set_is_refused(
-    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    copy, path = copied(episodes, tmp_path)
-    with h5py.File(path, "a") as file:
-        file.attrs["index"] = np.zeros((0, 2), dtype=np.int32)
-        for name in list(file):
-            del file[name]
-    assert "has no episodes" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
-
-
-def test_a_truncated_set_is_refused(
-    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    copy, path = copied(episodes, tmp_path)
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
-    assert "isn't a whole episode file" in refused(
-        capsys, "--data", copy, "--out", tmp_path / "new"
-    )
-
-
-def test_a_set_of_another_rope_is_refused(
-    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    copy, path = copied(episodes, tmp_path)
-    with h5py.File(path, "a") as file:
-        file.attrs["rope"] = "another"
-    assert "made with rope another" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
-
-
-@pytest.mark.parametrize("learner", ["pictures", "clone"])
-def test_a_set_of_another_engine_is_refused_unless_it_is_asked_for(
-    learner: str, episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    copy, path = copied(episodes, tmp_path)
-    with h5py.File(path, "a") as file:
-        file.attrs["task"] = json.dumps({**json.loads(file.attrs["task"]), "engine": "chain"})
-    words = ("--learner", learner, "--out", tmp_path / "new", "--data")
-    assert "made with engine chain" in refused(capsys, *words, copy)
-    assert "made with engine mujoco" in refused(capsys, *words, episodes, "--engine", "chain")
-    assert "no engine 'x'" in refused(capsys, *words, episodes, "--engine", "x")
-
-
-def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
+def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:
     import torch
 
-    from knotgym.common.errors import InvalidInput
-    from knotgym.learn import training
+    from knotgym.learn.training import Training
 
-    path = tmp_path / training.UNDER_WAY
-    (tmp_path / training.REQUEST).write_text("{}")
-    training.keep_training(tmp_path, {"losses": torch.ones(64, 2)}, time.perf_counter() - 60)
-    kept, began = training.begin_training(tmp_path, {})
-    assert kept.keys() == {"losses"}
-    assert time.perf_counter() - began > 60  # the time until it was interrupted counts
+    class Tiny(Training):
+        def advance(self) -> None:
+            self.minimize(self.network(torch.ones(1, 2)).sum())
+
+    def tiny() -> Tiny:
+        return Tiny(torch.nn.Linear(2, 1), 0.1, 0.0, 4)
+
+    training, path = tiny(), tmp_path / "checkpoint"
+    training.advance()
+    training.save(path)
+    again = tiny()
+    again.restore(path)
+    assert again.step == 1
+    training.advance()
+    again.advance()
+    for name, own in training.network.state_dict().items():
+        assert torch.equal(own, again.network.state_dict()[name])
     raw = bytearray(path.read_bytes())
-    raw[-50] ^= 1
+    raw[-5] ^= 1
     path.write_bytes(raw)
-    with pytest.raises(InvalidInput, match="its checksum differs"):
-        training.begin_training(tmp_path, {})
+    with pytest.raises(InvalidFile, match="can't be continued from"):
+        tiny().restore(path)
     path.unlink()
     os.mkfifo(path)
-    with pytest.raises(InvalidInput, match="isn't a regular file"):
-        training.begin_training(tmp_path, {})
+    with pytest.raises(InvalidFile, match="isn't a regular file"):
+        tiny().restore(path)

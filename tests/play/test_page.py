@@ -94,8 +94,8 @@ def test_garbage_ends_the_tab_that_sent_it(page: Page) -> None:
     until(lambda: len(page.players) == 1)
     player = next(iter(page.players.values()))
     good.socket.recv()
-    player._wants(lambda: player.session.pull(3, (1, 0, 0)))
-    until(lambda: len(player.session.actions) == 1)
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: len(player.session.pulls) == 1)
 
 
 def test_a_flood_delays_nobody_else(page: Page) -> None:
@@ -106,10 +106,10 @@ def test_a_flood_delays_nobody_else(page: Page) -> None:
     until(lambda: len(page.players) == 2)
     for number in range(10_000):
         loud.drag(number % 100, (0.1, 0.1, 0.0))
-    player._wants(lambda: player.session.pull(3, (1, 0, 0)))
-    until(lambda: len(player.session.actions) == 1)
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: len(player.session.pulls) == 1)
     other = page.players[max(page.players)]
-    assert len(other.session.actions) <= TASK.horizon
+    assert len(other.session.pulls) <= TASK.horizon
     quiet.socket.close()
     loud.socket.close()
     until(lambda: not page.players)  # a closed tab frees its rope
@@ -129,9 +129,45 @@ def test_a_drag_of_nonsense_is_harmless(page: Page, bead: Any, place: Any) -> No
         tab.drag(bead, place, "start")
         tab.drag(bead, place)
         tab.drag(bead, place, "end")
-    player._wants(lambda: player.session.pull(3, (1, 0, 0)))
-    until(lambda: player.session.actions or not page.players)
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: player.session.pulls or not page.players)
     assert np.isfinite(player.session.points).all()
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [{"Origin": "https://evil.example"}, {"Host": "evil.example"}],
+    ids=["another site's page", "another site's name for this machine"],
+)
+def test_pages_of_other_sites_are_not_let_in(page: Page, headers: dict[str, str]) -> None:
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    protocols: Any = [f"viser-v{viser.__version__}"]
+    host = headers.pop("Host", "127.0.0.1")
+    with socket.create_connection(("127.0.0.1", port_of(page))) as wire:
+        with pytest.raises(InvalidStatus, match="403"):
+            uri = f"ws://{host}:{port_of(page)}"
+            connect(uri, sock=wire, subprotocols=protocols, additional_headers=headers)
+    Tab(port_of(page))
+    until(lambda: len(page.players) == 1)
+
+
+def test_no_tab_can_open_a_tunnel_to_a_public_host(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from viser import _viser
+
+    opened: list[Any] = []
+    monkeypatch.setattr(_viser, "ViserTunnel", lambda *given: opened.append(given))
+    tab = Tab(port_of(page))
+    until(lambda: page.players)
+    tab.say("ShareUrlRequest")
+    player = page.players[0]
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: player.session.pulls)
+    assert page._server.request_share_url() is None and not opened
 
 
 def test_every_other_host_asks_for_a_token(page: Page) -> None:

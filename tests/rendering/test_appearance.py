@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidInput
-from knotgym.rendering.appearance import (
-    SIZES,
-    VARIED,
-    Appearance,
-    AppearanceConfig,
-    appearance,
-    render,
-)
+from knotgym.rendering.appearance import Appearance, appearance, render
+from knotgym.rendering.appearance_config import SIZES, VARIED, AppearanceConfig
 from knotgym.rendering.picture import crossing_pixels, draw
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import find_crossings, label

@@ -8,10 +8,9 @@ import pytest
 
 from knotgym.common.errors import InvalidInput
 from knotgym.control.action_sequence import step_ropes
+from knotgym.rope.macro_action_config import KINDS, MacroActionConfig
 from knotgym.rope.macro_actions import (
-    KINDS,
     MacroAction,
-    MacroActionConfig,
     WaypointController,
     cumulative_shares,
     pass_strand,
@@ -123,12 +122,12 @@ def test_shares_decide_what_is_drawn(rope: Rope) -> None:
 @pytest.mark.parametrize(
     ("settings", "problem"),
     [
-        ({"shares": (1.0, 0.0, 0.0)}, "4 numbers"),
+        ({"shares": (1.0, 0.0, 0.0)}, "shares"),
         ({"shares": (0.0, 0.0, 0.0, 0.0)}, "not all 0"),
         ({"arrived": 0.0}, "arrived must be above 0"),
-        ({"distance": (0.2, 0.03)}, "the smaller one first"),
-        ({"pass_apart": 0}, "whole number of at least 1"),
-        ({"lift": float("nan")}, "lift must be at least 0"),
+        ({"distance": (0.2, 0.03)}, "the smaller number first"),
+        ({"pass_apart": 0}, "at least 1"),
+        ({"lift": float("nan")}, "lift must be a finite"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], problem: str) -> None:

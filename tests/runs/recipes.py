@@ -5,11 +5,20 @@ A row makes an output of a few calls, in a second or so, in any process.
 
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes.collect import collect
+from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.evaluate import run as evaluate
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+from knotgym.generate.images.image_recipe import make_images
+from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.run import Call, Recipe, run
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
@@ -35,7 +44,32 @@ def made_toy(out: Path, options: RunOptions) -> Path:
     return run(toy, out, {"config": {"toy": 0}}, options)
 
 
-RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {"toy": made_toy}
+CHAIN = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=5)
+
+
+def collected(out: Path, options: RunOptions) -> Path:
+    policy = PolicyConfig(policy="scripted")
+    config = CollectConfig(task=CHAIN, policy=policy, episodes=130, dataset_id=out.name)
+    return collect(config, out.parent, options)
+
+
+def evaluated(out: Path, options: RunOptions) -> Path:
+    evaluate(EvaluateConfig(nx=(1, 2), episodes=70, task=CHAIN), options, out=out)
+    return out if options.shard.is_whole else options.shard.journal(out)
+
+
+def made_images(out: Path, options: RunOptions) -> Path:
+    config = ImagesConfig(nx=(0, 1), count=8, engine="chain", pulls=4, ropes=2, rows_per_file=2)
+    return make_images(config, out, options)
+
+
+RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {
+    "toy": made_toy,
+    "collect-v0": collected,
+    "evaluate.json": evaluated,
+}
+if find_spec("pyarrow") is not None:
+    RECIPES["images"] = made_images
 
 if __name__ == "__main__":  # python -m tests.runs.recipes NAME OUT WORKERS [SHARD]
     name, out, workers, *shard = sys.argv[1:]

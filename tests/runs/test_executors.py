@@ -17,9 +17,10 @@ from typing import Any
 import pytest
 
 from knotgym.common.errors import InvalidInput
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.generate.episodes.collect import collect
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.run_options import RunOptions
@@ -158,7 +159,7 @@ def test_options_that_do_not_go_together_are_refused(
 def test_a_wrong_executor_is_one_line_and_writes_nothing(
     command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert knotgym(command, "--executor", "mpi", "--out", tmp_path / "a") == 2
+    assert knotgym(command, "--set", "run.executor=mpi", "--out", tmp_path / "a") == 2
     assert (
         said(capfd) == ["knotgym: --executor takes local or dask, got 'mpi'"]
         and list(tmp_path.iterdir()) == []
@@ -259,7 +260,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
 @with_arrow
 @pytest.mark.slow
 def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
-    config = ImagesConfig(nx=(0, 1), count=12, steps=4, stride=2, rows_per_file=5)
+    config = ImagesConfig(nx=(0, 1), count=12, pulls=4, stride=2, rows_per_file=5)
     with cluster(tmp_path, 2) as (scheduler, _, _):
         make_images(config, tmp_path / "there", on(scheduler))
     make_images(config, tmp_path / "here", RunOptions(workers=1, quiet=True))
@@ -274,7 +275,14 @@ def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
     out = tmp_path / "nx0-1"
     with cluster(tmp_path, 1) as (scheduler, _, _):
         words = typed(
-            "generate", *WANTED, "--executor", "dask", "--scheduler", scheduler, "--out", out
+            "generate",
+            *WANTED,
+            "--set",
+            "run.executor=dask",
+            "--set",
+            f"run.scheduler={scheduler}",
+            "--out",
+            out,
         )
         run = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         while not (tmp_path / ".nx0-1.partial" / "run.json").exists() and run.poll() is None:
@@ -329,7 +337,7 @@ def test_a_worker_out_of_memory_is_one_line_and_what_was_finished_is_kept(
     capfd.readouterr()
     preload = spoilt(tmp_path, done, after=8)  # in the second shard
     with cluster(tmp_path, 1, "--preload", str(preload)) as (scheduler, _, _):
-        dask = ("--executor", "dask", "--scheduler", scheduler)
+        dask = ("--set", "run.executor=dask", "--set", f"run.scheduler={scheduler}")
         wait_for_a_worker(scheduler)
         monkeypatch.setattr(dask_executor, "WAIT", 2.0)
         assert knotgym(*words, tmp_path / "a", *dask) == 1
@@ -355,7 +363,7 @@ def test_a_worker_of_another_version_is_one_line(
     other = tmp_path / "other.py"
     other.write_text("import knotgym\nknotgym.__version__ = '0.0.9'\n")
     with cluster(tmp_path, 1, "--preload", str(other)) as (scheduler, _, _):
-        dask = ("--executor", "dask", "--scheduler", scheduler)
+        dask = ("--set", "run.executor=dask", "--set", f"run.scheduler={scheduler}")
         assert knotgym(*COLLECT, *dask, "--quiet", "--out", tmp_path / "a") == 2
     (line,) = said(capfd)
     assert line.startswith("knotgym: a worker has knotgym 0.0.9 and MuJoCo ")

@@ -9,7 +9,6 @@ import contextlib
 import functools
 import importlib.util
 import itertools
-import json
 import os
 import resource
 import shutil
@@ -20,14 +19,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from knotgym.generate.episodes import collect as collecting
 from knotgym.runs import engine
 
 from ..cli.test_generate_command import bytes_of, held, said
-from ..small_job import SECONDS, SETTINGS, WANTED, knotgym, typed, wait_for_file
+from ..small_job import SECONDS, WANTED, knotgym, typed, wait_for_file
 from .test_engine import lockless
 
 with_arrow = pytest.mark.skipif(
@@ -249,59 +247,6 @@ def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_pa
     )
 
 
-@pytest.mark.parametrize("name", ["run.json", "archive-*.h5", "wave-*.npz"])
-def test_a_spoilt_checkpoint_is_one_line(
-    name: str, checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    partial = tmp_path / ".a.partial"
-    shutil.copytree(checkpoint, partial)
-    saved = next(partial.glob(name))
-    saved.write_bytes(saved.read_bytes()[:-100])
-    assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 2
-    (line,) = said(capfd)
-    assert line.startswith(f"knotgym: {partial} can't be resumed, it is corrupted")
-    assert line.endswith("start with --restart")
-
-
-@pytest.mark.parametrize("key", ["knotgym", "mujoco", "numpy", "opencv"])
-def test_a_checkpoint_of_another_version_is_refused_by_name(
-    key: str, checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    partial = tmp_path / ".a.partial"
-    shutil.copytree(checkpoint, partial)
-    request = json.loads((partial / "request.json").read_text())
-    request["versions"][key] = "0.0.9"
-    (partial / "request.json").write_text(json.dumps(request))
-    assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 2
-    (line,) = said(capfd)
-    assert f'versions.{key} is "0.0.9" there and' in line
-
-
-def test_a_checkpoint_with_other_tuned_numbers_is_refused_by_name(
-    checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(checkpoint, tmp_path / ".a.partial")
-    other = {**json.loads(SETTINGS.read_text()), "stalled": 1}
-    (tmp_path / "more.json").write_text(json.dumps(other))
-    more = ("--settings", tmp_path / "more.json", "--resume", "--workers", 1)
-    assert knotgym("generate", *WANTED, *more, "--out", tmp_path / "a") == 2
-    assert "config.stalled is 0 there and 1 here" in said(capfd)[0]
-
-
-def test_no_checkpoint_is_unpickled(checkpoint: Path) -> None:
-    names = {path.suffix for path in checkpoint.rglob("*") if path.is_file()}
-    assert names <= {".json", ".h5", ".npz", ""}
-    for path in checkpoint.rglob("*.npz"):
-        with np.load(path, allow_pickle=False) as file:
-            assert all(file[name].dtype != object for name in file.files)
-
-
-@pytest.fixture(scope="module")
-def checkpoint(killed: Path) -> Path:
-    """The staging folder of a run that was killed once it had saved a cycle with a state in it."""
-    return killed.parent / f".{killed.name}.partial"
-
-
 def spoil(path: Path) -> None:
     """Change a byte in the middle of a file."""
     data = bytearray(path.read_bytes())
@@ -329,24 +274,6 @@ def test_spoilt_shards_of_a_collection_are_made_anew(
     second.write_text("{")
     assert knotgym(*COLLECT, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
     assert made(tmp_path / "a") == unbroken(COLLECT)
-
-
-@pytest.mark.slow  # the engine and damaged shards are tried by the collection above
-@with_arrow
-def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
-    unbroken: Unbroken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from knotgym.generate.images.image_recipe import ImageRecipe
-
-    with monkeypatch.context() as patch:
-        patch.setattr(ImageRecipe, "finish", stopped)
-        assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 130
-    spoil(next(tmp_path.rglob("*.npz")))
-    spoil(next(tmp_path.rglob("*.parquet")))
-    assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
-    assert made(tmp_path / "a") == unbroken(IMAGES) and [
-        path.name for path in tmp_path.iterdir()
-    ] == ["a"]
 
 
 # What the engine's own tests say of the one engine (test_engine), here of each of the kinds.

@@ -17,10 +17,8 @@ from hypothesis import strategies as st
 
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.image_table import points_of, read_rows, read_table
-from knotgym.generate.states.archive import Archive
 from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import NEAR, apart, distances
-from knotgym.states.state_file import read_states
 
 from ..cli.test_generate_command import bytes_of, said
 from ..small_job import knotgym, typed
@@ -78,7 +76,7 @@ def test_a_part_reads_as_it_is_written() -> None:
 def test_a_shard_with_nothing_to_do_is_refused(
     words: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert knotgym(*words, "--out", tmp_path / "a", "--shard", "3/3", "--workers", 1) == 2
+    assert knotgym(*words, "--out", tmp_path / "a", "--set", "run.shard=3/3", "--workers", 1) == 2
     assert "split the run into fewer shards" in said(capfd)[0]
 
 
@@ -126,7 +124,7 @@ def test_a_shard_of_episodes_verifies_and_resumes_to_itself(
     assert knotgym("dataset", "verify", played[1], "--quiet") == 0
     root, before = played[0].parents[2], bytes_of(played[0])
     assert (
-        knotgym(*COLLECT, "--out", root, "--shard", "1/3", "--resume") == 0
+        knotgym(*COLLECT, "--out", root, "--set", "run.shard=1/3", "--resume") == 0
         and bytes_of(played[0]) == before
     )
     assert "is finished already" in capfd.readouterr().out.replace("\n", " ")
@@ -184,68 +182,6 @@ def test_shards_of_different_runs_are_not_merged(
     assert "only merged with each other" in said(capfd)[0]
 
 
-# States.
-
-
-@pytest.fixture(scope="module")
-def curated_in_parts(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Two shards that go on from another run's archive, the splits without a code in common."""
-    words = ("generate", "--nx", 1, "--count", 2, "--split-by", "code", "--seed", 5)
-    archive = ("--archive", curated / "archive.h5")
-    return in_parts(2, tmp_path_factory.mktemp("states") / "nx1", *words, *archive)
-
-
-@pytest.fixture(scope="module")
-def merged_states(curated_in_parts: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("merged") / "nx1"
-    assert knotgym("dataset", "merge", *curated_in_parts, "--out", out) == 0
-    return out
-
-
-@pytest.mark.slow  # the merged states are verified below
-def test_every_shard_of_states_verifies(curated_in_parts: list[Path]) -> None:
-    assert [path.name for path in curated_in_parts] == ["nx1-shard-1-of-2", "nx1-shard-2-of-2"]
-    assert all(knotgym("dataset", "verify", path, "--quiet") == 0 for path in curated_in_parts)
-
-
-@pytest.mark.slow  # what verify does with a folder of states is tried in tests/cli/test_commands.py
-def test_merged_states_verify_and_are_a_folder_like_any(merged_states: Path, curated: Path) -> None:
-    assert knotgym("dataset", "verify", merged_states, "--quiet") == 0
-    assert {path.name for path in merged_states.iterdir()} == {
-        path.name for path in curated.iterdir()
-    }
-    assert [path.name for path in merged_states.parent.iterdir()] == ["nx1"]
-
-
-@pytest.mark.slow
-def test_merged_states_are_as_many_and_as_even_as_were_asked_for(merged_states: Path) -> None:
-    states = read_states(merged_states / "states.h5")
-    assert states.nx.tolist() == [1, 1]
-    assert sorted(states.gauss_code) == ["1+,1-", "1-,1+"]
-    assert [len(states.rows(1, split)) for split in ("train", "test")] == [1, 1]
-
-
-@pytest.mark.slow
-def test_merged_states_hold_no_two_near_duplicates_nor_a_seed_twice(merged_states: Path) -> None:
-    states = read_states(merged_states / "states.h5")
-    assert all(
-        (distances(states.points[k], states.points[k + 1 :]) >= NEAR).all()
-        for k in range(len(states) - 1)
-    )
-    assert len({tuple(seed) for seed in states.source["seed"]}) == len(states)
-
-
-@pytest.mark.slow
-def test_the_merged_archive_knows_what_any_shard_does(
-    merged_states: Path, curated_in_parts: list[Path]
-) -> None:
-    merged = Archive.load(merged_states / "archive.h5")
-    assert set(merged.niches) == {
-        niche for path in curated_in_parts for niche in Archive.load(path / "archive.h5").niches
-    }
-    assert [row["round"] for row in merged.growth] == list(range(len(merged.growth)))
-
-
 def test_a_state_that_two_shards_made_is_kept_once(rope: Any) -> None:
     loop = rope.loop()
     assert apart(
@@ -255,7 +191,7 @@ def test_a_state_that_two_shards_made_is_kept_once(rope: Any) -> None:
 
 # Pictures.
 
-IMAGES = ("images", "--nx", "0,1", "--count", 4, "--test-share", 0.25)
+IMAGES = ("images", "--nx", "0,1", "--count", 4, "--set", "test_share=0.25")
 
 
 @pytest.fixture(scope="module")

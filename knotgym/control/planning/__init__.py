@@ -8,7 +8,6 @@ from knotgym.control.planning.passes import (
     EVERY_CODE,
     PASSES,
     PassPlan,
-    PassPlannerConfig,
     PassSearch,
     PassValues,
     TriedPass,
@@ -16,7 +15,7 @@ from knotgym.control.planning.passes import (
     random_pass,
 )
 from knotgym.control.planning.planners import PassPlanner, PullPlanner
-from knotgym.control.planning.pulls import PullPlan, PullPlannerConfig, PullSearch
+from knotgym.control.planning.pulls import PullPlan, PullSearch
 
 __all__ = [
     "CHANGES",
@@ -30,13 +29,11 @@ __all__ = [
     "Orders",
     "PassPlan",
     "PassPlanner",
-    "PassPlannerConfig",
     "PassSearch",
     "PassValues",
     "Play",
     "PullPlan",
     "PullPlanner",
-    "PullPlannerConfig",
     "PullSearch",
     "Report",
     "Scripted",

@@ -16,13 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_actions import (
-    Haul,
-    MacroAction,
-    MacroActionConfig,
-    Pass,
-    WaypointFollower,
-)
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import Haul, MacroAction, Pass, WaypointFollower
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.towing import TowBound, distances_towed
 from knotgym.topology.crossings import label_many

@@ -29,9 +29,9 @@ from knotgym.common.tables import Column, Schema
 from knotgym.control.planning.diagrams import REVERSE, SWITCH, Diagram, see
 from knotgym.control.planning.moves import Moves, Row
 from knotgym.control.planning.passes import DATA
+from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import (
     MacroAction,
-    MacroActionConfig,
     cumulative_shares,
     move_aside,
     pass_strand,

@@ -18,13 +18,8 @@ from knotgym.control.rollouts import Player, Policy, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import quantized
-from knotgym.rope.macro_actions import (
-    LONGEST,
-    MacroActionConfig,
-    Pass,
-    WaypointFollower,
-    propose,
-)
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import LONGEST, Pass, WaypointFollower, propose
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import GaussCode
 
@@ -104,7 +99,7 @@ class _NoisyPlayer(Player):
         self._inner, self._batch, self._noise = policy.inner.player(batch), batch, policy.noise
         self._rngs: dict[int, np.random.Generator] = {}
         self._drawn = np.full(batch.count, -1)  # the step of which it was drawn whether it is noisy
-        self._noisy = np.zeros(batch.count, bool)
+        self._noisy, self._wandering = np.zeros((2, batch.count), bool)
         self.planned = self._inner.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
@@ -114,7 +109,8 @@ class _NoisyPlayer(Player):
         beads = self._batch.simulation.points.shape[1]
         for index, rng in zip(ids.tolist(), own, strict=True):
             self._rngs[index] = rng
-            if rng.random() < _WANDERING:
+            self._wandering[index] = rng.random() < _WANDERING
+            if self._wandering[index]:
                 self._inner.lead(index, random_pass(beads, rng))
 
     def act(self, ids: Ids) -> Pulls:
@@ -129,7 +125,13 @@ class _NoisyPlayer(Player):
         for row, index in enumerate(noisy.tolist()):
             beads[row] = self._rngs[index].integers(count)
             forces[row] = quantized(self._rngs[index].uniform(-1, 1, 3))
-        return _together([Pulls(noisy, beads, forces), self._inner.act(ids[~self._noisy[ids]])])
+        inner = self._inner.act(ids[~self._noisy[ids]])
+        # nobody chose the random pass: it is none of the macro-actions that learners imitate
+        assert inner.macros is not None
+        chosen = (inner.macros[:, 0] > 0) & (self._batch.steps[inner.ids] > 0)
+        self._wandering[np.concatenate([noisy, inner.ids[chosen]])] = False
+        inner.macros[self._wandering[inner.ids]] = 0
+        return _together([Pulls(noisy, beads, forces), inner])
 
 
 @dataclass(frozen=True)

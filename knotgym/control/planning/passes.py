@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.common.configuration import Count, Whole, configuration
 from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
 from knotgym.control.planning.diagrams import (
     IMAGES,
@@ -31,10 +30,11 @@ from knotgym.control.planning.diagrams import (
     see,
 )
 from knotgym.control.planning.moves import Moves
-from knotgym.rope.macro_actions import LONGEST, MacroActionConfig, Pass
+from knotgym.control.policy_config import PassPlannerConfig
+from knotgym.rope.macro_actions import LONGEST, Pass
 from knotgym.rope.model import Array
 from knotgym.rope.towing import TowBound
-from knotgym.states.schema import CODE_SPLITS
+from knotgym.states.split_names import CODE_SPLITS
 from knotgym.topology.gauss import GaussCode
 
 DATA = Path(str(files("knotgym.control.planning") / "data"))
@@ -50,26 +50,6 @@ COUNTED_NX = 5  # most crossings of the diagrams in the tables
 _DOUBT, _DISCOUNT, _SWEEPS = 3.0, 0.97, 16
 _BOUNDED = 4  # times as many candidates where towing is limited: the order doesn't know what tows
 _CLOSE = 8  # fewest beads along the rope between the two of a random pass
-
-
-@configuration
-class PassPlannerConfig:
-    """Settings of the policy `expert`.
-
-    Attributes:
-        candidates: passes tried at a state, at most; four times as many where towing is limited.
-        budget: pulls simulated for a search, at most.
-        steps: pulls of a path to the goal, at most.
-        last_resort: pulls that the planner of pulls may simulate for an episode in which no pass
-            was found.
-        macro_actions: settings of the passes.
-    """
-
-    candidates: Count = 12
-    budget: Count = 2000
-    steps: Count = 50
-    last_resort: Whole = 2000
-    macro_actions: MacroActionConfig = MacroActionConfig()
 
 
 class PassTemplate(NamedTuple):

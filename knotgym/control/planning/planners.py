@@ -17,20 +17,16 @@ from numpy.typing import NDArray
 from knotgym.control.basic_policies import pull_task
 from knotgym.control.planning.batched_search import BatchedSearch, Search
 from knotgym.control.planning.changes import Guide, Proposals, shipped_guide
-from knotgym.control.planning.passes import (
-    PassPlan,
-    PassPlannerConfig,
-    PassSearch,
-    PassValues,
-    pass_values,
-)
-from knotgym.control.planning.pulls import PullPlan, PullPlannerConfig, PullSearch
+from knotgym.control.planning.passes import PassPlan, PassSearch, PassValues, pass_values
+from knotgym.control.planning.pulls import PullPlan, PullSearch
+from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
 from knotgym.control.rollouts import Player, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.macro_actions import LONGEST, MacroActionConfig, Pass, WaypointFollower
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import LONGEST, Pass, WaypointFollower
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
 from knotgym.topology.gauss import GaussCode

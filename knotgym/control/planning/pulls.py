@@ -21,23 +21,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import (
-    Count,
-    NonNegative,
-    Positive,
-    Share,
-    Whole,
-    configuration,
-)
 from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
 from knotgym.control.planning.changes import Distances, Guide, Proposals
-from knotgym.rope.macro_actions import (
-    Haul,
-    MacroAction,
-    MacroActionConfig,
-    cumulative_shares,
-    propose_haul,
-)
+from knotgym.control.policy_config import PullPlannerConfig
+from knotgym.rope.macro_actions import Haul, MacroAction, cumulative_shares, propose_haul
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
 from knotgym.rope.towing import TowBound
@@ -50,52 +37,6 @@ _HAULS = 0.6  # share of a hard rope's macro-actions that are hauls
 _RESTART = 20_000  # simulated pulls after which a plan begins again: other draws may do better
 _FAILURES = 2  # plans from one state that may lead no nearer to the goal, until it begins again
 _LOOK = 4000  # pulls of the first plan; twice as many after each from the root that finds none
-
-
-@configuration
-class PullPlannerConfig:
-    """Settings of the policy `planner`.
-
-    Attributes:
-        budget: pulls simulated for an episode, at most.
-        batch_size: copies of the rope simulated side by side.
-        guided: share of macro-actions that imitate counted ones, where there are any; the rest are
-            random.
-        longest: most pulls of one macro-action.
-        kept: most states kept per code.
-        greed: exponent of the preference for codes near the goal; 0 for no preference.
-        stride: expected pulls per change of code.
-        least_stride: fewest pulls per change of code; a state from which the goal can't be reached
-            in time even at this rate is dropped.
-        unknown_hops: changes of code to the goal assumed where no path is known.
-        patience: delay, in pulls, that makes a state e times less likely to be chosen.
-        weariness: macro-actions from a code that halve its probability to be chosen again.
-        try_cost: pulls that each try of a state counts for when the worst state of a code is
-            dropped.
-        stuck: macro-actions from a code after which other configurations with the same code are
-            kept too.
-        template_noise: standard deviation of an imitated macro-action's positions, in arcs.
-        strange: macro-actions that each crossing too many or too few counts for where no path is
-            known.
-        macro_actions: settings of the macro-actions.
-    """
-
-    budget: Whole = 60000
-    batch_size: Count = 8
-    guided: Share = 0.8
-    longest: Count = 10
-    kept: Count = 6
-    greed: NonNegative = 4.0
-    stride: NonNegative = 6.0
-    least_stride: Whole = 2
-    unknown_hops: Whole = 2
-    patience: Positive = 10.0
-    weariness: Positive = 10.0
-    try_cost: NonNegative = 2.0
-    stuck: Whole = 24
-    template_noise: NonNegative = 0.1
-    strange: NonNegative = 30.0
-    macro_actions: MacroActionConfig = MacroActionConfig()
 
 
 @dataclass(eq=False)

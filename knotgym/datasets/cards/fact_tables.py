@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.image_table import GRADES
 from knotgym.states.splits import IMAGE_SPLITS
@@ -74,7 +72,6 @@ def state_tables(facts: Mapping[str, Any], report: Mapping[str, Any]) -> dict[st
         for nx, reasons in report.get("rejected", {}).items()
         for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     ]
-    grown = growth(report)
     tables = {
         "states": Table(
             "states",
@@ -110,15 +107,6 @@ def state_tables(facts: Mapping[str, Any], report: Mapping[str, Any]) -> dict[st
             ("measure", "unit", "min", "median", "max"),
             quality,
             left=("measure", "unit"),
-        ),
-        "growth": Table(
-            "growth",
-            ("steps", *(f"nx {nx}" for nx in (grown[-1]["known"] if grown else ()))),
-            [
-                (row["steps"], *(f"{n} / {row['accepted'][nx]}" for nx, n in row["known"].items()))
-                for row in grown
-            ],
-            "codes with an action sequence / states accepted, by simulated actions",
         ),
         "rejected": Table(
             "rejected",
@@ -196,13 +184,3 @@ def spread_rows(counts: Mapping[str, Any]) -> list[list[str]]:
         )
         rows.append([nx, *lengths, *beads])
     return rows
-
-
-def growth(report: Mapping[str, Any], rows: int = 12) -> list[dict[str, Any]]:
-    """Thin a run's growth to `rows` rows, geometrically spaced in steps; the last one is kept."""
-    every: list[dict[str, Any]] = report.get("growth", [])
-    if len(every) <= rows:
-        return every
-    steps = np.array([row["steps"] for row in every])
-    wanted = np.geomspace(steps[0], steps[-1], rows)
-    return [every[k] for k in sorted({int(np.argmin(np.abs(steps - at))) for at in wanted})]

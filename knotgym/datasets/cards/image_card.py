@@ -56,7 +56,7 @@ def card(
 ) -> str:
     """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
 
-    `facts` is the table's `summary`; `report` has the numbers of walks and frames, and of frames
+    `facts` is the table's `summary`; `report` has the numbers of ropes and frames, and of frames
     not used, by reason; `size` is that of the shards in bytes.
     """
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in facts["splits"]]
@@ -70,10 +70,12 @@ def card(
         mujoco=mujoco.__version__,
         engine=config["engine"],
         seed=config["seed"],
+        pulls=config["pulls"],
+        policies=" and ".join(config["policies"]),
         code_share=f"{config['code_share']:g}",
         test_nx=", ".join(map(str, config["test_nx"])) or "none",
         **{name: one.markdown() for name, one in image_tables(facts).items()},
-        walks=report["walks"],
+        ropes=report["ropes"],
         frames=report["frames"],
         not_used=plain(json.dumps({**report["dropped"], **report["refused"]})),
         config=json.dumps(config, indent=1, sort_keys=True),

@@ -9,7 +9,9 @@ import numpy as np
 
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import state_tables, table
-from knotgym.states.schema import COLUMNS, RANDOM_WALK, STATE_SPLITS
+from knotgym.quality.limits import UNITS
+from knotgym.states.schema import DRAWING, PLAY, RANDOM_WALK
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.spread import spread_of
 from knotgym.states.state_file import States
@@ -27,7 +29,7 @@ def summary(states: States) -> dict[str, Any]:
         "nx": {str(nx): _counts(states, nx) for nx in sorted(set(states.nx.tolist()))},
         "quality": {
             name: {
-                "unit": states.units[name],
+                "unit": UNITS[name],
                 "min": float(values.min()),
                 "median": float(np.median(values)),
                 "max": float(values.max()),
@@ -41,14 +43,13 @@ def summary(states: States) -> dict[str, Any]:
 def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
 
-    `report` is that of the manifest: existing codes, rejections, actions, growth.
+    `report` is that of the manifest: source, existing codes, rejections, demonstrations.
     """
     facts = summary(states)
     tables = {name: one.markdown() for name, one in state_tables(facts, report).items()}
     columns = [
-        (code_span(one.name), one.kind, plain(one.unit), one.doc)
-        for one in COLUMNS
-        if one.name in states.columns()
+        (code_span(one.name), one.dtype, plain(one.unit), one.doc)
+        for one in states.table.schema.columns
     ]
     return filled(
         "state_card.md",
@@ -59,9 +60,8 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         mujoco=report["mujoco"],
         engine=states.engine,
         seed=config["seed"],
-        holds=_holds(report, any(states.source.get("dataset", ()))),
+        holds=_holds(report),
         made=_made(report),
-        growth=f"## Growth\n\n{tables['growth']}" if "growth" in tables else "",
         **{name: tables.get(name, "") for name in ("states", "overlap", "quality", "spread")},
         rejected=tables.get("rejected", ""),
         columns=table(("column", "type", "unit", "contents"), columns),
@@ -70,40 +70,50 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
 
 
 def _made(report: Mapping[str, Any]) -> str:
-    """Say how many candidates were made."""
-    if report.get("source") == RANDOM_WALK:
-        return (
-            f"{report['attempts']} ropes were pulled at random, for {report['actions']} environment"
-            " steps in total."
+    """Say how many candidates were made, and which codes have no state or no demonstration."""
+    if report.get("source") in (PLAY, RANDOM_WALK):
+        says = f"Frames of {report['attempts']} ropes were examined."
+    else:
+        passed = sum(len(codes) for codes in report["passed_over"].values())
+        says = (
+            f"{report['attempts']} drawings were made; {passed} codes were passed over"
+            " (`passed_over` in `manifest.json`)."
         )
-    passed = sum(len(codes) for codes in report["passed_over"].values())
-    return (
-        f"{report['attempts']} drawings were made, and {report['actions']} actions were simulated"
-        " to find action sequences and follow them."
-        f" {passed} codes were passed over (`passed_over` in `manifest.json`)."
-    )
+    lacking = report.get("undemonstrated", [])
+    if lacking:
+        named = ", ".join(code_span(code or "loop") for code in lacking)
+        says += f"\n\nThe expert reached no goal of these codes: {named}."
+    return says
 
 
-def _holds(report: Mapping[str, Any], demonstrated: bool) -> str:
+_SOURCES = {
+    DRAWING: (
+        "They are drawn from their codes: a row's drawing is made again from its seed, laid in the"
+        " simulator, stirred and left to rest by the row's actions."
+    ),
+    PLAY: (
+        "They are frames of ropes that random and scripted policies pulled, those that are"
+        " readable, not over-twisted and new. A row's actions lead from its start to its state. All"
+        " frames of a rope are in one split."
+    ),
+    RANDOM_WALK: (
+        "They are states as uniform random actions reach them, not selected to be easier to read;"
+        " only over-twisted ones were left out. The actions of a row are drawn from its random"
+        " stream. All frames of a rope are in one split."
+    ),
+}
+
+
+def _holds(report: Mapping[str, Any]) -> str:
     """Say where the states come from, and what else is in the folder."""
-    if report.get("source") == RANDOM_WALK:
-        return (
-            "`states.h5` holds one row per state, as uniform random actions reach them. No state"
-            " was relaxed to be easier to read; only over-twisted ones were left out. The actions"
-            " of a row are drawn from its random stream. States are stored at rest."
-        )
-    states = (
-        "`states.h5` holds one row a state. Most are drawn from their codes: a row's drawing is"
-        " made again from its seed, laid in the simulator, stirred and left to rest by the row's"
-        " actions. Those of policy `play` are where an action sequence ended, at rest."
-    )
-    if not demonstrated:
+    states = f"`states.h5` holds one row a state, at rest. {_SOURCES.get(report['source'], '')}"
+    if not report.get("demonstrations"):
         return states
     return (
-        f"{states} `minari/` holds for each state an action sequence from the start to its Gauss"
-        " code (train and test are datasets of their own): `knotgym.loaders.arrays(FOLDER)` loads"
-        " those of the train split, and Minari finds all with `MINARI_DATASETS_PATH=FOLDER/minari`;"
-        " `archive.h5` holds the action sequences found (`--archive` goes on from it)."
+        f"{states} `minari/` holds demonstrations: {report['demonstrations']} episodes of the"
+        " expert, each of which ends in the Gauss code of a state, its goal (train and test are"
+        " datasets of their own). `knotgym.loaders.arrays(FOLDER)` loads those of the train split,"
+        " and Minari finds all with `MINARI_DATASETS_PATH=FOLDER/minari`."
     )
 
 
@@ -127,5 +137,5 @@ def _counts(states: States, nx: int) -> dict[str, Any]:
         "negative_crossings": signs.count(-1),
         "actions_to_reach": actions,
         "overlap": overlap(states, nx),
-        "spread": spread_of(states.points[rows]).as_json(),
+        "spread": spread_of(states.points[rows]),
     }

@@ -15,7 +15,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -31,40 +31,27 @@ from knotgym.datasets.cards.citation import (
     yaml_string,
 )
 from knotgym.datasets.cards.fact_tables import table
-from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
+from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.exports.croissant import FileObject, croissant
 from knotgym.datasets.exports.parquet_tables import (
     TableColumn,
     picture_columns,
-    state_columns,
-    state_rows,
-    step_columns,
-    step_rows,
+    step_tables,
     write_parquet,
 )
 from knotgym.datasets.gallery import write_gallery, write_picture_gallery
 from knotgym.datasets.image_table import arrow, file_stem, shards
-from knotgym.datasets.page.page_data import dataset_name
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.datasets.located import Sources
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.states.state_file import read_states
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 
 
-class ToUpload(NamedTuple):
-    """The sources of a folder, and the title of its card."""
-
-    title: str
-    states: Path | None = None  # state file
-    episodes: Sequence[Path] = ()  # datasets
-    pictures: Path | None = None  # folder of a perception table
-
-
 def to_huggingface(
-    source: ToUpload,
+    source: Sources,
     out: str | os.PathLike[str],
-    count: Count = uncounted,
     *,
     overwrite: bool = False,
 ) -> None:
@@ -79,7 +66,7 @@ def to_huggingface(
     arrow()
     with atomic_write(out, overwrite=overwrite) as folder:
         folder.mkdir()
-        files = [file for file in _written(source, folder, count) if file.rows]
+        files = [file for file in _written(source, folder) if file.rows]
         if not files:
             raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
         rows: Counter[str] = Counter()
@@ -96,7 +83,7 @@ def to_huggingface(
         write_text(folder / "README.md", _card(source.title, description, folder, files))
 
 
-def _written(source: ToUpload, folder: Path, count: Count) -> Iterator[FileObject]:
+def _written(source: Sources, folder: Path) -> Iterator[FileObject]:
     """Write tables and gallery; yield a description of each file."""
     if source.pictures is not None:
         columns = picture_columns()
@@ -121,31 +108,24 @@ def _written(source: ToUpload, folder: Path, count: Count) -> Iterator[FileObjec
             part = states.taken(np.flatnonzero(states.split == split))
             if len(part):
                 file = f"data/states/{split}-00000-of-00001.parquet"
-                columns = state_columns(part)
-                written = write_parquet(folder / file, columns, state_rows(part))
-                yield FileObject("states", split, file, written, columns)
-    yield from _steps(source.episodes, folder, count)
+                yield FileObject("states", split, file, *write_parquet(folder / file, [part.table]))
+    yield from _steps(source.episodes, folder)
 
 
-def _steps(datasets: Sequence[Path], folder: Path, count: Count) -> Iterator[FileObject]:
-    readers = [(EpisodeReader(path), dataset_name(path)) for path in datasets]
-    if not readers:
-        return
-    engines = sorted({reader.task.engine for reader, _ in readers})
+def _steps(paths: Sequence[Path], folder: Path) -> Iterator[FileObject]:
+    datasets = [columns_of(path) for path in paths]
+    engines = sorted({one.task.engine for one in datasets})
     if len(engines) > 1:
         raise InvalidInput(
             f"trajectories exported together must be of one engine, got {', '.join(engines)};"
             " export those of each engine by themselves"
         )
-    pictures = all(reader.stored in ("pixels", "both") for reader, _ in readers)
-    columns = step_columns(pictures, readers[0][0].column(0, "points").shape[1])
-    for split in dict.fromkeys(reader.task.split for reader, _ in readers):
-        own = [(reader, name) for reader, name in readers if reader.task.split == split]
-        rows = (row for reader, name in own for row in step_rows(reader, name, pictures, count))
+    pictures = all(one.task.observation in ("pixels", "both") for one in datasets)
+    for split in dict.fromkeys(one.task.split for one in datasets):
+        own = [one for one in datasets if one.task.split == split]
+        tables = (table for one in own for table in step_tables(one, pictures))
         file = f"data/steps/{split}-00000-of-00001.parquet"
-        yield FileObject("steps", split, file, write_parquet(folder / file, columns, rows), columns)
-    for reader, _ in readers:
-        reader.close()
+        yield FileObject("steps", split, file, *write_parquet(folder / file, tables))
 
 
 def _card(title: str, description: str, folder: Path, files: Sequence[FileObject]) -> str:

@@ -1,7 +1,8 @@
 """Export Minari datasets as a Minari root whose first level is a Hugging Face repository.
 
     {out}/knotgym/README.md, CITATION.cff, gallery.png, namespace_metadata.json
-    {out}/knotgym/tie-nx3/demonstrations-v0/data/       the datasets, byte for byte
+    {out}/knotgym/tie-nx3/demonstrations-v0/data/       the datasets, byte for byte, and Minari's
+                                                        form of those that lack it
 
 `minari.load_dataset` reads them with MINARI_DATASETS_PATH={out}, and downloads them once they are
 uploaded to hf://USER. All ids must begin with the same word, which Minari takes as the repository.
@@ -11,19 +12,15 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from knotgym.common.atomic_files import atomic_write, copy_file, require_no_links, require_output
-from knotgym.common.configuration import read_json
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import table
-from knotgym.datasets.episode_reader import episode_file
+from knotgym.datasets.episode_dataset import columns_of, episode_file
 from knotgym.datasets.gallery import write_episode_gallery
-from knotgym.datasets.minari_dataset import dataset_files
+from knotgym.datasets.minari_form import METADATA, dataset_files, write_minari
 from knotgym.states.state_file import leads_out
-
-_COUNTS = ("total_episodes", "total_steps")  # of a dataset's metadata
 
 
 def to_minari(
@@ -38,21 +35,21 @@ def to_minari(
         Occupied: `out` exists, and `overwrite` is False.
     """
     require_output(out, folder=True, overwrite=overwrite)
-    entries: dict[str, dict[str, Any]] = {}
+    entries: dict[str, tuple[int, int, str]] = {}
     sources: dict[str, Path] = {}
     for dataset in datasets:
         data = episode_file(dataset).parent
         require_no_links(Path(dataset), dataset_files(data))
-        try:
-            metadata = read_json(data / "metadata.json")
-            name, _ = str(metadata["dataset_id"]), [metadata[key] for key in _COUNTS]
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        opened = columns_of(dataset)
+        if opened.metadata is None:
             raise InvalidInput(
                 f"{dataset} is not a Minari dataset; convert it with knotgym dataset merge --id"
-            ) from error
+            )
+        name, own = opened.name, opened.episodes.episodes
         if name in sources:
             raise InvalidInput(f"two datasets have the id {name}: {sources[name]} and {data}")
-        entries[name], sources[name] = metadata, data
+        policy = opened.metadata.get("algorithm_name", "")
+        entries[name], sources[name] = (own.rows, int(own["length"].sum()), policy), data
     if out_of := [name for name in sources if leads_out(name)]:
         raise InvalidInput(f"the id {out_of[0]!r} of {sources[out_of[0]]} leads out of the folder")
     words = {name.partition("/")[0] for name in sources}
@@ -67,6 +64,8 @@ def to_minari(
             (root / name / "data").mkdir(parents=True)
             for file in dataset_files(data):
                 copy_file(file, root / name / "data" / file.name)
+            if not (data / METADATA).is_file():
+                write_minari(columns_of(root / name), root / name / "data")
         namespace = {"description": "Closed ropes in MuJoCo, goals that are Gauss codes."}
         listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
         write_text(repository / "namespace_metadata.json", json.dumps(listed))
@@ -75,11 +74,8 @@ def to_minari(
         write_text(repository / "README.md", _card(repository.name, entries))
 
 
-def _card(repository: str, entries: dict[str, dict[str, Any]]) -> str:
-    rows = [
-        tuple(map(plain, (name, *(entry.get(key, "") for key in (*_COUNTS, "algorithm_name")))))
-        for name, entry in sorted(entries.items())
-    ]
+def _card(repository: str, entries: dict[str, tuple[int, int, str]]) -> str:
+    rows = [tuple(map(plain, (name, *entry))) for name, entry in sorted(entries.items())]
     return filled(
         "minari_card.md",
         repository=plain(repository),

@@ -16,96 +16,76 @@ pictures. Without the policy it is the id of the environment, see `adapters.ogbe
 
 import os
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import atomic_write, require_output
+from knotgym.common.atomic_files import atomic_write, copy_file, require_output
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_reader import Count, EpisodeReader, goal_axis, uncounted
-from knotgym.datasets.minari_dataset import metadata_of
+from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 
 _TENTH = 10  # every tenth episode is for validation
 _LOOKS = {"pixels": "visual-", "state": ""}
 
 
-def to_ogbench(
-    source: Any,
-    out: str | os.PathLike[str],
-    count: Count = uncounted,
-    *,
-    overwrite: bool = False,
-) -> None:
-    """Write the files into the folder `out`, see `forms.export`; OGBench reads ~/.ogbench/data.
+def to_ogbench(source: Any, out: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the files into the folder `out`; OGBench reads ~/.ogbench/data.
 
     A dataset with both pictures and vertices gives two sets of files.
 
+    Args:
+        source: what `open_episodes` takes.
+        out: the folder.
+        overwrite: replace the files of these names.
+
     Raises:
         InvalidInput: fewer than two episodes, or neither pictures nor vertices.
+        Occupied: a file exists, and `overwrite` is False.
     """
-    reader, folder = EpisodeReader(source), Path(out)
-    shown = reader.task.observation
+    dataset, folder = columns_of(source), Path(out)
+    shown, count = dataset.task.observation, dataset.episodes.episodes.rows
     looks = [name for name in _LOOKS if shown in (name, "both")]
-    if len(reader) < 2 or not looks:
+    if count < 2 or not looks:
         raise InvalidInput(
             "OGBench needs at least 2 episodes of pixels, state or both, for its training and its"
-            f" validation file; {reader.path} has {len(reader)} of {shown}"
+            f" validation file; {dataset.path} has {count} of {shown}"
         )
-    names = {look: _LOOKS[look] + _name(source, reader) for look in looks}
+    names = {look: _LOOKS[look] + _name(dataset) for look in looks}
     files = [f"{name}{end}.npz" for name in names.values() for end in ("-train", "-val", "")]
     for wanted in files:
         require_output(folder / wanted, folder=False, overwrite=overwrite)
-    last = min(_TENTH, len(reader)) - 1
-    parts = {
-        end: [k for k in range(len(reader)) if (k % _TENTH == last) == (end == "-val")]
-        for end in ("-train", "-val")
-    }
+    validates = np.arange(count) % _TENTH == min(_TENTH, count) - 1
     for look, name in names.items():
-        for end, episodes in parts.items():
-            path = folder / f"{name}{end}.npz"
-            with atomic_write(path, overwrite=overwrite) as temporary:
-                arrays: dict[str, Any] = _rows(reader, episodes, look, count)
+        for end, chosen in (("-val", validates), ("-train", ~validates)):
+            with atomic_write(folder / f"{name}{end}.npz", overwrite=overwrite) as temporary:
                 with temporary.open("wb") as file:
-                    np.savez_compressed(file, **arrays)
+                    np.savez_compressed(file, **_arrays(dataset.select(chosen), look))
         with atomic_write(folder / f"{name}.npz", overwrite=overwrite) as temporary:
-            shutil.copyfile(folder / f"{name}-train.npz", temporary)
-    reader.close()
+            copy_file(folder / f"{name}-train.npz", temporary)
 
 
-def _rows(
-    reader: EpisodeReader, episodes: list[int], look: str, count: Count
-) -> dict[str, NDArray[Any]]:
-    """Concatenate the arrays of episodes."""
-    ends = np.cumsum([int(reader.lengths[k]) + 1 for k in episodes])
-    actions = np.zeros((ends[-1], 6), dtype=np.float32)
-    terminals = np.zeros(ends[-1], dtype=bool)
-    terminals[ends - 1] = True
-    observations = np.empty(0)
-    for done, (k, end) in enumerate(zip(episodes, ends, strict=True)):
-        count(f"episodes of {look}", done, len(episodes))
-        start = end - int(reader.lengths[k]) - 1
-        rope = _rope_alone(reader.observations(k, observation=look), reader.task.layout)
-        if not done:
-            observations = np.empty((ends[-1], *rope.shape[1:]), rope.dtype)
-        observations[start:end] = rope
-        actions[start : end - 1] = reader.column(k, "actions")
-    return {"observations": observations, "actions": actions, "terminals": terminals}
+def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
+    steps = dataset.episodes.steps
+    terminals = np.zeros(steps.rows, dtype=bool)
+    terminals[dataset.episodes.last()] = True
+    if look == "state":
+        seen = steps["observation"].reshape(steps.rows, -1)
+    else:
+        from knotgym.envs.observations import picture_config
+        from knotgym.rendering.picture import draw_many
+
+        points = steps["observation"].astype(np.float64)
+        seen = draw_many(points, picture_config(dataset.task))
+    return {"observations": seen, "actions": steps["action"], "terminals": terminals}
 
 
-def _rope_alone(seen: NDArray[Any], layout: str) -> NDArray[Any]:
-    """Return the rope's half of states (T + 1, 6 beads) or pictures (T + 1, size, ...)."""
-    return np.split(seen, 2, axis=1 if seen.ndim == 2 else goal_axis(layout))[0]
-
-
-def _name(source: Any, reader: EpisodeReader) -> str:
+def _name(dataset: EpisodeDataset) -> str:
     """Return task, crossings, policy and version.
 
     OGBench splits names at dashes, so a policy has underscores instead.
     """
-    metadata, task = metadata_of(source), reader.task
-    dataset_id = metadata.dataset_id if metadata else f"{reader.attributes(0)['policy']}-v0"
+    task, policies = dataset.task, dataset.episodes.episodes["policy"]
+    dataset_id = dataset.name if dataset.metadata else f"{policies[0]}-v0"
     policy, _, version = dataset_id.rpartition("/")[2].rpartition("-")
     return f"{task.task}-nx{task.nx}-{re.sub(r'[^0-9A-Za-z_]', '_', policy)}-{version}"

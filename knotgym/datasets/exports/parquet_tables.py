@@ -1,25 +1,49 @@
-"""Tables of states and episodes for Parquet files: columns and rows.
+"""Tables of states and episodes as Parquet files.
 
 Arrays are stored flat, in C order. Column names have an underscore where the state file has a
 slash.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
-from knotgym.datasets.image_table import TABLES, arrow, encode, schema
-from knotgym.states.schema import COLUMNS as STATE_COLUMNS
-from knotgym.states.state_file import States
+from knotgym.common.tables import Column, Schema, Table
+from knotgym.datasets.episode_dataset import EpisodeDataset
+from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
+from knotgym.datasets.image_table import TABLES, arrow, arrow_type, encode
+
+_AT_ONCE = 256  # episodes converted at once
+_TEXTS = (
+    Column("dataset", "text", (), "", "id of the dataset"),
+    Column("policy", "text", (), "", "that acted"),
+    Column("gauss_code", "text", (), "", "Gauss code of the state"),
+    Column("gauss_code_chiral", "text", (), "", "the same with chirality"),
+    Column("goal_gauss_code", "text", (), "", "Gauss code to reach"),
+)
+_PLACES = (
+    Column("episode", "int64", (), "", "number of the episode in its dataset"),
+    Column("step", "int64", (), "", "number of the state in its episode"),
+    Column("is_last", "bool", (), "", "the episode's last state, which has no action"),
+    Column("is_success", "bool", (), "", "the goal has been shown for long enough"),
+    Column("goal_points", "float32", ("beads", 3), "m", "vertices that show the goal"),
+)
+_IMAGE = Column("image", "uint8", ("height", "width", 3), "", "what the environment shows", True)
+# columns that some datasets lack are left out, because a file's rows have the same columns
+_KEPT = tuple(
+    column._replace(name="points") if column.name == "observation" else column
+    for column in STEPS.columns
+    if column.name not in ("visits", "signs") and not column.optional
+)
+ROWS_OF_STEPS = Schema("steps", (*_TEXTS, *_PLACES, *_KEPT, _IMAGE))
 
 
 class TableColumn(NamedTuple):
-    """One column of a table; `kind` is its type in the notation of `image_table.COLUMNS`."""
+    """One column of a Parquet file; `kind` is its type in the notation of `image_table.COLUMNS`."""
 
     name: str
     kind: Any
@@ -27,91 +51,22 @@ class TableColumn(NamedTuple):
     doc: str
 
 
-def state_columns(states: States) -> list[TableColumn]:
-    """Return the columns that a state file has."""
-    known = {column.name: column for column in STATE_COLUMNS}
+def columns_of_table(table: Table) -> list[TableColumn]:
+    """Return the columns in which `write_parquet` stores a table."""
     out = []
-    for name, values in states.columns().items():
-        column = known.get(name)
-        if name == "image":
+    for column in table.schema.columns:
+        values, shape = table[column.name], ""
+        if column.name == "image":
             kind: Any = "image"
         elif values.ndim > 1:
             kind = [values.dtype.name, int(np.prod(values.shape[1:]))]
+            shape = f", {values.shape[1:]}" if values.ndim > 2 else ""
         else:
             kind = "string" if values.dtype.kind == "U" else values.dtype.name
-        shape = f", {values.shape[1:]}" if values.ndim > 2 and name != "image" else ""
-        unit = column.unit if column else states.units.get(name.partition("/")[2], "")
-        doc = column.doc if column else "a measure of the state"
-        out.append(TableColumn(name.replace("/", "_"), kind, unit, doc + shape))
+        out.append(
+            TableColumn(column.name.replace("/", "_"), kind, column.unit, column.doc + shape)
+        )
     return out
-
-
-def state_rows(states: States) -> Iterator[dict[str, Any]]:
-    """Yield the rows, with the columns of `state_columns`."""
-    columns = states.columns()
-    for row in range(len(states)):
-        out = {}
-        for name, values in columns.items():
-            value = values[row]
-            if name == "image":
-                out[name] = _png(value)
-            else:
-                out[name.replace("/", "_")] = value.ravel().tolist() if value.ndim else value.item()
-        yield out
-
-
-def step_columns(pictures: bool, beads: int) -> list[TableColumn]:
-    """Return the columns of a table of episodes, one row per state."""
-    columns = [TableColumn(name, *column) for name, column in TABLES["steps"].items()]
-    ropes = ["float64", 3 * beads]
-    return [
-        column._replace(kind=ropes) if column.name.endswith("points") else column
-        for column in columns
-        if pictures or column.kind != "image"
-    ]
-
-
-def step_rows(
-    reader: EpisodeReader, dataset: str, pictures: bool, count: Count = uncounted
-) -> Iterator[dict[str, Any]]:
-    """Yield the rows, with the columns of `step_columns`; holds one episode in memory."""
-    for index in range(len(reader)):
-        count(f"episodes of {dataset}", index, len(reader))
-        episode = reader.episode(index)
-        states = len(episode) + 1
-        columns: dict[str, Iterable[Any]] = {
-            "dataset": [dataset] * states,
-            "episode": [reader.rows[index]] * states,
-            "step": range(states),
-            "points": episode.points.reshape(states, -1).tolist(),
-            "goal_points": [episode.goal_points.ravel().tolist()] * states,
-            "action": _ended(episode.actions),
-            "reward": _ended(episode.rewards),
-            "terminated": _ended(episode.terminations),
-            "truncated": _ended(episode.truncations),
-            "is_last": (np.arange(states) == len(episode)).tolist(),
-            "gauss_code": episode.gauss_code.tolist(),
-            "gauss_code_chiral": episode.gauss_code_chiral.tolist(),
-            "goal_gauss_code": [episode.goal_gauss_code] * states,
-            "crossings": episode.crossings.tolist(),
-            "is_success": episode.is_success.tolist(),
-            "policy": [episode.policy] * states,
-        }
-        if pictures:
-            seen = reader.observations(index, observation="pixels")
-            columns["image"] = (_png(frame[..., :3]) for frame in seen)
-        for row in zip(*columns.values(), strict=True):
-            yield dict(zip(columns, row, strict=True))
-
-
-def _ended(values: NDArray[Any]) -> list[Any]:
-    """Return T values, one for each action, and a zero for the last state."""
-    return [*values.tolist(), np.zeros_like(values[0]).tolist()]
-
-
-def _png(image: NDArray[np.uint8]) -> dict[str, Any]:
-    """Encode a picture as Hugging Face's feature Image holds it."""
-    return {"bytes": encode(image), "path": None}
 
 
 def picture_columns() -> list[TableColumn]:
@@ -120,16 +75,78 @@ def picture_columns() -> list[TableColumn]:
     return [TableColumn(name, column["type"], "", column["doc"]) for name, column in columns]
 
 
-def write_parquet(
-    path: Path, columns: Sequence[TableColumn], rows: Iterable[dict[str, Any]], group: int = 100
-) -> int:
-    """Write rows in groups of `group`; return how many there were."""
-    pa, parquet = arrow(), arrow("pyarrow.parquet")
-    kinds = schema({column.name: column.kind for column in columns})
+def step_tables(dataset: EpisodeDataset, pictures: bool) -> Iterator[Table]:
+    """Yield a dataset's states, one row each, in tables of some episodes."""
+    for first in range(0, dataset.episodes.episodes.rows, _AT_ONCE):
+        last = min(first + _AT_ONCE, dataset.episodes.episodes.rows)
+        yield _step_table(dataset.select(np.arange(first, last)), first, pictures)
+
+
+def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
+    (own, steps), episode = part.episodes, part.episodes.episode_of()
+    is_last = np.zeros(steps.rows, dtype=bool)
+    is_last[part.episodes.last()] = True
+    columns: dict[str, NDArray[Any]] = {
+        **steps,
+        "points": steps["observation"],
+        "dataset": np.full(steps.rows, part.name),
+        "policy": own["policy"][episode],
+        "gauss_code": gauss_codes(steps["visits"]),
+        "gauss_code_chiral": gauss_codes(steps["visits"], steps["signs"]),
+        "goal_gauss_code": gauss_codes(own["goal_visits"])[episode],
+        "episode": number + episode,
+        "step": ranges(np.zeros_like(own["length"]), own["length"] + 1),
+        "is_last": is_last,
+        "is_success": outcomes(part.episodes, part.task).reached,
+        "goal_points": own["goal_points"][episode],
+    }
+    if pictures:
+        from knotgym.envs.observations import observe, picture_config
+
+        picture, ends = picture_config(part.task), part.episodes.offsets
+        seen = [
+            observe(
+                steps["observation"][ends[k] : ends[k + 1]].astype(np.float64),
+                own["goal_points"][k].astype(np.float64),
+                "pixels",
+                picture,
+            )
+            for k in range(own.rows)
+        ]
+        columns["image"] = np.concatenate(seen)[..., :3]
+    return Table(ROWS_OF_STEPS, columns)
+
+
+def write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, list[TableColumn]]:
+    """Append tables of equal columns to one file; return its rows and columns."""
+    parquet, writer, rows = arrow("pyarrow.parquet"), None, 0
+    columns: list[TableColumn] = []
     path.parent.mkdir(parents=True, exist_ok=True)
-    count, left = 0, iter(rows)
-    with parquet.ParquetWriter(path, kinds, compression="zstd") as writer:
-        while held := list(islice(left, group)):
-            writer.write_table(pa.Table.from_pylist(held, schema=kinds))
-            count += len(held)
-    return count
+    try:
+        for table in tables:
+            made = _arrow_table(table)
+            if writer is None:
+                columns = columns_of_table(table)
+                writer = parquet.ParquetWriter(path, made.schema, compression="zstd")
+            writer.write_table(made, row_group_size=1000)
+            rows += table.rows
+    finally:
+        if writer is not None:
+            writer.close()
+    return rows, columns
+
+
+def _arrow_table(table: Table) -> Any:
+    pa = arrow()
+    arrays = {}
+    for column, values in zip(columns_of_table(table), table.values(), strict=True):
+        kind = arrow_type(pa, column.kind)
+        if column.kind == "image":
+            pictures = [{"bytes": encode(image), "path": None} for image in values]
+            arrays[column.name] = pa.array(pictures, kind)
+        elif values.ndim > 1:
+            flat = pa.array(np.ascontiguousarray(values).ravel())
+            arrays[column.name] = pa.FixedSizeListArray.from_arrays(flat, type=kind)
+        else:
+            arrays[column.name] = pa.array(values.tolist() if column.kind == "string" else values)
+    return pa.table(arrays)

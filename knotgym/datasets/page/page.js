@@ -369,7 +369,6 @@ function showEpisode() {
     ["code", (code || "loop") + (code === episode.goal ? ", the goal's" : "")],
     ["pull", strength ? `bead ${episode.bead[next]}, ${shortened(strength)} N` + (share < 1 ? `, reduced to ${100 * share} %` : "")
       : share < 1 ? "none: it would have pulled the rope apart" : next <= last ? "none, the rope settles" : "none, the episode ended"],
-    ["why", next <= last && episode.moves ? episode.moves[next] : ""],
     ["reward", now ? `${shortened(episode.rewards[now - 1])}, ${shortened(total)} so far` : "0"],
     ["policy", episode.policy], ["split", episode.split], ["seed", episode.seed], ["dataset", episode.set],
   ]);
@@ -396,7 +395,6 @@ function remember(place) {
 function show() {
   if (state.tab === "states") showState();
   if (state.tab === "episodes") showEpisode();
-  if (state.tab === "run" && DATA.growth.length > 1) drawGrowth(by("growth"), DATA.growth);
   if (state.tab === "run" && Object.keys(DATA.rejected).length) drawRejected(by("rejected"), DATA.rejected);
 }
 
@@ -477,7 +475,6 @@ function start() {
   by("notices").hidden = !DATA.notices.length;
   by("notices").textContent = DATA.notices.join(" ");
   facts(by("about"), DATA.about.map(([name, value]) => [name, unfolding(value)]));
-  by("growth-box").hidden = DATA.growth.length < 2;
   by("rejected-box").hidden = !Object.keys(DATA.rejected).length;
   const has = [["states", "States", states.length], ["episodes", "Episodes", DATA.episodes.length], ["run", "Run", 1]];
   for (const [id, name, count] of has)

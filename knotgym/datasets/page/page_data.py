@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import as_json, read_json
+from knotgym.common.configuration import as_json
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.cards.fact_tables import growth
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
+from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import read_table
 from knotgym.datasets.manifest_check import read_manifest, run_report
 from knotgym.quality.limits import UNITS
@@ -30,7 +30,6 @@ MOST_STATES = 1500  # about 1.3 kB each
 MOST_PICTURES = 400  # about 8 kB more each
 MOST_FRAMES = 7000  # states of all episodes, about 1.1 kB each
 MOST_STEPS = 1000  # steps of one episode
-_GROWTH_ROWS = 200
 _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 
 
@@ -54,7 +53,7 @@ def page_data(
     """
     rope = RopeConfig()
     notices: list[str] = []
-    lists = ("measures", "words", "states", "episodes", "growth", "about")
+    lists = ("measures", "words", "states", "episodes", "about")
     data: dict[str, Any] = {
         **{name: [] for name in lists},
         **{"title": title, "unit": UNIT, "points": "", "rejected": {}, "notices": notices},
@@ -89,16 +88,6 @@ def sampled(count: int, most: int) -> list[int]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
 
 
-def dataset_name(path: Path) -> str:
-    """Return the dataset id from the metadata, or else the name of the folder or file."""
-    for folder in (path, path / "data", path.parent):
-        try:
-            return str(read_json(folder / "metadata.json")["dataset_id"])
-        except (OSError, ValueError, KeyError, TypeError):
-            continue
-    return path.name
-
-
 def _run(file: Path, notices: list[str]) -> dict[str, Any]:
     """Collect a state file and the report of the run in the manifest beside it."""
     states = read_states(file, images=False)
@@ -111,12 +100,11 @@ def _run(file: Path, notices: list[str]) -> dict[str, Any]:
         "drawings made": report.get("attempts"),
         "simulated actions": report.get("actions"),
         **_versions(states.attributes),
-        "configuration": _cut(states.attributes.get("config", "")),
+        "configuration": _cut(json.dumps(states.attributes.get("config", {}))),
     }
     return {
         **_states(states, notices),
         "about": _pairs(about),
-        "growth": growth(report, _GROWTH_ROWS),
         "rejected": {nx: counts for nx, counts in report.get("rejected", {}).items() if counts},
     }
 
@@ -127,7 +115,7 @@ def _states(states: States, notices: list[str]) -> dict[str, Any]:
     quality = [name for name in states.quality if np.isfinite(states.quality[name]).any()]
     source = states.source
     return {
-        "measures": [{"name": name, "unit": states.units[name]} for name in quality],
+        "measures": [{"name": name, "unit": UNITS[name]} for name in quality],
         "points": _encoded(states.points[rows]),
         "beads": states.points.shape[1],
         "states": [
@@ -187,58 +175,63 @@ def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
 
 def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
     """Collect episodes of datasets, sampled so that they have at most MOST_FRAMES states."""
-    readers = [EpisodeReader(source) for source in sources]
-    every = [(reader, i) for reader in readers for i in range(len(reader))]
-    frames = [min(int(reader.lengths[i]), MOST_STEPS) + 1 for reader, i in every]
+    datasets = [columns_of(source) for source in sources]
+    every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
+    lengths = np.concatenate([one.episodes.episodes["length"] for one in datasets]).tolist()
+    frames = [min(length, MOST_STEPS) + 1 for length in lengths]
     rows = sampled(len(every), int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1)
     # episodes differ in length, so the first guess may be too many
     while len(rows) > 1 and sum(frames[k] for k in rows) > MOST_FRAMES:
         rows = sampled(len(every), len(rows) - 1)
     _notice(notices, rows, len(every), "episodes")
-    if any(int(every[k][0].lengths[every[k][1]]) > MOST_STEPS for k in rows):
+    if any(lengths[k] > MOST_STEPS for k in rows):
         notices.append(f"Longer episodes show their first {MOST_STEPS} steps.")
-    shown = [_episode(*every[k]) for k in rows]
     about = {
-        "task": _cut(as_json(readers[0].task)),
-        "datasets": ", ".join(dict.fromkeys(dataset_name(reader.path) for reader in readers)),
+        "task": _cut(as_json(datasets[0].task)),
+        "datasets": ", ".join(dict.fromkeys(one.name for one in datasets)),
         "episodes": len(every),
-        "steps": int(sum(int(reader.lengths.sum()) for reader in readers)),
-        **readers[0].versions,
+        "steps": sum(lengths),
+        **_versions(datasets[0].attributes.get("versions") or {}),
     }
-    for reader in readers:
-        reader.close()
-    return {"episodes": shown, "about": _pairs(about), "beads": readers[0].task.beads}
-
-
-def _episode(reader: EpisodeReader, index: int) -> dict[str, Any]:
-    episode = reader.episode(index)
-    states = min(len(episode), MOST_STEPS) + 1
-    codes, code = _indexed(episode.gauss_code[:states])
-    chiral, code_chiral = _indexed(episode.gauss_code_chiral[:states])
-    name = dataset_name(reader.path)
     return {
-        "set": name,
-        "name": name.removeprefix("knotgym/"),
-        "number": reader.rows[index],
-        "policy": episode.policy,
-        "goal": episode.goal_gauss_code,
-        "split": reader.task.split,
-        "success": bool(episode.is_success.any()),
+        "episodes": [_episode(*every[k]) for k in rows],
+        "about": _pairs(about),
+        "beads": datasets[0].task.beads,
+    }
+
+
+def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
+    (own, steps), first = dataset.episodes, int(dataset.episodes.offsets[row])
+    count = min(int(own["length"][row]), MOST_STEPS) + 1
+    pulls, states = slice(first, first + count - 1), slice(first, first + count)
+    codes, code = _indexed(gauss_codes(steps["visits"][states]))
+    chiral, code_chiral = _indexed(gauss_codes(steps["visits"][states], steps["signs"][states]))
+    share = steps["share"][pulls].astype(float)
+    force = share[:, None] * steps["force"][pulls] * dataset.task.rope.max_force
+    points = steps["observation"][states].astype(np.float64)
+    goal = own["goal_points"][row].astype(np.float64)
+    return {
+        "set": dataset.name,
+        "name": dataset.name.removeprefix("knotgym/"),
+        "number": row,
+        "policy": str(own["policy"][row]),
+        "goal": str(gauss_codes(own["goal_visits"][row : row + 1])[0]),
+        "split": dataset.task.split,
+        "success": bool(own["success"][row]),
         # as text: a seed can exceed the 53 bits of a JavaScript number
-        "seed": "" if episode.seed is None else str(episode.seed),
-        "points": _encoded(episode.points[:states]),
-        "goal_points": _encoded(episode.goal_points[None]),
-        "goal_x": _crossings(episode.goal_points),
+        "seed": "" if own["seed"][row] < 0 else str(own["seed"][row]),
+        "points": _encoded(points),
+        "goal_points": _encoded(goal[None]),
+        "goal_x": _crossings(goal),
         "codes": codes,
         "code": code,
         "chiral": chiral,
         "code_chiral": code_chiral,
-        "x": [_crossings(points) for points in episode.points[:states]],
-        "bead": episode.bead[:states].tolist(),
-        "force": [[round(float(n), 4) for n in force] for force in episode.force[:states]],
-        "applied_share": episode.applied_share[:states].tolist(),
-        "rewards": [_number(reward) for reward in episode.rewards[: states - 1]],
-        "moves": None if episode.move is None else episode.move[:states].tolist(),
+        "x": [_crossings(one) for one in points],
+        "bead": [-1, *steps["bead"][pulls].tolist()],
+        "force": [[0.0] * 3, *([round(float(n), 4) for n in one] for one in force)],
+        "applied_share": [1.0, *share.tolist()],
+        "rewards": [_number(reward) for reward in steps["reward"][pulls]],
     }
 
 

@@ -1,7 +1,6 @@
-// Plots: timeline of an episode, histogram, growth of a run, rejections.
+// Plots: timeline of an episode, histogram, rejections.
 
 const INK = "#e8ebf2", DIM = "#8b93a7", RULE = "#262c3a";
-const compact = (n) => new Intl.NumberFormat("en", { notation: "compact" }).format(n);
 
 function label(pen, text, x, y, colour = DIM, align = "left") {
   pen.font = "11px system-ui, sans-serif";
@@ -75,42 +74,6 @@ function drawHistogram(canvas, values, low, high_) {
     pen.fillStyle = inside ? ACCENT : RULE;
     const tall = count ? Math.max(2, (high * count) / most) : 0;
     pen.fillRect((wide * k) / 40, high - tall, wide / 40 - 1, tall);
-  });
-}
-
-// at most five round numbers from 0 up to `most`: multiples of 1, 2, 5 or 10 times a power of ten
-function ticks(most) {
-  const least = Math.max(1, most / 4), power = 10 ** Math.floor(Math.log10(least));
-  const step = power * [1, 2, 5, 10].find((times) => times * power >= least);
-  return Array.from({ length: Math.floor(most / step) + 1 }, (_, k) => k * step);
-}
-
-// codes found (thin, dashed) and states accepted (thick) against environment steps
-function drawGrowth(canvas, rows) {
-  const pen = fitted(canvas), wide = canvas.clientWidth, high = canvas.clientHeight;
-  const every = Object.keys(rows[rows.length - 1].known);
-  const most = Math.max(1, ...rows.flatMap((row) => every.flatMap((nx) => [row.known[nx] || 0, row.accepted[nx] || 0])));
-  const last = Math.max(1, rows[rows.length - 1].steps);
-  const x = (steps) => 44 + ((wide - 60) * steps) / last, y = (n) => high - 34 - ((high - 58) * n) / most;
-  for (const n of ticks(most)) {
-    rule(pen, 44, y(n), wide - 16, y(n));
-    label(pen, compact(n), 38, y(n), DIM, "right");
-  }
-  for (const steps of ticks(last)) label(pen, compact(steps), x(steps), high - 20, DIM, "center");
-  label(pen, "environment steps", x(last / 2), high - 6, DIM, "center");
-  every.forEach((nx, k) => {
-    for (const [name, thick, dash] of [["known", 1.5, [4, 4]], ["accepted", 2.5, []]]) {
-      pen.strokeStyle = colourOf(Number(nx));
-      pen.lineWidth = thick;
-      pen.setLineDash(dash);
-      pen.beginPath();
-      rows.forEach((row, i) => pen[i ? "lineTo" : "moveTo"](x(row.steps), y(row[name][nx] || 0)));
-      pen.stroke();
-    }
-    pen.setLineDash([]);
-    pen.fillStyle = colourOf(Number(nx));
-    for (const row of rows) pen.fillRect(x(row.steps) - 3, y(row.accepted[nx] || 0) - 3, 6, 6);
-    label(pen, `nx ${nx}`, 50 + 48 * k, 10, colourOf(Number(nx)));
   });
 }
 

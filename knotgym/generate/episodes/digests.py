@@ -1,20 +1,17 @@
-"""Digests of everything that episodes depend on.
+"""Digests of everything that episodes depend on; results and datasets hold them.
 
-Results and datasets store them; only runs with equal digests are resumed or pooled.
+Only runs with equal digests are resumed or pooled.
 """
 
-import json
 from collections.abc import Iterable
 from typing import Any
 
 from knotgym.common.atomic_files import sha256
-from knotgym.common.configuration import differences
-from knotgym.common.errors import InvalidInput
-from knotgym.control.policies import PolicyConfig, policy_digests
+from knotgym.control.policies import policy_digests
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.task_states import SHIPPED, state_origins
 from knotgym.envs.tasks import TaskConfig
-from knotgym.runs.engine import whole_request
-from knotgym.runs.shards import Shard
+from knotgym.runs.identity import identity
 from knotgym.states.state_file import shipped, ships, states_file
 
 
@@ -39,15 +36,5 @@ def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> di
 
 def digests(source: dict[str, Any]) -> dict[str, Any]:
     """Return `sources` with the `versions` of all code and the fingerprint of the `rope`."""
-    whole = whole_request({"source": source}, Shard())
-    content = {**source, "versions": whole["versions"], "rope": whole["rope"]}
-    # sorted, so that a run and its merged shards have the same bytes
-    ordered: dict[str, Any] = json.loads(json.dumps(content, sort_keys=True))
-    return ordered
-
-
-def require_unchanged(before: dict[str, Any], now: dict[str, Any]) -> None:
-    """Require that the files of policies and states didn't change during the run."""
-    if before != now:
-        changes = "; ".join(differences(before, now))
-        raise InvalidInput(f"files changed while episodes were played, start again: {changes}")
+    whole = identity({}, source)
+    return {**whole["source"], "versions": whole["versions"], "rope": whole["rope"]}

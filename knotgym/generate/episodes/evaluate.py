@@ -6,228 +6,111 @@ splits, the results are a generalization matrix for policies trained on one of t
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.configuration import Count, Seed, Whole, as_json, configuration, read_json
+from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidInput, Occupied
-from knotgym.control.policies import PolicyConfig, make_policy, training_card
-from knotgym.control.rollouts import EVALUATION, Rollout, rollout
-from knotgym.datasets.trajectory import Episode
+from knotgym.common.streams import Stream
+from knotgym.common.tables import Table
+from knotgym.control.policies import make_policy, training_card
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import episode_seed, rollouts
+from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episodes import RECORDED, STEPS, Episodes
 from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.digests import digests, require_unchanged, sources
+from knotgym.generate.episodes.blocks import as_result, blocks, from_result
+from knotgym.generate.episodes.digests import digests, sources
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, show
 from knotgym.runs.compilation import compile_first
-from knotgym.runs.engine import Batch, Recipe
-from knotgym.runs.engine import run as run_recipe
 from knotgym.runs.executors import executor
+from knotgym.runs.identity import identity
 from knotgym.runs.intervals import cluster_interval
-from knotgym.runs.pools import Pool
-from knotgym.runs.progress import Progress, Status, tell_if_long
+from knotgym.runs.journal import Result as Kept
+from knotgym.runs.progress import Progress
+from knotgym.runs.run import Call, Recipe, compute
+from knotgym.runs.run import run as run_recipe
 from knotgym.runs.run_options import RunOptions
-from knotgym.runs.sealed_json import read_sealed, write_sealed
-from knotgym.runs.shards import WHOLE, Shard
 
-SIDE_BY_SIDE = 8  # episodes per piece of work
-_PLANNED = 4  # those of policies that plan: one may take minutes, and finished pieces are kept
-
-
-@configuration
-class EvaluateConfig:
-    """What to evaluate.
-
-    Attributes:
-        policies: each is evaluated on every task, crossing number and split.
-        tasks: tasks, comma-separated: tie, unknot, convert.
-        nx: numbers of crossings: 3, 2,3 or 2-4.
-        splits: splits, comma-separated: train, test, train-code, test-code.
-        episodes: episodes for each policy, task, split and --nx. Episode i is the same for every
-            policy.
-        seed: random seed; the same seed gives the same episodes, and none of them is in a dataset.
-        task: settings shared by all environments; its task, nx and split are not used.
-        filmed: episodes per setup in the film.
-    """
-
-    policies: tuple[PolicyConfig, ...] = (PolicyConfig(),)
-    tasks: tuple[str, ...] = ("tie",)
-    nx: tuple[int, ...] = (2,)
-    splits: tuple[str, ...] = ("test",)
-    episodes: Count = 256
-    seed: Seed = 0
-    task: TaskConfig = TaskConfig(task="tie", observation="state")
-    filmed: Whole = 0
-
-    def __post_init__(self) -> None:
-        if not all((self.policies, self.tasks, self.nx, self.splits)):
-            raise InvalidInput("give at least one policy, task, number of crossings and split")
-        list(self.setups())  # raises if an environment can't be made
-
-    def setups(self) -> Iterator[tuple[PolicyConfig, TaskConfig]]:
-        """Yield every combination of policy and environment."""
-        for policy in self.policies:
-            for task in self.tasks:
-                for split in self.splits:
-                    for nx in self.nx:
-                        yield policy, replace(self.task, task=task, nx=nx, split=split)
-
-
-class PlayedEpisode(NamedTuple):
-    """Outcome of one episode; `start` and `goal` are rows of the state file."""
-
-    start: int
-    goal: int
-    success: bool
-    steps: int
-    total: float
-    planned_actions: int
-    planning_seconds: float
-    failed: bool
-
-
-class _Piece(NamedTuple):
-    """A unit of work: a few episodes of one setup, whose outcomes are written to `path`."""
-
-    policy: PolicyConfig
-    task: TaskConfig
-    numbers: range
-    seed: int
-    filmed: int
-    path: Path | None
-
-
-def _play(piece: _Piece) -> tuple[list[PlayedEpisode], list[Episode]]:
-    """Play the episodes of a piece; return their outcomes and the episodes to film."""
-    policy = make_policy(piece.policy)
-    rollouts = rollout(piece.task, policy, piece.numbers, piece.seed, streams=EVALUATION)
-    films = [one.episode for one in rollouts if one.number < piece.filmed]
-    played = [_played(one) for one in rollouts]
-    if piece.path is not None:
-        write_sealed(piece.path, {"played": played})
-    return played, films
-
-
-def evaluate(
-    config: EvaluateConfig, pool: Pool, progress: Progress | None = None
-) -> tuple[list[Result], list[Episode]]:
-    """Play every setup and write nothing.
-
-    Returns:
-        The results in the order of `config.setups`, and the filmed episodes.
-    """
-    recipe = EvaluationRecipe(config)
-    recipe.play(pool, progress)
-    return recipe.results, recipe.films
-
-
-class EvaluationRecipe(Recipe):
-    """Recipe for an evaluation, see `runs.engine.Recipe`.
-
-    Each unit writes the outcomes of a few episodes. The finished files are the checkpoint. They
-    have no films, so filmed episodes are played again when a run is resumed.
-    """
-
-    def __init__(
-        self,
-        config: EvaluateConfig,
-        video: Path | None = None,
-        overwrite: bool = False,
-        shard: Shard = WHOLE,
-    ) -> None:
-        for policy, task in config.setups():  # refuses before any work is done
-            make_policy(policy).suited(task)
-        self.config, self.video, self.overwrite = config, video, overwrite
-        self.shard, self.numbers = shard, shard.share(config.episodes)
-        if not self.numbers:
-            raise InvalidInput(
-                f"shard {shard} of {config.episodes} episodes has none: split the evaluation into"
-                " fewer shards"
-            )
-        self.engine, self.source = config.task.engine, sources_of(config)
-        self.played: dict[_Piece, list[PlayedEpisode]] = {}
-        self.films: list[Episode] = []
-        self.results: list[Result] = []
-
-    def request(self) -> dict[str, Any]:
-        return {"config": as_json(self.config), "source": self.source}
-
-    def begin(self) -> None:
-        if self.video is not None:
-            require_output(self.video, folder=False, overwrite=self.overwrite)
-
-    def batches(self, folder: Path | None) -> Iterator[Batch]:
-        numbers, setups = self.numbers, list(self.config.setups())
-        for policy, task in setups:
-            count = _PLANNED if policy.core_seconds > 1 else SIDE_BY_SIDE
-            for first in range(0, len(numbers), count):
-                few, name = numbers[first : first + count], f"{len(self.played):06d}.json"
-                path = None if folder is None else folder / name
-                piece = _Piece(policy, task, few, self.config.seed, self.config.filmed, path)
-                self.played[piece] = _finished(path)
-
-        def absorb(piece: _Piece, result: tuple[list[PlayedEpisode], list[Episode]]) -> None:
-            self.played[piece] = result[0]
-            self.films += result[1]
-
-        left = [
-            piece
-            for piece, played in self.played.items()
-            if not played or piece.numbers.start < piece.filmed
-        ]
-        yield Batch(_play, left, absorb, "playing a few episodes at a time")
-        for setup in setups:
-            pieces = [played for piece, played in self.played.items() if piece[:2] == setup]
-            self.results.append(_result(*setup, [one for piece in pieces for one in piece]))
-
-    def play(self, pool: Pool, progress: Progress | None = None) -> None:
-        """Play everything without a staging folder."""
-        for batch in self.batches(None):
-            for done, _ in enumerate(batch.follow(pool), 1):
-                if progress is not None:
-                    progress.stage(batch.name, done, len(batch.units))
-                    progress.show(self.status)
-
-    def status(self) -> Status:
-        total = sum(len(piece.numbers) for piece in self.played)
-        return Status(sum(map(len, self.played.values())), total, "episodes", even=True)
-
-    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
-        require_unchanged(self.source, sources_of(self.config))
-        self.write_film()  # before the output, which says that all is done
-        text = as_text(report(self.config, self.results, self.source, self.shard))
-        folder.write_text(text, encoding="utf-8")
-        return folder
-
-    def write_film(self) -> None:
-        """Write the video, if one is wanted."""
-        if self.video is not None:
-            from knotgym.rendering.video import write_film
-
-            frames = [frame for one in self.films for frame in film(one, self.config.task)]
-            with atomic_write(self.video, overwrite=self.overwrite) as temporary:
-                write_film(temporary, frames)
-
-    def summary(self) -> str:
-        return f"{len(self.results)} results of {len(self.numbers)} episodes each"
-
-
-def _finished(path: Path | None) -> list[PlayedEpisode]:
-    """Return the outcomes in the file of a piece; [] if it isn't finished and intact."""
-    try:
-        return [PlayedEpisode(*one) for one in read_sealed(path)["played"]] if path else []
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
-
-
+# of an episode's row, what results are made of
+_PLAYED = RECORDED.only("start", "goal", "success", "length", "total", "planned", "failed")
 # fields of a learner's card
 _TRAINING = ("weights_sha256", "seconds", "episodes")
+
+
+def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, film: bool) -> Kept:
+    """Play a block of episodes; return whole episodes to be filmed, else the outcomes alone."""
+    seeds = [episode_seed(seed, number, Stream.EVALUATION_EPISODE) for number in numbers]
+    made = rollouts(make_policy(policy), task, seeds, keep=STEPS if film else None)
+    return as_result(made) if film else dict(made.episodes.only(*_names()))
+
+
+class Evaluation:
+    """The results of an evaluation, and the films of its first episodes.
+
+    Attributes:
+        results: one per setup, in the order of `EvaluateConfig.setups`.
+        films: the filmed episodes of each setup.
+    """
+
+    def __init__(self) -> None:
+        self.results: list[Result] = []
+        self.films: list[Episodes] = []
+
+
+def evaluation(config: EvaluateConfig, found: Evaluation) -> Recipe[str]:
+    """Play every setup; fill `found`, and return a summary."""
+    setups = list(config.setups())
+    numbers = blocks(config.episodes, 0)
+    filmed = [range(config.filmed)] if config.filmed else []
+    calls = [
+        Call(f"setup {setup} {few.start}-{few.stop - 1}", play, (*one, few, config.seed, False))
+        for setup, one in enumerate(setups, 1)
+        for few in numbers
+    ]
+    films = [
+        Call(f"film {setup}", play, (*one, few, config.seed, True))
+        for setup, one in enumerate(setups, 1)
+        for few in filmed
+    ]
+    parts = yield [*calls, *films]
+    count = len(numbers)
+    for setup, one in enumerate(setups):
+        own = parts[setup * count : (setup + 1) * count]
+        columns = {name: np.concatenate([part[name] for part in own]) for name in _names()}
+        found.results.append(_result(*one, Table(_PLAYED, columns)))
+    found.films += [from_result(part) for part in parts[len(calls) :]]
+    return f"{len(setups)} results of {config.episodes} episodes each"
+
+
+def evaluate(config: EvaluateConfig, workers: int = 1) -> list[Result]:
+    """Play every setup and write nothing; return the results in the order of `config.setups`."""
+    require_playable(config)
+    found = Evaluation()
+    with executor(workers) as pool:
+        compute(evaluation(config, found), pool=pool)
+    return found.results
+
+
+def require_playable(config: EvaluateConfig) -> None:
+    """Refuse setups whose policies don't fit, before any work is done.
+
+    Raises:
+        InvalidPolicy: a policy doesn't fit a task.
+        InvalidInput: the state file lacks states that a task needs.
+    """
+    for policy, task in config.setups():
+        make_policy(policy).compatible_task(task)
+        state_origins(task)
 
 
 def sources_of(config: EvaluateConfig) -> dict[str, Any]:
@@ -235,8 +118,94 @@ def sources_of(config: EvaluateConfig) -> dict[str, Any]:
     return sources(config.policies, (task for _, task in config.setups()))
 
 
+def run(
+    config: EvaluateConfig,
+    options: RunOptions,
+    *,
+    out: Path | None = None,
+    video: Path | None = None,
+    progress: Progress | None = None,
+) -> list[Result]:
+    """Evaluate, print the results, and write the requested files.
+
+    Args:
+        config: what to evaluate.
+        options: how to execute the run; with `resume`, a finished evaluation is only printed.
+        out: JSON file to write, see `report`; a shard writes its journal beside it.
+        video: film to write, of `config.filmed` episodes per setup, or 2.
+        progress: where progress is shown.
+
+    Returns:
+        The results; none for a shard.
+
+    Raises:
+        InvalidInput: resume, restart or a shard is requested without `out`, or a film of a shard.
+        InvalidPolicy, InvalidInput: as in `require_playable`.
+        InvalidInput, Occupied, Failed: as in `runs.run.run`, and for `video`.
+    """
+    progress = progress or Progress(quiet=True)
+    if out is None and (options.resume or options.restart):
+        raise InvalidInput("--resume and --restart need the --out of the evaluation; give it too")
+    if not options.shard.is_whole and (out is None or video is not None):
+        wrong = "needs the --out of the evaluation" if out is None else "can't be filmed"
+        raise InvalidInput(f"a shard {wrong}")
+    if video is not None:
+        from knotgym.rendering.video import require_film
+
+        require_film(video)
+        config = replace(config, filmed=config.filmed or 2)
+    require_playable(config)
+    source, found = sources_of(config), Evaluation()
+
+    def recipe(place: Path | None) -> Recipe[str]:
+        if video is not None:
+            require_output(video, folder=False, overwrite=options.overwrite)
+        summary = yield from evaluation(config, found)
+        if video is not None:  # before the output, which says that all is done
+            _write_film(config, found, video, options.overwrite)
+        if place is not None:
+            text = as_text(report(config, found.results, source))
+            place.write_text(text, encoding="utf-8")
+        return summary
+
+    def prepare(shown: Progress) -> None:
+        compile_first(shown, config.task.engine, options.workers)
+
+    if out is None:
+        prepare(progress)
+        with executor(options.workers, options.scheduler) as pool:
+            compute(recipe(None), pool=pool)
+    else:
+        run_recipe(
+            recipe,
+            out,
+            identity(config, source),
+            options,
+            progress,
+            is_folder=False,
+            prepare=prepare,
+            sources=lambda: sources_of(config),
+            made_by=_identity_of,
+        )
+        if not options.shard.is_whole:
+            return []
+        if not found.results:  # it was finished already
+            found.results = [Result(**row) for row in read_json(out)["results"]]
+        if video is not None and not video.exists():
+            raise Occupied(
+                f"{out} is finished already, but the film {video} isn't there; --overwrite without"
+                " --resume makes both again"
+            )
+    if not options.quiet:
+        show(found.results, progress.console, config.task.engine)
+    if video is not None:
+        count = sum(one.episodes.rows for one in found.films)
+        progress.say(f"{video}: {count} episodes")
+    return found.results
+
+
 def report(
-    config: EvaluateConfig, results: Sequence[Result], source: dict[str, Any], shard: Shard = WHOLE
+    config: EvaluateConfig, results: Sequence[Result], source: dict[str, Any]
 ) -> dict[str, Any]:
     """Return the content of the result file; `source` is `sources_of(config)` before playing."""
     learners = {
@@ -244,12 +213,12 @@ def report(
         for one in config.policies
         if (card := training_card(one.policy)) is not None
     }
-    made_by = {"settings": asdict(config), "digests": digests(source), "learners": learners}
     return {
         "version": knotgym.__version__,
         **totals(results),
-        **made_by,
-        **({} if shard.is_whole else {"shard": asdict(shard)}),
+        "settings": as_json(config),
+        "digests": digests(source),
+        "learners": learners,
         "results": [asdict(one) for one in results],
     }
 
@@ -274,135 +243,75 @@ def as_text(report: dict[str, Any]) -> str:
     return re.sub(r"\[[-\d\s.,]+\]", lambda found: " ".join(found[0].split()), text) + "\n"
 
 
-def run(
-    config: EvaluateConfig,
-    options: RunOptions,
-    *,
-    out: Path | None = None,
-    video: Path | None = None,
-    progress: Progress | None = None,
-) -> list[Result]:
-    """Evaluate, print the results, and write the requested files.
+def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.uint8]]:
+    """Return the frames of a film of an episode, with all of its views and each pull."""
+    from knotgym.rendering.video import film_frames
 
-    Args:
-        options: how to execute the run; with `resume`, a finished evaluation is only printed.
-        out: JSON file to write, see `report`; a shard writes its own beside it.
-        video: film to write, of `config.filmed` episodes per setup, or 2.
-
-    Raises:
-        InvalidInput: resume, restart or a shard is requested without `out`, or a film of a shard.
-        InvalidInput, Occupied, Failed: as in `runs.engine.run`, and for `video`.
-        InvalidInput: the video format can't be written here.
-        InvalidInput: the state file lacks states that a task needs.
-    """
-    if progress is None:
-        progress = Progress(quiet=True)
-    if out is None and (options.resume or options.restart):
-        raise InvalidInput("--resume and --restart need the --out of the evaluation; give it too")
-    if video is not None:
-        from knotgym.rendering.video import require_film
-
-        require_film(video)
-        config = replace(config, filmed=config.filmed or 2)
-    if not options.shard.is_whole:
-        if out is None or video is not None:
-            wrong = "needs the --out of the evaluation" if out is None else "can't be filmed"
-            raise InvalidInput(f"a shard {wrong}")
-        out = options.shard.file(out)
-    recipe = EvaluationRecipe(config, video, options.overwrite, options.shard)
-    spent = sum(policy.core_seconds for policy, _ in config.setups()) * len(recipe.numbers)
-    tell_if_long(progress, spent, options.workers)
-    if out is not None:
-        run_recipe(recipe, out, options, progress, is_folder=False, made_by=_request_in)
-        if not recipe.results:  # it was finished already
-            recipe.results = [Result(**row) for row in read_json(out)["results"]]
-        if video is not None and not video.exists():
-            raise Occupied(
-                f"{out} is finished already, but the film {video} isn't there; --overwrite without"
-                " --resume makes both again"
-            )
-    else:
-        recipe.begin()
-        compile_first(progress, recipe.engine, options.workers)
-        with executor(options.workers, options.scheduler) as pool:
-            recipe.play(pool, progress)
-        recipe.write_film()
-    if not options.quiet:
-        show(recipe.results, progress.console, config.task.engine)
-    if video is not None:
-        progress.say(f"{video}: {len(recipe.films)} episodes")
-    return recipe.results
+    one = episodes.select([row])
+    own, steps = one.episodes, one.steps
+    pulls = zip(steps["bead"][:-1].tolist(), steps["force"][:-1].astype(np.float64), strict=True)
+    length = int(own["length"][0])
+    return film_frames(
+        list(steps["observation"].astype(np.float64)),
+        own["goal_points"][0].astype(np.float64),
+        [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)],
+        list(pulls),
+        outcomes(one, task).reached,
+        task.views,
+    )
 
 
-def _request_in(out: Path) -> dict[str, Any] | None:
-    """Return the request of the evaluation that wrote a file; None if it isn't one."""
+def _names() -> list[str]:
+    return [column.name for column in _PLAYED.columns]
+
+
+def _write_film(config: EvaluateConfig, found: Evaluation, video: Path, overwrite: bool) -> None:
+    from knotgym.rendering.video import write_film
+
+    frames = [
+        frame
+        for (_, task), one in zip(config.setups(), found.films, strict=True)
+        for row in range(one.episodes.rows)
+        for frame in film(one, task, row)
+    ]
+    with atomic_write(video, overwrite=overwrite) as temporary:
+        write_film(temporary, frames)
+
+
+def _identity_of(out: Path) -> Mapping[str, Any] | None:
+    """Return the identity of the evaluation that wrote a file; None if it isn't one."""
     try:
         content = read_json(out)
-        found = content["digests"]
+        found = dict(content["digests"])
         source = {name: found.pop(name) for name in ("states", "policies")}
-        shard = content.get("shard", asdict(WHOLE))
         [Result(**row) for row in content["results"]]
-        return {"config": content["settings"], "source": source, "shard": shard, **found}
+        return {"config": content["settings"], "source": source, **found}
     except (OSError, KeyError, TypeError, ValueError, AttributeError):
         return None
 
 
-def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
-    """Return the frames of a film of an episode: all its views, each pull, and its reason."""
-    from knotgym.rendering.video import film_frames
-
-    moves = [""] * len(episode.points) if episode.move is None else episode.move
-    headings = [
-        f"{episode.policy}  step {k} of {len(episode)}  {move}" for k, move in enumerate(moves)
-    ]
-    pulls = [
-        (int(bead), force / task.rope.max_force)
-        for bead, force in zip(episode.bead[1:], episode.force[1:], strict=True)
-    ]
-    return film_frames(
-        list(episode.points), episode.goal_points, headings, pulls, episode.is_success, task.views
-    )
-
-
-def _played(one: Rollout) -> PlayedEpisode:
-    episode = one.episode
-    return PlayedEpisode(
-        episode.options["start"],
-        episode.options["goal"],
-        one.success,
-        len(episode),
-        float(episode.rewards.sum()),
-        one.effort.actions,
-        one.effort.seconds,
-        bool(episode.simulation_failed[-1]),
-    )
-
-
-def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[PlayedEpisode]) -> Result:
-    successes = sum(one.success for one in played)
-    outcomes = {
-        name: [int(getattr(one, name)) for one in played]
-        for name in ("start", "goal", "success", "steps")
-    }
-    low, high = cluster_interval(outcomes["success"], outcomes["start"], outcomes["goal"])
+def _result(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
+    success, length = played["success"], played["length"]
+    named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
+    listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
+    low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
     origins = state_origins(task)
     return Result(
         policy=policy.policy,
         task=task.task,
         nx=task.nx,
         split=task.split,
-        action=make_policy(policy).suited(task).action,
-        episodes=len(played),
-        successes=successes,
-        success_rate=successes / len(played),
+        action=make_policy(policy).compatible_task(task).action,
+        episodes=played.rows,
+        successes=int(success.sum()),
+        success_rate=float(success.mean()),
         low=low,
         high=high,
-        steps=float(np.mean([one.steps for one in played if one.success])) if successes else None,
-        mean_return=float(np.mean([one.total for one in played])),
-        planned_actions=float(np.mean([one.planned_actions for one in played])),
-        planning_seconds=float(np.mean([one.planning_seconds for one in played])),
-        simulation_failures=sum(one.failed for one in played),
+        steps=float(length[success].mean()) if success.any() else None,
+        mean_return=float(played["total"].mean()),
+        planned_actions=float(played["planned"].mean()),
+        simulation_failures=int(played["failed"].sum()),
         start_states=origins["start"],
         goal_states=origins["goal"],
-        outcomes=outcomes,
+        outcomes=listed,
     )

@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.control.policies import Policy, PolicyConfig, register_policy
-from knotgym.generate.episodes.evaluate import EvaluateConfig, as_text, run
+from knotgym.control.policies import register_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import Policy
+from knotgym.generate.episodes.evaluate import as_text, run
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.runs.run_options import RunOptions
 
 EVALUATION = "evaluation.json"
@@ -41,7 +44,7 @@ def evaluate_learner(
 
     Raises:
         InvalidPolicy: a policy of this name exists already.
-        InvalidInput, InvalidInput: the settings are invalid.
+        InvalidInput: the settings are invalid.
     """
     register_policy(name, lambda _: policy, files)
     config = EvaluateConfig(policies=(PolicyConfig(policy=name),), **settings)

@@ -9,18 +9,18 @@ from typing import Any
 from knotgym.common.configuration import as_json, differences, from_json
 from knotgym.common.errors import InvalidFile
 from knotgym.control.rollouts import rollout
-from knotgym.generate.episodes.collect import (
+from knotgym.generate.episodes.old_collect import (
     CollectConfig,
     EpisodeFile,
     EpisodeRecipe,
+    Tally,
     write_episodes,
 )
 from knotgym.generate.episodes.recordings import PulledPolicy, Recording
-from knotgym.generate.episodes.tally import Tally
 from knotgym.runs.run_options import RunOptions
 
 _FREE = (
-    *("episodes", "episodes_per_file", "dataset_id", "seen", "author", "author_email"),
+    *("episodes", "dataset_id", "seen", "author", "author_email"),
     "code_permalink",
 )
 

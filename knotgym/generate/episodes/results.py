@@ -27,7 +27,7 @@ class Result:
         success_rate, low, high: success rate and the 95 % interval of `cluster_interval`.
         steps: mean over successful episodes; None if there are none.
         mean_return: mean return of an episode.
-        planned_actions, planning_seconds: means per episode.
+        planned_actions: pulls simulated for planning, mean per episode.
         simulation_failures: episodes that ended because the simulation diverged.
         start_states, goal_states: source of the states, "own" for the requested state file or
             "shipped" for the included one.
@@ -48,7 +48,6 @@ class Result:
     steps: float | None
     mean_return: float
     planned_actions: float
-    planning_seconds: float
     simulation_failures: int
     start_states: str
     goal_states: str
@@ -78,7 +77,7 @@ def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> N
         if one.planned_actions:
             console.print(
                 f"{one.policy}, {one.task} nx {one.nx}, {one.split}: planned with"
-                f" {one.planned_actions:.0f} actions, {one.planning_seconds:.2f} s an episode",
+                f" {one.planned_actions:.0f} simulated pulls an episode",
                 highlight=False,
             )
     for task, nx in dict.fromkeys(

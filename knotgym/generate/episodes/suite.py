@@ -23,11 +23,12 @@ import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.configuration import Seed, configuration, read_json
 from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import CollectConfig, EpisodeRecipe, plain_id
+from knotgym.generate.episodes.collect_config import CollectConfig, plain_id
+from knotgym.generate.episodes.old_collect import EpisodeRecipe
 from knotgym.generate.episodes.rebuild import RebuildRecipe
 from knotgym.generate.episodes.recordings import RECORDINGS, read_recording, recorded_ids
 from knotgym.generate.episodes.results import reference_scores

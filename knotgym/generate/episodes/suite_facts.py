@@ -17,7 +17,7 @@ from knotgym.control.pass_counts import first_goal
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import REPORT
+from knotgym.generate.episodes.old_collect import REPORT
 from knotgym.generate.episodes.recordings import RECORDINGS, read_recording, recorded_ids
 from knotgym.states.state_file import ships
 from knotgym.topology.gauss import GaussCode

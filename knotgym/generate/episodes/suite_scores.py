@@ -11,10 +11,10 @@ from typing import Any
 
 from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidFile, one_line
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.cards.fact_tables import table
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.runs.intervals import cluster_interval
 
 SUITE: dict[str, Any] = tomllib.loads(
@@ -39,7 +39,7 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     """Return one row per cell of all evaluations, sorted.
 
     A row has the fields of `LINE` and `CELL`, episodes, successes, success_rate, interval, steps,
-    starts and goals (their numbers), planned_actions, planning_seconds, seeds, and `training`, how
+    starts and goals (their numbers), planned_actions, seeds, and `training`, how
     a learner was trained. Files of one cell with different seeds are pooled; different policies,
     settings, states or code have separate rows.
 
@@ -180,7 +180,7 @@ def _rows(evaluation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             "rules": task,
             "training": training,
             "outcomes": {name: one["outcomes"][name] for name in _OUTCOMES},
-            **{name: _number(one[name]) for name in ("planned_actions", "planning_seconds")},
+            "planned_actions": _number(one["planned_actions"]),
         }
         for name in (*LINE, *CELL):
             kind = int if name == "nx" else str
@@ -223,10 +223,10 @@ def _together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "starts": len(set(columns["start"])),
         "goals": len(set(columns["goal"])),
         "seeds": sorted(seed for row in rows for seed in row["seeds"]),
-        **{
-            name: sum(row[name] * n for row, n in zip(rows, counted, strict=True)) / episodes
-            for name in ("planned_actions", "planning_seconds")
-        },
+        "planned_actions": sum(
+            row["planned_actions"] * n for row, n in zip(rows, counted, strict=True)
+        )
+        / episodes,
     }
 
 

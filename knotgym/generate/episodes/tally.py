@@ -1,8 +1,8 @@
 """Totals over the episodes of a run."""
 
-from __future__ import annotations
+from dataclasses import dataclass
 
-from dataclasses import asdict, astuple, dataclass
+from knotgym.common.tables import Table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -11,22 +11,28 @@ class Tally:
 
     Attributes:
         played, succeeded, kept: numbers of episodes.
-        steps: actions of the kept episodes.
-        successful_steps: actions of the successful episodes.
-        planned_actions: actions simulated for planning.
-        planning_seconds: time for planning; the only value that differs between identical runs.
-        simulation_failures: episodes that ended because the simulation diverged.
+        steps: pulls of the kept episodes.
+        planned: pulls simulated for planning.
+        failed: episodes that ended because the simulation blew up.
     """
 
     played: int = 0
     succeeded: int = 0
     kept: int = 0
     steps: int = 0
-    successful_steps: int = 0
-    planned_actions: int = 0
-    planning_seconds: float = 0.0
-    simulation_failures: int = 0
+    planned: int = 0
+    failed: int = 0
 
-    def __add__(self, other: Tally) -> Tally:
-        pairs = zip(astuple(self), astuple(other), strict=True)
-        return Tally(**dict(zip(asdict(self), map(sum, pairs), strict=True)))
+
+def tally(episodes: Table, keep_failed: bool = True) -> Tally:
+    """Add up episodes, of which the failed ones may be dropped."""
+    success, lengths = episodes["success"], episodes["length"]
+    kept = success | keep_failed
+    return Tally(
+        played=episodes.rows,
+        succeeded=int(success.sum()),
+        kept=int(kept.sum()),
+        steps=int(lengths[kept].sum()),
+        planned=int(episodes["planned"].sum()),
+        failed=int(episodes["failed"].sum()),
+    )

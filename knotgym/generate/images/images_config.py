@@ -1,5 +1,6 @@
 """The configuration of `knotgym images`, with its quotas and held-out codes."""
 
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 from pydantic import Field
@@ -7,11 +8,9 @@ from pydantic import Field
 from knotgym.common.configuration import Count, Distinct, Seed, Share, Whole, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
-from knotgym.generate.images.selection import SelectionConfig
-from knotgym.generate.images.walks import WalkConfig
-from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.quality.limits import UNAMBIGUOUS, Limits
+from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rope.engines import MUJOCO, EngineName
-from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 
 
@@ -29,15 +28,17 @@ class ImagesConfig:
             are held out for nx with fewer than 4 codes.
         seed: random seed; the same seed gives the same bytes.
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
-        steps: maximum steps of a walk. Walks for 3 or more crossings make a third of them, those
-            for 1 or 2 two thirds, because many crossings are lost sooner.
-        stride: steps between frames.
-        rows_per_file: pictures per file of the table.
-        walk: how walks are made and which frames are kept.
-        selection: which frames become pictures.
+        policies: policies of the rollouts, in turn; each gives equally many.
+        pulls: pulls of a rollout.
+        stride: pulls between two frames of it.
+        limits: limits of frames that may be shown.
+        extreme: maximum share of pictures of grade extreme, of those of a split with as many
+            crossings.
         appearance: what varies between pictures.
-        wave: maximum number of units of walks in a wave.
-        idle: the run gives up after this many waves without a new picture.
+        rows_per_file: pictures per file of the table.
+        ropes: rollouts computed together.
+        most_ropes: maximum number of rollouts between two looks at what is still missing.
+        idle: the run gives up after this many looks without a new picture.
     """
 
     nx: Annotated[tuple[Annotated[Whole, Field(le=LISTED_NX)], ...], Distinct] = (0, 1, 2, 3, 4)
@@ -47,13 +48,15 @@ class ImagesConfig:
     code_share: Share = 0.15
     seed: Seed = 0
     engine: EngineName = MUJOCO
-    steps: Count = 12
+    policies: tuple[str, ...] = ("random", "scripted")
+    pulls: Count = 12
     stride: Count = 2
-    rows_per_file: Count = 500
-    walk: WalkConfig = WalkConfig()
-    selection: SelectionConfig = SelectionConfig()
+    limits: Limits = UNAMBIGUOUS
+    extreme: Share = 0.3
     appearance: AppearanceConfig = AppearanceConfig()
-    wave: Count = 32
+    rows_per_file: Count = 500
+    ropes: Count = 64
+    most_ropes: Count = 2048
     idle: Count = 6
 
     def __post_init__(self) -> None:
@@ -69,8 +72,10 @@ class ImagesConfig:
                 f"test-nx takes the largest of the requested nx, {sorted(self.nx)}, but not all of"
                 f" them; got {sorted(self.held_nx)}"
             )
-        if self.stride > self.steps:
-            raise InvalidInput(f"stride must be at most steps, {self.steps}, got {self.stride}")
+        if self.stride > self.pulls:
+            raise InvalidInput(f"stride must be at most pulls, {self.pulls}, got {self.stride}")
+        if not self.policies:
+            raise InvalidInput("policies must name at least one policy")
         if not self.test_share + self.code_share < 1:
             raise InvalidInput(
                 "test and code shares must be below 1 together, got"
@@ -102,13 +107,12 @@ def quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int],
     return {key: wanted for key, wanted in out.items() if wanted}
 
 
-def held_out(config: ImagesConfig, codes: dict[int, list[GaussCode]]) -> frozenset[GaussCode]:
+def held_out(config: ImagesConfig, codes: Mapping[int, Sequence[str]]) -> frozenset[str]:
     """Return the codes, without chirality, held out for split "test-code"."""
-    out: list[GaussCode] = []
+    out: list[str] = []
     for nx in config.trained:
         if len(codes[nx]) >= 4 and config.code_share > 0:
             order = generator(Stream.IMAGE_CODES, config.seed, nx).permutation(len(codes[nx]))
-            out += [
-                codes[nx][k] for k in order[: max(1, round(config.code_share * len(codes[nx])))]
-            ]
+            count = max(1, round(config.code_share * len(codes[nx])))
+            out += [codes[nx][k] for k in order[:count].tolist()]
     return frozenset(out)

@@ -1,233 +1,196 @@
-"""Demonstrations: action sequences of the archive, replayed from the start to a code.
+"""Demonstrations of a set of states: the expert's episodes that end in their codes.
 
-The start is rotated about z by a random angle, and mirrored if only the mirror image of the code is
-known. Symmetries transform a sequence exactly (`topology.symmetry`) except for rounding errors,
-which make some sequences fail. A demonstration ends when the rope first shows the code. If the
-sequence ends in a legible state, it is replayed to its end and left to rest; if that state keeps
-all limits, it becomes a state of the set.
+An episode starts at the simplest diagram of the knot, the plain loop for the unknot; loops are
+demonstrated from states with one crossing. If the rollout doesn't reach the code, others are made
+from other starts, and the later ones by the planner.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.streams import generator_of
-from knotgym.control.action_sequence import ActionSequence, resting, step_ropes
-from knotgym.datasets.trajectory import Episode
-from knotgym.envs.reward import consecutive, success_at_last
-from knotgym.generate.states.archive import Elite
-from knotgym.generate.states.drawn_states import ONE, MadeState, judged
+from knotgym.common.streams import Stream, derived_seed
+from knotgym.common.tables import Table
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import rollouts
+from knotgym.datasets.episodes import EPISODES, STARTS, STEPS, Episodes, merged
+from knotgym.datasets.minari_form import MinariMetadata, publish
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.quality.measures import measure
-from knotgym.rope.actions import steps_taken
-from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Array, RopeConfig
-from knotgym.rope.simulation import Simulation
-from knotgym.states.schema import PLAY
-from knotgym.topology.crossings import label, label_many
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT
-from knotgym.topology.knots import shows
-from knotgym.topology.symmetry import Symmetry, mirrorings
+from knotgym.generate.states.state_rows import Rows, joined
+from knotgym.runs.run import Call, Recipe
+from knotgym.states.split_names import STATE_SPLITS
+from knotgym.states.state_file import States, demonstrations_id
+from knotgym.topology.knot_table import diagram_of, type_of
 
-POLICY = "demonstrations"
-TRIES = 6  # replays per demonstration, at most
-TURNED = 4  # the first replays have a rotated start; the others start like the archive's
-
-
-class DemonstrationTask(NamedTuple):
-    """A demonstration to make."""
-
-    config: GenerateConfig
-    knot: str  # name of the rope's knot in the knot table
-    code: GaussCode  # goal, without chirality
-    which: int  # index of the code among those of its nx
-    start: Array  # start configuration (beads, 3) of the sequences
-    elites: tuple[Elite, ...]  # their sequences lead to the code or its mirror image
-    seed: tuple[int, ...]  # key of the random stream
-
-
-@dataclass(frozen=True, eq=False)
-class Demonstration:
-    """T actions from the start to a state with a given code."""
-
-    start_qpos: Array  # float64 (nq,), the start, at rest
-    actions: NDArray[np.float32]  # float32 (T, 6)
-    points: Array  # float64 (T + 1, beads, 3), metres, before and after each action
-    # float64 (T + 1,), the fraction of its force that each action applied; the first value is 1
-    shares: Array
-
-    def __len__(self) -> int:
-        return len(self.actions)
-
-    def until(self, steps: int) -> Demonstration:
-        """Return the demonstration cut after `steps` actions."""
-        return Demonstration(
-            self.start_qpos,
-            self.actions[:steps],
-            self.points[: steps + 1],
-            self.shares[: steps + 1],
-        )
-
-    def episode(self, goal_points: Array, goal: GaussCode) -> Episode:
-        """Return the episode with goal code `goal`, shown by `goal_points` (beads, 3)."""
-        codes = label_many(self.points)
-        shown = np.array([code.matches(goal) for code in codes])
-        beads, forces = steps_taken(self.actions, self.points, RopeConfig())
-        outcome = success_at_last(len(self))
-        return Episode(
-            start_qpos=self.start_qpos,
-            points=self.points,
-            goal_points=goal_points,
-            actions=self.actions,
-            rewards=outcome.rewards,
-            terminations=outcome.terminated,
-            truncations=outcome.truncated,
-            gauss_code=np.array([str(code) for code in codes]),
-            gauss_code_chiral=np.array([code.chiral for code in codes]),
-            crossings=np.array([code.nx for code in codes], dtype=np.int64),
-            bead=beads,
-            force=self.shares[:, None] * forces,
-            applied_share=self.shares,
-            is_success=np.concatenate([[False], outcome.terminated]),
-            simulation_failed=np.zeros(len(self) + 1, dtype=bool),
-            goal_gauss_code=str(goal),
-            policy=POLICY,
-            hold=int(consecutive(shown[1:])[-1]),
-        )
+HORIZON = 200  # actions, more than any demonstration needs
+_STARTS = 8  # drawn states that episodes start from, in both splits together
+_TOGETHER = 12  # episodes of a call, about
+_EXPERT = 2  # rollouts of the expert before the planner's turn
 
 
 class Demonstrated(NamedTuple):
-    """Result of a DemonstrationTask."""
+    """The episodes with goals of one nx and split, in the order of the states."""
 
-    demonstration: Demonstration | None  # None if no replay reached the code
-    state: MadeState | None  # its final state if that is accepted for the set, otherwise None
-    spent: int  # number of simulated actions
+    nx: int
+    split: str
+    episodes: Episodes
 
 
-def demonstrate(task: DemonstrationTask) -> Demonstrated:
-    """Make a demonstration; the same task gives the same bytes."""
-    rng = generator_of(task.seed)
-    simulation = simulation_of(1, RopeConfig(), task.config.engine)
-    before = simulation.steps_taken
-    # elites whose end is legible may give a state as well as a way
-    legible = [elite for elite in task.elites if _is_legible(elite, simulation, task)]
-    for number in range(TRIES):
-        turned = number < TURNED
-        known = (legible if turned else ()) or task.elites
-        elite = known[int(rng.integers(len(known)))]
-        symmetry = _symmetry(elite, task, turned, rng)
-        rests = task.config.rest if turned and legible else 0
-        sequence = elite.sequence + resting(rests)
-        made = followed(simulation, symmetry.configuration(task.start), sequence, symmetry)
-        shown = [code.matches(task.code) for code in label_many(made.points)[1:]]
-        if not any(shown):
+def start_rows(
+    config: GenerateConfig, rows: Rows, split: NDArray[np.str_]
+) -> Recipe[tuple[Rows, NDArray[np.str_]]]:
+    """Draw the states that demonstrations start from, where the set itself has none.
+
+    The set that ships has plain loops, so ties of the unknot need none.
+
+    Args:
+        config: of the run.
+        rows: the set.
+        split: str (n,), of the rows.
+
+    Returns:
+        The rows of the set and those to start from, with the splits of all.
+    """
+    least, parts, splits = diagram_of(config.knot).nx, [rows], [split]
+    needed = {least} if max(config.nx) > least else set()
+    if 0 in config.nx:
+        needed.add(1)
+    for nx in sorted(needed):
+        there = set(split[rows["nx"] == nx].tolist())
+        if there == set(STATE_SPLITS) or (not nx and not there):
             continue
-        state = None
-        if rests and shown[-1] and _is_longest_last(shown):
-            state = _state(made, simulation, task, rng)
-        if state is None:
-            made = made.until(shown.index(True) + 1)
-        return Demonstrated(made, state, simulation.steps_taken - before)
-    return Demonstrated(None, None, simulation.steps_taken - before)
+        starts = replace(
+            config,
+            nx=(nx,),
+            count=_STARTS,
+            source="drawing",
+            every_code=0,
+            codes=(),
+            demonstrations=False,
+        )
+        parts.append((yield from drawn_rows(starts, {}, f"drawing starts, {nx}")))
+        splits.append(np.resize(np.array(STATE_SPLITS), _STARTS))
+    return joined(parts), np.concatenate(splits)
 
 
-def followed(
-    simulation: Simulation,
-    start: Array,
-    sequence: ActionSequence,
-    symmetry: Symmetry,
-) -> Demonstration:
-    """Replay a sequence, transformed by a symmetry, on rope 0 until it ends or fails."""
-    forces = symmetry.vectors(sequence.forces.astype(np.float64)).astype(np.float32)
-    pulls = zip(sequence.beads, forces, strict=True)
-    return _recorded(
-        simulation,
-        simulation.rope.qpos(start),
-        (step_ropes(simulation, np.array([bead]), force[None], ONE) for bead, force in pulls),
-    )
+def demonstrated(
+    config: GenerateConfig, states: States, count: int, path: Path
+) -> Recipe[list[Demonstrated]]:
+    """Demonstrate the codes of the first `count` states.
 
-
-def acted_out(
-    simulation: Simulation, start_qpos: Array, actions: NDArray[np.float32]
-) -> Demonstration:
-    """Replay actions (T, 6) on rope 0 until they end or the simulation fails."""
-    steps = ((action[None], simulation.act(action[None], ONE)) for action in actions)
-    return _recorded(simulation, start_qpos, steps)
-
-
-def _recorded(
-    simulation: Simulation,
-    start_qpos: Array,
-    steps: Iterable[tuple[NDArray[np.float32], NDArray[np.bool_]]],
-) -> Demonstration:
-    """Place rope 0 at the start and record its steps; iterating over `steps` advances the rope."""
-    simulation.lay(start_qpos[None], ONE)
-    actions, points, shares = [], [simulation.points[0].copy()], [1.0]
-    for action, held in steps:
-        if not held.all():
+    Args:
+        config: of the run.
+        states: those to demonstrate, then further ones to start from.
+        path: a file with these states, which workers can read.
+    """
+    made: dict[int, Episodes] = {}
+    for attempt in range(config.demonstration_attempts):
+        calls = []
+        for nx in config.nx:
+            for split in STATE_SPLITS if nx != diagram_of(config.knot).nx or not nx else ():
+                rows = [k for k in states.rows(nx, split).tolist() if k < count and k not in made]
+                parts = np.array_split(rows, -(-len(rows) // _TOGETHER)) if rows else []
+                for part in parts:
+                    key = f"demonstrations, attempt {attempt}: {nx} {split} {part[0]}"
+                    task = replace(task_of(config, nx, split), states=str(path))
+                    seed = config.seed
+                    calls.append(Call(key, demonstrate, (task, seed, part.tolist(), attempt)))
+        if not calls:
             break
-        actions.append(action[0])
-        points.append(simulation.points[0].copy())
-        shares.append(float(simulation.applied_shares[0]))
-    taken = np.array(actions, dtype=np.float32).reshape(-1, 6)
-    return Demonstration(start_qpos, taken, np.stack(points), np.array(shares))
-
-
-def carried_over(elite: Elite, code: GaussCode, knot: str) -> list[Symmetry]:
-    """Return the reflections that make an elite show a code without chirality as a given knot."""
+        for result in (yield calls):
+            episodes = _episodes_of(result)
+            for k, goal in enumerate(episodes.episodes["goal"].tolist()):
+                made[goal] = episodes.select([k])
     return [
-        symmetry
-        for shown, symmetry in mirrorings(elite.code)
-        if shown.plain == code and (knot == UNKNOT or shows(shown, knot))
+        Demonstrated(nx, split, merged([made[row] for row in rows]))
+        for nx in config.nx
+        for split in STATE_SPLITS
+        if (rows := [row for row in states.rows(nx, split).tolist() if row in made])
     ]
 
 
-def _symmetry(
-    elite: Elite, task: DemonstrationTask, turned: bool, rng: np.random.Generator
-) -> Symmetry:
-    """Return a symmetry that makes the elite show the code.
+def demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int) -> Rows:
+    """Roll out a policy towards some goals; return the successful episodes as flat columns.
 
-    If `turned` is false and no reflection is needed, it is the identity, with which the sequence
-    ends in the elite's state bit for bit.
+    Args:
+        task: the task, whose states are a file.
+        seed: of the run.
+        goals: rows of that file.
+        attempt: number of the rollout; another start for each.
     """
-    fitting = carried_over(elite, task.code, task.knot)
-    if not turned:
-        return fitting[0]  # `mirrorings` starts with the identity
-    chosen = fitting[int(rng.integers(len(fitting)))]
-    return Symmetry(chosen.reflect, chosen.switch, turn=float(rng.uniform(-np.pi, np.pi)))
+    batch, ids = EpisodeBatch(task, len(goals)), np.arange(len(goals))
+    for index, goal in enumerate(goals):
+        own = derived_seed(Stream.DEMONSTRATED, seed, goal, attempt)
+        batch.begin(ids[index : index + 1], [own], {"goal": goal})
+    schema = STARTS.sized(nq=batch.start_qpos.shape[1])
+    columns = (batch.seed, batch.start_row, batch.goal_row, batch.start_qpos)
+    starts = Table(schema, dict(zip((c.name for c in schema.columns), columns, strict=True)))
+    policy = make_policy(PolicyConfig(policy="expert" if attempt < _EXPERT else "planner"))
+    played = rollouts(policy, task, starts, attempt=attempt)
+    reached = played.select(played.episodes["success"])
+    return {f"{table.schema.name}/{name}": one for table in reached for name, one in table.items()}
 
 
-def _is_legible(elite: Elite, simulation: Simulation, task: DemonstrationTask) -> bool:
-    """Whether an elite's state, still in motion, keeps the limits."""
-    simulation.restore(elite.state[None], ONE)
-    points = simulation.points[0].copy()
-    return not task.config.limits.faults(measure(points, quick=True), task.code.nx)
-
-
-def _is_longest_last(shown: list[bool]) -> bool:
-    """Whether the final run of steps that show the code is longer than any before.
-
-    Otherwise an episode whose `hold` is that length would already have ended earlier.
-    """
-    runs = consecutive(shown)
-    return not (runs[: len(runs) - int(runs[-1])] >= runs[-1]).any()
-
-
-def _state(
-    made: Demonstration, simulation: Simulation, task: DemonstrationTask, rng: np.random.Generator
-) -> MadeState | None:
-    """Return the final state of a demonstration as a state of the set; None if it is rejected."""
-    points, qpos = made.points[-1], simulation.qpos(ONE)[0]
-    code = label(points)
-    quality, faults = judged(points, code, task.config.limits, rng)
-    if faults:
-        return None
-    return MadeState(
-        PLAY, code, task.which, task.seed, made.start_qpos, made.actions, qpos, points, quality
+def task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:
+    """Return the task of the demonstrations of states with nx crossings in a split."""
+    return TaskConfig(
+        task="tie" if nx else "unknot",
+        nx=max(1, nx),
+        split=split,
+        observation="both",
+        horizon=HORIZON,
+        engine=config.engine_used,
     )
+
+
+def where_demonstrated(
+    config: GenerateConfig, rows: Rows, sets: Sequence[Demonstrated]
+) -> dict[str, NDArray[Any]]:
+    """Return the columns of provenance that locate the rows' demonstrations."""
+    count = len(rows["nx"])
+    dataset = [""] * count
+    trajectory = rows.get("source/trajectory", np.full(count, -1)).copy()
+    step = rows["source/steps"].copy()
+    for nx, split, episodes in sets:
+        for number, goal in enumerate(episodes.episodes["goal"].tolist()):
+            dataset[goal] = demonstrations_id(nx, split, type_of(config.knot))
+            trajectory[goal], step[goal] = number, episodes.episodes["length"][number]
+    return {"dataset": np.array(dataset), "trajectory": trajectory, "step": step}
+
+
+def publish_demonstrations(
+    sets: Sequence[Demonstrated], config: GenerateConfig, root: Path, states: Path
+) -> None:
+    """Publish each set as a Minari dataset below `root`, with the file of its states."""
+    knot = type_of(config.knot)
+    for nx, split, episodes in sets:
+        metadata = MinariMetadata(
+            dataset_id=demonstrations_id(nx, split, knot),
+            algorithm_name="expert",
+            description=(
+                f"Episodes of the expert that end in the Gauss codes of {episodes.episodes.rows}"
+                f" rope states with {nx} crossings, those of the {split} split. An episode ends"
+                " where the rope first shows the code of its goal; the goal itself, another"
+                " configuration of that code, is in general not reached."
+            ),
+        )
+        publish([episodes], task_of(config, nx, split), metadata, root, states=states)
+
+
+def _episodes_of(result: Rows) -> Episodes:
+    """Return the episodes that `demonstrate` flattened."""
+
+    def table(schema: Any) -> Table:
+        prefix = f"{schema.name}/"
+        own = {n.removeprefix(prefix): c for n, c in result.items() if n.startswith(prefix)}
+        return Table(schema.only(*own), own)
+
+    return Episodes(table(EPISODES), table(STEPS))

@@ -1,32 +1,101 @@
-"""The configuration of `knotgym generate`, and whether a knot allows it."""
+"""The configuration of `knotgym generate`, and whether a knot allows it.
 
-from typing import Annotated
+The command line reads it first, so nothing here imports the simulator.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from knotgym.common.configuration import (
     Count,
     Crossings,
-    Int,
     Interval,
     Seed,
     Share,
     Whole,
-    choice,
     configuration,
 )
 from knotgym.common.errors import InvalidInput
-from knotgym.control.planner_config import PlannerConfig
-from knotgym.drawing.drawn_curve import DrawingConfig
+from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
-from knotgym.generate.states.search import SearchSettings
-from knotgym.quality.measures import Limits
-from knotgym.rope.engines import MUJOCO, EngineName
-from knotgym.rope.model import RopeConfig, rope_of
+from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
+from knotgym.rope.engines import CHAIN, MUJOCO
 from knotgym.topology.diagrams import is_planar, not_planar
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import diagram_of, type_of
+from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
 from knotgym.topology.knots import LISTED_NX, knot_type, shows
+
+if TYPE_CHECKING:
+    from knotgym.rope.model import RopeConfig
+
+_BEADS = 100  # of the rope that demonstrations are made with
+
+
+@configuration
+class DrawnConfig:
+    """How a state is drawn from its code.
+
+    Attributes:
+        curve: settings of the curve.
+        stir: most random actions that stir the rope laid along the curve.
+        loop_stir: the same with at most 1 crossing, where there is but one diagram of states.
+        force: least and largest force of these actions, relative to the largest force.
+        rest: actions without force at the end.
+    """
+
+    curve: DrawingConfig = DrawingConfig()
+    stir: Whole = 2
+    loop_stir: Whole = 32
+    force: Interval = (0.05, 0.3)
+    rest: Count = 3
+
+
+@configuration
+class PlayConfig:
+    """The lives of ropes that states are taken from.
+
+    A rope starts as a coil, as in the published model. After `settle` random pulls it is laid at
+    rest, and its record begins. Then come as many pulls of each phase as the fields say.
+
+    Attributes:
+        settle: random pulls before the record begins; 0 to record from the coil on.
+        random: uniform random actions.
+        opening: pulls of random beads away from the rope's middle, which untie and smooth it.
+        rounds: how often the next two phases are repeated.
+        scripted: pulls of random macro-actions, which pass strands over and under each other.
+        spreading: pulls of beads away from the strands near them in the picture.
+        first: pulls of the record before the first frame is examined.
+        every: pulls between frames.
+        per_rope: most states of a rope and crossing number: the longer a rope is pulled, the more
+            its frames resemble each other.
+        ropes: ropes side by side, in one unit of work.
+    """
+
+    settle: Whole = 300
+    random: Whole = 0
+    opening: Whole = 60
+    rounds: Whole = 3
+    scripted: Whole = 20
+    spreading: Whole = 10
+    first: Whole = 5
+    every: Count = 5
+    per_rope: Count = 2
+    ropes: Count = 128
+
+    @property
+    def pulls(self) -> int:
+        """Pulls of a record."""
+        return self.random + self.opening + self.rounds * (self.scripted + self.spreading)
+
+
+# The published regime: uniform actions until the rope's distribution no longer depends on its start
+# (`benchmarks/stationary.py`: walks from the coil and from the plain loop converge).
+PUBLISHED = PlayConfig(
+    settle=0, random=900, opening=0, rounds=0, first=300, every=25, per_rope=1, ropes=16
+)
 
 
 @configuration
@@ -35,81 +104,65 @@ class GenerateConfig:
 
     Attributes:
         nx: numbers of crossings: 3, 2,3 or 0-4.
-        codes: Gauss codes to use instead of all those of `knot`, with or without chirality; `nx`
-            must list their crossing numbers.
         count: states per number of crossings, spread over as many Gauss codes as possible.
+        source: "drawing": draw states from their Gauss codes; "play": take readable states from
+            ropes that random and scripted policies pull; "random-walk": take states as uniform
+            random actions reach them, readable or not. The last two leave out over-twisted states,
+            and their splits share no rope.
         every_code: instead of --count: number of states for every existing Gauss code.
         split_by: "state" or "code"; with "code", train and test share no Gauss code.
-        train_share: share of states (or codes) in the train split.
+        train_share: share of states, codes or ropes in the train split.
         knot: knot type of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror image
-            (m3_1) or a sum (3_1#4_1); or a file with a closed curve, as .npy or three numbers per
-            line, from which action sequences start.
-        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
+            (m3_1) or a sum (3_1#4_1).
+        codes: Gauss codes to use instead of all those of `knot`, with or without chirality; `nx`
+            must list their crossing numbers.
+        demonstrations: roll out the expert to the code of every state, and write these episodes as
+            a Minari dataset; up to 6 crossings.
+        attempts: drawings, or ropes, per requested state before the run gives up.
+        demonstration_attempts: rollouts per state before it stays without a demonstration; the
+            later ones start elsewhere and use the planner.
+        seed: random seed; the same seed gives the same bytes.
+        engine: simulation engine: mujoco, the reference; chain, which is many times as fast; or
+            auto, chain for source play and mujoco for the others.
         beads: number of beads of the rope, each 13.3 mm long; other numbers than 100 take source
             drawing without demonstrations. More crossings than 11 need more beads.
-        demonstrations: search for an action sequence that reaches the Gauss code of every state,
-            and write the sequences as Minari datasets; up to 6 crossings.
-        seed: random seed; the same seed gives the same bytes.
-        attempts: drawings per requested state before a Gauss code is skipped; with random-walk,
-            walks per requested state.
-        searches: searches for a code before it is skipped; the planner has the budget
-            `planner.budget` in the first and twice that of the one before in each further one, and
-            before it plans, the demonstrator leads ropes from twice as many states.
-        cycles: stop after this many rounds of work and keep the states made; 0 for no limit.
-        wave: maximum number of units of work in a wave.
-        planned: codes that the planner searches for in one wave.
-        batch: drawings of a code in one wave.
-        stalled: play ends after a round that adds fewer codes than this, and the planner takes
-            over; 0 to play until all codes are known.
-        search: settings of play.
-        planner: settings of the planner.
-        drawing: settings of the drawings.
-        stir: maximum number of random actions that stir a drawing.
-        loop_stir: the same with at most 1 crossing, where there is but one diagram of states.
-        force: minimum and maximum force of these actions, relative to the largest force.
-        rest: number of actions without force at the end.
-        limits: quality limits of accepted states.
+        drawing: settings of source drawing.
+        play: settings of source play.
+        walk: settings of source random-walk.
+        limits: limits that make a state readable; source random-walk has none.
+        twist: limits that leave out over-twisted states; source drawing has none.
     """
 
     nx: Crossings = (3,)
-    codes: tuple[str, ...] = ()
     count: Count = 40
+    source: Literal["drawing", "play", "random-walk"] = "drawing"
     every_code: Whole = 0
-    split_by: Annotated[str, choice("state", "code")] = "state"
+    split_by: Literal["state", "code"] = "state"
     train_share: Share = 0.5
-    knot: str = "0_1"
-    engine: EngineName = MUJOCO
-    beads: Annotated[Int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = 100
+    knot: str = UNKNOT
+    codes: tuple[str, ...] = ()
     demonstrations: bool = True
-    seed: Seed = 0
     attempts: Count = 100
-    searches: Count = 8
-    cycles: Whole = 0
-    wave: Count = 64
-    planned: Count = 8
-    batch: Count = 10
-    stalled: Whole = 3
-    search: SearchSettings = SearchSettings()
-    planner: PlannerConfig = PlannerConfig(budget=400)
-    drawing: DrawingConfig = DrawingConfig()
-    stir: Whole = 2
-    loop_stir: Whole = 32
-    force: Interval = (0.05, 0.3)
-    rest: Count = 3
-    limits: Limits = Limits()
+    demonstration_attempts: Count = 8
+    seed: Seed = 0
+    engine: Literal["auto", "mujoco", "chain"] = "auto"
+    beads: Annotated[int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = _BEADS
+    drawing: DrawnConfig = DrawnConfig()
+    play: PlayConfig = PlayConfig()
+    walk: PlayConfig = PUBLISHED
+    limits: Limits = LEGIBLE
+    twist: Limits = UNTWISTED
 
     def __post_init__(self) -> None:
-        if not MIN_BEADS <= self.beads <= MAX_BEADS:
-            raise InvalidInput(f"beads must be from {MIN_BEADS} to {MAX_BEADS}, got {self.beads}")
-        if self.beads != RopeConfig().beads and self.demonstrations:
+        if max(self.nx) > (most := max_nx(self.beads)):
+            raise InvalidInput(f"nx takes numbers of crossings from 0 to {most}, got {self.nx}")
+        if self.beads != _BEADS and self.demonstrations:
             raise InvalidInput(
-                f"demonstrations are for a rope of {RopeConfig().beads} beads, got {self.beads};"
+                f"demonstrations are for a rope of {_BEADS} beads, got {self.beads};"
                 " leave them out: --no-demonstrations"
             )
-        if max(self.nx) > max_nx(self.beads):
-            raise InvalidInput(
-                f"nx takes numbers of crossings from 0 to {max_nx(self.beads)}, got {max(self.nx)}"
-            )
+        if self.source != "drawing":
+            self._require_ropes()
         if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
             raise InvalidInput(
                 f"there are too many codes with {max(self.nx)} crossings to list, so every_code"
@@ -122,44 +175,61 @@ class GenerateConfig:
                 raise InvalidInput(
                     f"nx must include the crossings of all codes, got {self.nx} and {str(code)!r}"
                 )
+        self._require_knot()
+
+    def _require_ropes(self) -> None:
+        """Require what states taken from ropes allow."""
+        usual = {"every_code": 0, "split_by": "state", "knot": UNKNOT, "codes": (), "beads": _BEADS}
+        for name, value in usual.items():
+            if getattr(self, name) != value:
+                dashed = name.replace("_", "-")
+                raise InvalidInput(f"--{dashed} needs --source drawing, not {self.source}")
+        if max(self.nx) > LISTED_NX:
+            raise InvalidInput(
+                f"source {self.source} takes nx up to {LISTED_NX}, got {max(self.nx)}"
+            )
+
+    def _require_knot(self) -> None:
+        """Require crossing numbers and codes that the knot can show, and that can be reached."""
+        least = diagram_of(self.knot).nx
+        for nx in self.nx:
+            if nx < least:
+                raise InvalidInput(
+                    f"no diagram of {self.knot} has {nx} crossings; it has at least {least}"
+                )
+            if self.demonstrations and nx > max(LISTED_NX, least):
+                raise InvalidInput(
+                    f"demonstrations are limited to {LISTED_NX} crossings, got nx {nx};"
+                    " --no-demonstrations makes states without them"
+                )
+        for code in self.parsed:
+            if not shows(code, self.knot):
+                seen = knot_type(code)
+                other_hand = " (handedness differs)" if seen == type_of(self.knot) else ""
+                raise InvalidInput(
+                    f"the code {str(code)!r} shows the knot {seen}, not {self.knot}{other_hand}"
+                )
 
     @property
     def rope(self) -> RopeConfig:
         """The rope."""
+        from knotgym.rope.model import rope_of  # here, so that the command line has no simulator
+
         return rope_of(self.beads)
+
+    @property
+    def engine_used(self) -> str:
+        """The engine that `engine` stands for."""
+        if self.engine != "auto":
+            return self.engine
+        return CHAIN if self.source == "play" else MUJOCO
+
+    @property
+    def lives(self) -> PlayConfig:
+        """The lives of the ropes of source play or random-walk."""
+        return self.play if self.source == "play" else self.walk
 
     @property
     def parsed(self) -> list[GaussCode]:
         """The requested codes, parsed."""
         return [GaussCode.parse(text) for text in self.codes]
-
-
-def is_tabled(knot: str) -> bool:
-    """Whether the knot table has a knot of this name."""
-    try:
-        diagram_of(knot)
-    except InvalidInput:
-        return False
-    return True
-
-
-def require_possible(config: GenerateConfig, knot: str) -> None:
-    """Require crossing numbers and codes that the knot can show, and sequences within reach."""
-    least = diagram_of(knot).nx
-    for nx in config.nx:
-        if nx < least:
-            raise InvalidInput(
-                f"no diagram of {config.knot} has {nx} crossings; it has at least {least}"
-            )
-        if config.demonstrations and nx > max(LISTED_NX, least):
-            raise InvalidInput(
-                f"action sequences are limited to {LISTED_NX} crossings, got nx {nx};"
-                " --no-demonstrations makes states without them"
-            )
-    for code in config.parsed:
-        if not shows(code, knot):
-            seen = knot_type(code)
-            other_hand = " (handedness differs)" if seen == type_of(knot) else ""
-            raise InvalidInput(
-                f"the code {str(code)!r} shows the knot {seen}, not {config.knot}{other_hand}"
-            )

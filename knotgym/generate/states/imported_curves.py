@@ -14,15 +14,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from knotgym.common.errors import InvalidInput, one_line
 from knotgym.common.hdf5_files import require_regular
-from knotgym.common.streams import Stream, generator_of, key
-from knotgym.generate.states.drawn_states import ONE, MadeState, judged
-from knotgym.generate.states.state_folder import rows_of, source_of
+from knotgym.common.streams import Stream, key
+from knotgym.generate.states.state_filter import judge
+from knotgym.generate.states.state_rows import row_of, stacked, states_of
 from knotgym.quality.limits import UNITS, Limits, Quality
 from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array, Rope, RopeConfig
@@ -37,6 +37,7 @@ from knotgym.topology.knots import UNKNOWN, knot_type
 # Heights are scaled, which changes no code, and the curve is relaxed; the first to pass is kept.
 _HEIGHTS, _ROUNDS = (1.0, 0.4, 0.15), (0, 1, 2, 4, 8, 16, 32, 64)
 _REST = 20  # actions without force
+_ONE = np.array([0])
 _LARGEST = 64_000_000  # bytes of a file
 _MOST = 100_000  # points of a curve
 _SUFFIXES = (".csv", ".obj", ".npz")
@@ -93,7 +94,7 @@ def import_curves(
     Args:
         split: "train" or "test", the split of all states.
         limits: that a state must keep; those of drawn states by default.
-        seed: of the noise that measures noise survival.
+        seed: part of the keys in the rows' provenance.
 
     Raises:
         InvalidInput: a curve can't be laid; the line says why.
@@ -101,30 +102,21 @@ def import_curves(
     limits, simulation = limits or Limits(), simulation_of(1, RopeConfig())
     curves = [curve for path in paths for curve in read_curves(path)]
     made = [_laid(one, number, seed, limits, simulation) for number, one in enumerate(curves)]
-    made.sort(key=lambda one: one.code.nx)
-    source, count = source_of(made), len(made)
-    return rows_of(
-        made,
-        split=[split] * count,
-        source={
-            **source,
-            "dataset": np.full(count, ""),
-            "trajectory": np.full(count, -1),
-            "step": source["steps"],
-        },
-        config={
-            "curves": [curves[one.index].name for one in made],
-            "limits": asdict(limits),
-            "seed": seed,
-            "engine": simulation.engine,
-        },
-    )
+    order = sorted(range(len(made)), key=lambda number: made[number]["nx"])
+    config = {
+        "curves": [curves[number].name for number in order],
+        "limits": asdict(limits),
+        "seed": seed,
+        "engine": simulation.engine,
+    }
+    rows = stacked([made[number] for number in order])
+    return states_of(rows, np.full(len(made), split), simulation.engine, config)
 
 
 def _laid(
     curve: Curve, number: int, seed: int, limits: Limits, simulation: Simulation
-) -> MadeState:
-    """Lay a curve as a state; raise InvalidInput if that isn't possible."""
+) -> dict[str, Any]:
+    """Lay a curve as a row of states; raise InvalidInput if that isn't possible."""
     rope = simulation.rope
     try:
         code = label(rope.from_curve(curve.points, max_overlap=np.inf))
@@ -144,14 +136,23 @@ def _laid(
         if points is None:
             continue
         start = rope.qpos(points)
-        simulation.lay(start[None], ONE)
+        simulation.lay(start[None], _ONE)
         for action in rest:
             simulation.act(action[None])
-        points, qpos = simulation.points[0].copy(), simulation.qpos(ONE)[0]
-        quality, faults = judged(points, code, limits, generator_of(stream))
-        if not faults:
-            return MadeState(IMPORT, code, number, stream, start, rest, qpos, points, quality)
-        why = ", ".join(_missed(fault, quality, limits) for fault in faults)
+        points, qpos = simulation.points[0].copy(), simulation.qpos(_ONE)[0]
+        judgement = judge(points, [limits], code=code)
+        if not judgement.faults:
+            return row_of(
+                judgement,
+                points,
+                qpos,
+                start_qpos=start,
+                actions=rest,
+                steps=_REST,
+                seed=np.array(stream),
+                policy=IMPORT,
+            )
+        why = ", ".join(_missed(fault, judgement.quality, limits) for fault in judgement.faults)
     raise InvalidInput(f"{curve.name}: refused, relaxed and flattened too: {why}")
 
 
@@ -171,30 +172,6 @@ def _missed(fault: str, quality: Quality, limits: Limits) -> str:
     return (
         f"{fault} is {getattr(quality, fault):.3g} {UNITS[fault]}, limit {getattr(limits, fault)}"
     )
-
-
-def write_curves(path: str | Path, names: Sequence[str], points: Array) -> None:
-    """Write closed curves, float64 (n, beads, 3), in the format of the suffix.
-
-    Raises:
-        InvalidInput: the suffix is of no format of curves.
-    """
-    given = Path(path)
-    if given.suffix == ".npz":
-        np.savez(given, **dict(zip(names, points, strict=True)))
-        return
-    lines = ["curve,x,y,z"] if given.suffix == ".csv" else []
-    first = 1
-    for name, curve in zip(names, points.tolist(), strict=True):
-        if given.suffix == ".csv":
-            lines += [f"{name},{x!r},{y!r},{z!r}" for x, y, z in curve]
-        elif given.suffix == ".obj":
-            lines += [f"o {name}", *(f"v {x!r} {y!r} {z!r}" for x, y, z in curve)]
-            lines.append("l " + " ".join(map(str, [*range(first, first + len(curve)), first])))
-            first += len(curve)
-        else:
-            raise InvalidInput(f"curves are written to {', '.join(_SUFFIXES)}, got {given.name!r}")
-    given.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _from_csv(path: Path) -> Iterator[tuple[str, list[list[float]]]]:

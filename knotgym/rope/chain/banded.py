@@ -12,6 +12,8 @@ triangle, and near, far and arrow by their blocks of L: about 330 multiplication
 rounds once on every processor, so results don't depend on how a compiler contracts products.
 
 All arrays end with an axis of LANES ropes, see `simd`.
+
+After a change run `pytest -m 'thorough or not thorough' tests/rope/chain/test_chain_equations.py`.
 """
 
 from typing import Any

@@ -4,6 +4,9 @@
 arrays along a last axis of length LANES, `load` and `put` take them out and in. Sums, differences,
 products, quotients, `math.sqrt`, `abs`, `min` and `max` go lane by lane, with plain numbers too; so
 no lane can tell what the others hold.
+
+After a change run `pytest tests/rope/chain/test_simd.py`: lanes must give the bits of plain
+numbers.
 """
 
 import math

@@ -10,6 +10,10 @@ back, and counted.
 
 LANES ropes are moved at once. Each has its own time and substep, and none can tell what the others
 do: a rope moves as it does alone, to the bit. A lane whose action is over takes the next rope.
+
+After a change run `pytest -m 'thorough or not thorough' tests/rope/chain` and `python
+benchmarks/chain.py distance`: beads are on average at most 1.2 mm from MuJoCo's after one action
+and 5 mm after four. Recordings that ship must still be rebuilt: `knotgym suite --recorded`.
 """
 
 from typing import Any

@@ -1,0 +1,65 @@
+"""The command `knotgym demo`."""
+
+import importlib.util
+from pathlib import Path
+
+from knotgym.cli.options import Given, command, extra
+
+
+@command(
+    {},
+    "run.overwrite",
+    extra("out", Path, "Folder to make.", Path("knotgym-data/demo")),
+)
+def demo(given: Given) -> None:
+    """Film the expert tying a knot diagram, in about 20 seconds.
+
+    Writes an observation, a film and an HTML page.
+    """
+    progress, out, overwrite = given.progress, given["out"], given.run.overwrite
+    progress.stage("loading the simulator")
+    from PIL import Image
+
+    from knotgym.cli.inspection import page
+    from knotgym.common.atomic_files import atomic_write, require_output
+    from knotgym.control.policy_config import PolicyConfig
+    from knotgym.datasets.episode_dataset import open_episodes
+    from knotgym.envs.observations import observe, picture_config
+    from knotgym.envs.tasks import TaskConfig
+    from knotgym.generate.episodes.collect import collect
+    from knotgym.generate.episodes.collect_config import CollectConfig
+    from knotgym.generate.episodes.evaluate import film
+    from knotgym.rendering.video import write_film
+    from knotgym.runs.compilation import compile_first
+    from knotgym.runs.progress import Progress
+    from knotgym.runs.run_options import RunOptions
+
+    require_output(out, folder=True, overwrite=overwrite)
+    compile_first(progress)
+    config = CollectConfig(
+        task=TaskConfig(task="tie", nx=3, split="test", observation="both"),
+        policy=PolicyConfig(policy="expert"),
+        episodes=2,
+    )
+    film_name = "expert.mp4" if importlib.util.find_spec("av") else "expert.gif"
+    with atomic_write(out, overwrite=overwrite) as folder:
+        folder.mkdir()
+        progress.stage("the expert plays two episodes of tie with 3 crossings")
+        options = RunOptions(workers=1, quiet=True)
+        dataset = collect(config, folder / "minari", options, progress=Progress(quiet=True))
+        played = open_episodes(dataset)
+        start = played.episodes.steps["observation"][:1].astype(float)
+        goal = played.episodes.episodes["goal_points"][0].astype(float)
+        first = Image.fromarray(observe(start, goal, "pixels", picture_config(config.task))[0])
+        first.resize((4 * first.width, 4 * first.height), Image.Resampling.NEAREST).save(
+            folder / "reset.png"
+        )
+        progress.stage("drawing the film and the page")
+        frames = [frame for row in range(2) for frame in film(played.episodes, config.task, row)]
+        write_film(folder / film_name, frames)
+        page(str(dataset), folder / "page.html", overwrite=False)
+    reached = int(played.episodes.episodes["success"].sum())
+    progress.say(f"{out / 'reset.png'}: the first observation, with the rope beside its goal")
+    progress.say(f"{out / film_name}: the expert reaches the goal in {reached} of 2 episodes")
+    progress.say(f"{out / 'page.html'}: the same episodes, to play and rotate in a browser")
+    progress.say("next: knotgym-generate --nx 3 --count 40, or the example in the README")

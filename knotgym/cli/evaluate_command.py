@@ -1,0 +1,45 @@
+"""The command `knotgym evaluate`."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from knotgym.cli.options import RUN, Given, command, extra, field_help
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+
+
+@command(
+    {"": EvaluateConfig, "policy": PolicyConfig},
+    f"tasks=--task nx splits=--split episodes task.states task.observation task.engine {RUN}",
+    extra("policy", list[str], f"{field_help(PolicyConfig, 'policy')} May be repeated.", "random"),
+    extra("out", Path, "JSON file to write."),
+    extra(
+        "video",
+        Path,
+        "Film of the first episodes of each setup: .gif, or with the extra video .mp4 or .webm.",
+    ),
+    lines=False,
+)
+def evaluate(given: Given) -> None:
+    """Measure the success rates of policies, with 95 % confidence intervals.
+
+    Every combination of policy, task, split and number of crossings is one row.
+
+    Examples:
+
+        knotgym evaluate --task tie --nx 3 --policy random --episodes 256
+
+        knotgym evaluate --policy random --policy mine:act --task tie,unknot --nx 2-4
+    """
+    from knotgym.generate.episodes.evaluate import run
+
+    more = {}
+    if "policy" in given.typed or given.has("policy"):
+        more["policies"] = [
+            given.config(PolicyConfig, {"policy": name}, section="policy")
+            for name in (given["policy"] if "policy" in given.typed else ["random"])
+        ]
+    config = given.config(EvaluateConfig, more, usual={"filmed": 2})
+    if given["video"] is None:
+        config = replace(config, filmed=0)
+    run(config, given.run, out=given["out"], video=given["video"], progress=given.progress)

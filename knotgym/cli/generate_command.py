@@ -1,0 +1,129 @@
+"""The command `knotgym generate`."""
+
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from knotgym.cli.options import RUN, Given, command, default_folder, extra, numbers
+from knotgym.common.errors import InvalidInput
+from knotgym.common.streams import Stream, generator
+from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.notation import parse_code
+
+HARD_UNKNOTS = "hard-unknots"  # the list of codes that ships
+MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
+
+
+@command(
+    {"": GenerateConfig},
+    f"count source every_code demonstrations knot engine {RUN}",
+    extra("nx", str, "Numbers of crossings: 3, 2,3 or 0-4.", "3, or those of --knot"),
+    extra("out", Path, "Folder to write; by default knotgym-data/nx3, or nx3-3_1 with --knot 3_1."),
+    extra(
+        "codes",
+        Path,
+        "File of Gauss, PD or DT codes, one per line, or hard-unknots for the 21 diagrams of Burton"
+        " and others. --nx chooses by crossings, --count at random; --every-code gives the number"
+        " of states per code, 1 by default.",
+    ),
+)
+def generate(given: Given) -> None:
+    """Generate rope states with train and test splits, and demonstrations of their Gauss codes.
+
+    Examples:
+
+        knotgym generate --nx 3 --count 40
+
+        knotgym generate --nx 4 --every-code 1
+
+        knotgym generate --nx 7 --count 20 --no-demonstrations
+
+        knotgym generate --knot 8_19 --count 4
+
+        knotgym generate --nx 0-3 --count 200 --source play
+    """
+    from knotgym.datasets.minari_form import loading_lines
+    from knotgym.generate.states.state_recipe import make_states
+    from knotgym.topology.knot_table import UNKNOT, diagram_of
+
+    options, progress, knot = given.run, given.progress, given.get("knot")
+    codes, every_code, nx = given["codes"], given.get("every_code"), given["nx"]
+    if "nx" not in given.typed:
+        nx = str(diagram_of(knot).nx) if knot != UNKNOT else "3"
+    usual = {"nx": numbers(nx)}
+    folder = given["out"] or default_folder(
+        f"nx{nx}",
+        "" if given.get("source") == "drawing" else given.get("source"),
+        "" if knot == UNKNOT else knot,
+        f"every{every_code}" if every_code else "",
+        "" if given.get("split_by") == "state" else f"by-{given.get('split_by')}",
+        codes.stem if codes else "",
+        "" if given.get("demonstrations") else "states",
+        "" if given.get("engine") == "auto" else given.get("engine"),
+        "" if given.get("beads") == 100 else f"beads{given.get('beads')}",
+        f"seed{given.get('seed')}" if given.get("seed") else "",
+    )
+    more: dict[str, Any] = {}
+    if codes is not None:
+        wanted = numbers(nx) if "nx" in given.typed else None
+        count = given.get("count") if "count" in given.typed else None
+        rng = generator(Stream.SELECTION, given.get("seed"), 2)
+        found = code_list(codes, wanted, count, rng)
+        more["nx"] = tuple(dict.fromkeys(code.nx for code in found))
+        more["codes"] = [str(code) if code.chirality is None else code.chiral for code in found]
+        more["every_code"] = every_code or 1
+    config = given.config(GenerateConfig, more, usual=usual)
+    root = make_states(config, folder, options, progress=progress) / "minari"
+    for dataset in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
+        shown = dataset.relative_to(root).as_posix()
+        progress.say_how_to_load(loading_lines(shown, root))
+
+
+def code_list(
+    path: Path, nx: Sequence[int] | None, count: int | None, rng: np.random.Generator
+) -> list[GaussCode]:
+    """Read Gauss, PD or DT codes from a file, one per line; "#" begins a comment.
+
+    Args:
+        path: the file, of any size, or HARD_UNKNOTS for the one that ships.
+        nx: keep codes with these numbers of crossings; all if None.
+        count: keep a random sample of so many; all if None, up to MOST_CODES.
+        rng: source of the sample.
+
+    Raises:
+        InvalidInput: a line is none of them.
+    """
+    if str(path) == HARD_UNKNOTS and not path.exists():
+        path = Path(str(files("knotgym.topology") / "data/hard-unknots.txt"))
+    if path.exists() and not path.is_file():
+        raise InvalidInput(f"--codes {path} is not a regular file")
+    kept: list[tuple[int, GaussCode]] = []  # line number, code
+    seen = 0
+    try:
+        with open(path, encoding="utf-8") as lines:
+            for number, line in enumerate(lines):
+                text = line.partition("#")[0].strip()
+                if not text or (nx is not None and (code := parse_code(text)).nx not in nx):
+                    continue
+                # reservoir sampling: line k stays with probability count / k, so that one pass
+                # over a list of any length gives every code the same chance
+                seen += 1
+                place = len(kept) if count is None or seen <= count else int(rng.integers(seen))
+                if count is not None and place >= count:
+                    continue
+                if place >= MOST_CODES:
+                    raise InvalidInput(
+                        f"--codes {path} has more than {MOST_CODES} codes; --count 1000 takes a"
+                        " random sample of 1000"
+                    )
+                kept[place : place + 1] = [(number, parse_code(text) if nx is None else code)]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"--codes {path} can't be read: {error}") from error
+    if not kept:
+        of = "" if nx is None else f" with nx {', '.join(map(str, nx))}"
+        raise InvalidInput(f"--codes {path} contains no code{of}")
+    return [code for _, code in sorted(kept, key=lambda one: one[0])]

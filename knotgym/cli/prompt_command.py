@@ -1,0 +1,107 @@
+"""The command `knotgym prompt`."""
+
+from pathlib import Path
+from typing import Any
+
+from knotgym.cli.options import EXISTING, Given, command, default_folder, extra
+from knotgym.common.errors import InvalidInput
+from knotgym.prompting.prompted_episodes import PromptConfig
+from knotgym.runs.progress import Progress
+
+
+@command(
+    {"": PromptConfig},
+    f"mode chat.model chat.base_url task.task task.nx episodes seed {EXISTING}",
+    extra("PICTURES", Path, "For mode read: a folder of pictures from `knotgym images`."),
+    extra(
+        "split", str, "Split, as for evaluate; default train, as published, or test for pictures."
+    ),
+    extra("out", Path, "Folder to write."),
+    extra(
+        "show",
+        bool,
+        "Print the whole prompt and send nothing; with --out also write its pictures.",
+    ),
+)
+def prompt(given: Given) -> None:
+    """Evaluate a vision-language model on episodes, or on reading Gauss codes from pictures.
+
+    Each episode's transcript is a line of transcripts.jsonl; result.json has the totals.
+
+    Examples:
+
+        knotgym prompt --mode stateless --task tie --nx 2 --model NAME
+
+        knotgym prompt --mode read knotgym-data/images-nx0-4 --model NAME --base-url http://127.0.0.1:8000/v1
+    """
+    from knotgym.prompting.prompt_run import run_prompts
+    from knotgym.prompting.prompts import READ
+
+    pictures, out, split = given["pictures"], given["out"], given["split"]
+    usual = {"chat.model": "none" if given["show"] else ""}
+    more: dict[str, Any] = {"task.split": split} if split and pictures is None else {}
+    config = given.config(PromptConfig, more, usual=usual)
+    if (config.mode == READ) != (pictures is not None):
+        raise InvalidInput(
+            "mode read, and only mode read, takes a folder of pictures; got --mode"
+            f" {config.mode} and {'no folder' if pictures is None else pictures}"
+        )
+    rows = [] if pictures is None else _rows(pictures, split or "test", config.episodes)
+    if given["show"]:
+        _show(config, rows, out, given.run.overwrite, given.progress)
+        return
+    if pictures is not None:
+        more["pictures"] = (split or "test", _digest(rows))
+        config = given.config(PromptConfig, more, usual=usual)
+    task, model = config.task, config.chat.model
+    subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
+    stem = "".join(letter if letter.isalnum() or letter in "-." else "-" for letter in model)
+    mark = f"seed{config.seed}" if config.seed else ""
+    folder = out or default_folder(f"prompt-{config.mode}-{subject}", stem, mark)
+
+    run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
+    if not given.quiet:
+        from knotgym.cli.summaries import print_transcripts
+
+        print_transcripts(folder, given.progress.console)
+
+
+def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
+    """Return the first `count` pictures of a split; the table is shuffled."""
+    from itertools import islice
+
+    from knotgym.common.errors import InvalidFile
+    from knotgym.datasets.image_table import read_rows
+
+    columns = ["image", "gauss_code", "nx", "grade", "accepted"]
+    rows = list(islice(read_rows(pictures, split, columns), count))
+    if not rows:
+        raise InvalidFile(f"{pictures} has no pictures of split {split}")
+    return rows
+
+
+def _digest(rows: list[dict[str, Any]]) -> str:
+    import hashlib
+
+    return hashlib.sha256(b"".join(row["image"] for row in rows)).hexdigest()
+
+
+def _show(
+    config: PromptConfig,
+    rows: list[dict[str, Any]],
+    out: Path | None,
+    overwrite: bool,
+    progress: Progress,
+) -> None:
+    """Print the first request of a run; write its pictures to the folder `out`, if given."""
+    from knotgym.common.atomic_files import atomic_write, require_output
+    from knotgym.prompting.prompt_run import sample_prompt
+
+    text, shown = sample_prompt(config, rows)
+    pictures = {} if out is None else {out / f"{name}.png": png for name, png in shown.items()}
+    for path in pictures:
+        require_output(path, folder=False, overwrite=overwrite)
+    progress.console.print(text, end="", soft_wrap=True, highlight=False, markup=False)
+    for path, png in pictures.items():
+        with atomic_write(path, overwrite=overwrite) as temporary:
+            temporary.write_bytes(png)

@@ -1,0 +1,51 @@
+"""The command `knotgym train`."""
+
+import importlib.util
+from pathlib import Path
+
+from knotgym.cli.options import EXISTING, Given, command, extra
+from knotgym.common.errors import InvalidInput, MissingExtra, install_command
+from knotgym.learn.train_config import CloneConfig, ReaderConfig
+
+
+@command(
+    {"": ReaderConfig, "clone": CloneConfig},
+    f"steps seed run.workers {EXISTING}",
+    extra("out", Path, "Folder to write: weights, card and learning curves."),
+    extra("data", list[str], "Minari id or folder of train-split episodes; may be repeated."),
+    extra(
+        "learner",
+        str,
+        "pictures: the learner from pictures alone. clone: imitates the macro-actions of a"
+        " planner, from vertices; its settings are in the section clone.",
+        "pictures",
+    ),
+)
+def train(given: Given) -> None:
+    """Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`.
+
+    Examples:
+
+        knotgym train --data knotgym/tie-nx2/expert-v0 --out runs/reader
+
+        knotgym train --learner clone --set clone.demonstrations=2000 --out runs/clone
+    """
+    for library in ("torch", "safetensors"):
+        if importlib.util.find_spec(library) is None:
+            raise MissingExtra(library, install_command("learn"), "knotgym train")
+    from knotgym.learn.train import train as train_learner
+
+    learner, out = given["learner"], given["out"]
+    if out is None:
+        raise InvalidInput("name the folder to write: --out FOLDER")
+    config: ReaderConfig | CloneConfig
+    if learner == "clone":
+        common = {name: given.get(name) for name in ("steps", "seed") if given.has(name)}
+        config = given.config(CloneConfig, common, section="clone")
+    elif learner != "pictures":
+        raise InvalidInput(f"no learner {learner!r}; there is pictures, clone")
+    elif given.has("clone"):
+        raise InvalidInput("settings of the clone are for --learner clone")
+    else:
+        config = given.config(ReaderConfig)
+    train_learner(given["data"] or [], out, config, given.run, given.progress)

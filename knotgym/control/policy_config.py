@@ -1,0 +1,122 @@
+"""Which policy acts, and its settings; nothing here computes, because the command line reads them.
+
+Whether a policy of that name exists is found out when it is made, see `policies`.
+"""
+
+from math import inf
+from pathlib import Path
+
+from knotgym.common.configuration import Count, NonNegative, Positive, Share, Whole, configuration
+from knotgym.common.errors import InvalidPolicy
+from knotgym.rope.macro_action_config import MacroActionConfig
+
+MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
+_PLANNED = ("expert", "noisy", "play", "planner", "mixed")
+
+
+@configuration
+class PassPlannerConfig:
+    """Settings of the policy `expert`.
+
+    Attributes:
+        candidates: passes tried at a state, at most; four times as many where towing is limited.
+        budget: pulls simulated for a search, at most.
+        steps: pulls of a path to the goal, at most.
+        last_resort: pulls that the planner of pulls may simulate for an episode in which no pass
+            was found.
+        macro_actions: settings of the passes.
+    """
+
+    candidates: Count = 12
+    budget: Count = 2000
+    steps: Count = 50
+    last_resort: Whole = 2000
+    macro_actions: MacroActionConfig = MacroActionConfig()
+
+
+@configuration
+class PullPlannerConfig:
+    """Settings of the policy `planner`.
+
+    Attributes:
+        budget: pulls simulated for an episode, at most.
+        batch_size: copies of the rope simulated side by side.
+        guided: share of macro-actions that imitate counted ones, where there are any; the rest are
+            random.
+        longest: most pulls of one macro-action.
+        kept: most states kept per code.
+        greed: exponent of the preference for codes near the goal; 0 for no preference.
+        stride: expected pulls per change of code.
+        least_stride: fewest pulls per change of code; a state from which the goal can't be reached
+            in time even at this rate is dropped.
+        unknown_hops: changes of code to the goal assumed where no path is known.
+        patience: delay, in pulls, that makes a state e times less likely to be chosen.
+        weariness: macro-actions from a code that halve its probability to be chosen again.
+        try_cost: pulls that each try of a state counts for when the worst state of a code is
+            dropped.
+        stuck: macro-actions from a code after which other configurations with the same code are
+            kept too.
+        template_noise: standard deviation of an imitated macro-action's positions, in arcs.
+        strange: macro-actions that each crossing too many or too few counts for where no path is
+            known.
+        macro_actions: settings of the macro-actions.
+    """
+
+    budget: Whole = 60000
+    batch_size: Count = 8
+    guided: Share = 0.8
+    longest: Count = 10
+    kept: Count = 6
+    greed: NonNegative = 4.0
+    stride: NonNegative = 6.0
+    least_stride: Whole = 2
+    unknown_hops: Whole = 2
+    patience: Positive = 10.0
+    weariness: Positive = 10.0
+    try_cost: NonNegative = 2.0
+    stuck: Whole = 24
+    template_noise: NonNegative = 0.1
+    strange: NonNegative = 30.0
+    macro_actions: MacroActionConfig = MacroActionConfig()
+
+
+@configuration
+class PolicyConfig:
+    """Which policy acts, and its settings.
+
+    Attributes:
+        policy: policy: random, constant, scripted, expert, noisy, play, planner, mixed, pretrained
+            or pretrained-clone; a folder written by `knotgym train`; prompt:FILE or
+            recorded:DATASET, to score transcripts of `knotgym prompt` or a recording; or
+            module:name for your own code: a function of (observation) or (observation, info,
+            generator), or an object with reset and act.
+        noise: probability that a pull of the noisy policy is random.
+        shares: shares of random, scripted, noisy and expert episodes in mixed.
+        expert: settings of the expert.
+        planner: settings of the planner; the scripted policy uses its macro-actions.
+    """
+
+    policy: str = "random"
+    noise: Share = 0.1
+    shares: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
+    expert: PassPlannerConfig = PassPlannerConfig()
+    planner: PullPlannerConfig = PullPlannerConfig()
+
+    def __post_init__(self) -> None:
+        fit = len(self.shares) == len(MIXED) and all(0 <= one < inf for one in self.shares)
+        if not fit or not 0 < sum(self.shares) < inf:
+            raise InvalidPolicy(
+                f"shares must be {len(MIXED)} finite numbers of at least 0, not all 0, for"
+                f" {', '.join(MIXED)}; got {self.shares}"
+            )
+
+    @property
+    def plans(self) -> bool:
+        """Whether the policy searches, so that an episode takes far longer than its pulls."""
+        return self.policy in _PLANNED
+
+    @property
+    def short(self) -> str:
+        """A name for dataset ids: letters, digits and dashes."""
+        stem = Path(self.policy.partition(":")[0]).stem.split(".")[-1]
+        return "".join(letter if letter.isalnum() else "-" for letter in stem)

@@ -1,0 +1,88 @@
+"""Verify a dataset of any kind: detect what a path or an id holds and run its checks.
+
+Episodes are played again by `rollouts`, which is why this module isn't in `datasets`.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from knotgym.common.configuration import read_json
+from knotgym.common.tables import format_of
+from knotgym.control.recorded_policy import RecordedPolicy
+from knotgym.control.rollouts import rollouts
+from knotgym.datasets.episode_dataset import FORMAT as EPISODES_FORMAT
+from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
+from knotgym.datasets.episodes import Episodes
+from knotgym.datasets.image_table import is_images
+from knotgym.datasets.machine import others
+from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
+from knotgym.envs.tasks import TaskConfig
+from knotgym.states.state_file import read_states, shipped
+
+# a phrase in the faults of replays, which may differ on another machine because of rounding
+_REPLAYED = ("bit for bit", "played again")
+OVERLAPS = "overlaps.json"  # beside the shipped sets: file -> nx -> `splits.overlap`
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
+
+
+def replay(episodes: Episodes, task: TaskConfig) -> Episodes:
+    """Play episodes again from their starts and pulls."""
+    return rollouts(RecordedPolicy(episodes), task, episodes.episodes)
+
+
+def verify(source: str | os.PathLike[str]) -> list[str]:
+    """Verify a dataset: checksums, schema, codes by two labellers, exact replays, pictures, splits.
+
+    Args:
+        source: a folder or a file that knotgym wrote, or the id of a Minari dataset.
+
+    Returns:
+        Faults; each names the file and, where possible, the row or step. Empty if there are none.
+
+    Raises:
+        FileNotFoundError: there is nothing at `source`.
+        MissingExtra: `source` is a table of pictures and pyarrow isn't installed.
+    """
+    return list(faults(source))
+
+
+def faults(
+    source: str | os.PathLike[str], each: Map = map, count: Count = uncounted
+) -> Iterator[str]:
+    """Yield the faults that `verify` lists, each as soon as it is found.
+
+    If only replays differ and the dataset was generated on another machine, a last line says how
+    that machine differs. `each` replaces `map` and may run in parallel, see `image_faults`.
+    """
+    elsewhere, wrong = False, False
+    for fault in _faults(source, each, count):
+        replayed = any(phrase in fault for phrase in _REPLAYED)
+        elsewhere, wrong = elsewhere or replayed, wrong or not replayed
+        yield fault
+    given = Path(source)
+    differences = others(given) if elsewhere and not wrong and given.is_dir() else ""
+    if differences:
+        yield (
+            f"{given}: generated on another machine, {differences}, which may round differently;"
+            " everything but the replays is as it was written"
+        )
+
+
+def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator[str]:
+    given = Path(source)
+    if is_images(given):
+        # imported here, because only this check needs pyarrow
+        from knotgym.datasets.image_verification import image_faults
+
+        yield from image_faults(given, each, count)
+    elif given.is_dir() and any((given / n).is_file() for n in ("manifest.json", "states.h5")):
+        yield from folder_faults(given, replay, count)
+    elif given.is_file() and format_of(given) != EPISODES_FORMAT:
+        states = read_states(given)
+        yield from state_faults(states, count)
+        stored = read_json(given.with_name(OVERLAPS)) if given.parent == shipped().parent else {}
+        yield from overlap_faults(states, stored.get(given.name, {}), OVERLAPS)
+    else:
+        yield from verify_episodes(str(source), replay, count=count)

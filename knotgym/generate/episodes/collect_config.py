@@ -1,0 +1,76 @@
+"""The configuration of `knotgym collect`; nothing here computes: the command line reads it."""
+
+from dataclasses import replace
+from typing import Annotated
+
+from knotgym.common.configuration import Count, Seed, choice, configuration
+from knotgym.common.errors import InvalidInput
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
+from knotgym.rope.engines import MUJOCO
+
+OBSERVATION = "both"  # stored by `knotgym collect` by default
+
+
+@configuration
+class CollectConfig:
+    """Which episodes to collect.
+
+    Attributes:
+        task: the environment; its `observation` is stored in Minari's form.
+        policy: the acting policy.
+        episodes: episodes to play for each --nx.
+        seed: random seed; the same seed gives the same bytes. Episode i has
+            `rollouts.episode_seed(seed, i)`.
+        keep_failed: keep episodes that didn't reach the goal.
+        attempts: rollouts per episode; the shortest one that reaches the goal is kept, or else the
+            first.
+        labels: "expert" stores the expert's action at every state.
+        seen: observation given to functions and objects of your own; "" for the stored one.
+        dataset_id: Minari id; by default for example knotgym/tie-nx3/expert-v0, with a mark for
+            each setting that changes the data, as in expert-state-seed1-v0.
+        author: author of the dataset; may be repeated.
+        author_email: author's email; may be repeated.
+        code_permalink: URL of the code that made it.
+    """
+
+    task: TaskConfig = TaskConfig(task="tie", observation=OBSERVATION)
+    policy: PolicyConfig = PolicyConfig(policy="expert")
+    episodes: Count = 200
+    seed: Seed = 0
+    keep_failed: bool = True
+    attempts: Count = 1
+    labels: Annotated[str, choice("", "expert")] = ""
+    seen: Annotated[str, choice("", *OBSERVATIONS)] = ""
+    dataset_id: str = ""
+    author: tuple[str, ...] = ()
+    author_email: tuple[str, ...] = ()
+    code_permalink: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.policy.policy.startswith("prompt:"):
+            raise InvalidInput(
+                "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
+                f" {self.policy.policy}"
+            )
+        if not self.dataset_id:
+            marks = collection_marks(self.attempts, self.labels)
+            object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy, *marks))
+
+    @property
+    def seen_task(self) -> TaskConfig:
+        """The environment with the observation that the policy gets."""
+        return replace(self.task, observation=self.seen or self.task.observation)
+
+
+def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
+    """Return the id of a dataset from its task, its policy and further marks."""
+    split = "" if task.split == "train" else task.split
+    engine = "" if task.engine == MUJOCO else task.engine
+    name = "-".join([policy.short, *filter(None, (engine, split, *marks))])
+    return f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
+
+
+def collection_marks(attempts: int, labels: str) -> tuple[str, ...]:
+    """Return the marks of best-of-n rollouts and of expert labels."""
+    return f"best{attempts}" if attempts > 1 else "", "labelled" if labels else ""

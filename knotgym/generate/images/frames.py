@@ -1,0 +1,149 @@
+"""Frames of rollouts that may become pictures: the Gauss code is certain, and the picture shows it.
+
+A frame may be reflected, switched (over and under exchanged), reversed and renumbered from any
+bead; all of these are exact for a picture. So a frame with n crossings can show up to 8n codes.
+Each frame comes with a few symmetries, drawn at random, and the codes that it would show.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.streams import Stream, derived_seed, generator
+from knotgym.common.tables import Table
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import rollouts
+from knotgym.datasets.episodes import STARTS, STEPS
+from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.images.images_config import ImagesConfig
+from knotgym.quality.difficulty import ease
+from knotgym.quality.limits import LEGIBLE
+from knotgym.quality.measures import base_spacing, measure
+from knotgym.rope.model import Array
+from knotgym.runs.journal import Result
+from knotgym.topology.crossings import find_crossings
+from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.topology.symmetry import Symmetry
+
+SYMMETRIES = 12  # drawn for each frame
+
+
+class Rope(NamedTuple):
+    """A rope that is pulled.
+
+    Attributes:
+        number: of the rope in the run; all of its random draws follow from it.
+        start: row of the states that it starts in.
+        split: the split of all its frames.
+    """
+
+    number: int
+    start: int
+    split: str
+
+
+def frames_of(
+    config: ImagesConfig,
+    ropes: Sequence[Rope],
+    start_qpos: Array,
+    wanted: dict[str, Collection[int]],
+) -> Result:
+    """Pull ropes and return the frames that may be shown.
+
+    Args:
+        config: how they are pulled, and the limits of frames.
+        ropes: the ropes.
+        start_qpos: float64 (ropes, nq), where they start.
+        wanted: split -> numbers of crossings that are still missing.
+
+    Returns:
+        m frames, by rope and pulls: `points` float64 (m, beads, 3) in metres, `rope`, `pulls` and
+        `nx` int64 (m,), `ease` float64 (m,) without the base bead (see `difficulty.ease`),
+        `symmetries` int64 (m, SYMMETRIES, 4), which are the fields reflect, switch, reverse and
+        base_shift, and `codes` str (m, SYMMETRIES), the Gauss code that each shows, or "-" if a
+        crossing would be at the base bead. `dropped` and `count`: why frames were dropped, and how
+        many.
+    """
+    rows: dict[str, list[Any]] = {
+        name: [] for name in ("points", "rope", "pulls", "nx", "ease", "symmetries", "codes")
+    }
+    dropped: Counter[str] = Counter()
+    for (index, pulls), points in _observed(config, ropes, start_qpos).items():
+        rope, crossings = ropes[index], find_crossings(points)
+        if crossings.nx not in wanted[rope.split]:
+            dropped["crossings"] += 1
+            continue
+        # the base bead is chosen below
+        quality = replace(measure(points, crossings, quick=True), base_spacing=np.inf)
+        faults = config.limits.faults(quality, crossings.nx)
+        if not faults and pyknotid_code(points) != crossings.code:
+            faults = ["labellers disagree"]
+        if faults:
+            dropped[faults[0]] += 1
+            continue
+        rng = generator(Stream.IMAGE_CHOICE, config.seed, rope.number, pulls)
+        symmetries = rng.integers((2, 2, 2, len(points)), size=(SYMMETRIES, 4))
+        codes = [_shown(points, symmetry_of(one), config) for one in symmetries]
+        row = points, rope.number, pulls, crossings.nx, ease(quality, LEGIBLE), symmetries, codes
+        for column, value in zip(rows.values(), row, strict=True):
+            column.append(value)
+    kinds = {"rope": np.int64, "pulls": np.int64, "nx": np.int64, "ease": np.float64}
+    return {
+        "points": np.array(rows["points"] or np.empty((0, 0, 3)), np.float64),
+        "symmetries": np.array(rows["symmetries"], np.int64).reshape(-1, SYMMETRIES, 4),
+        "codes": np.array(rows["codes"], np.str_).reshape(-1, SYMMETRIES),
+        **{name: np.array(rows[name], kind) for name, kind in kinds.items()},
+        "dropped": np.array(list(dropped), np.str_),
+        "count": np.array(list(dropped.values()), np.int64),
+    }
+
+
+def symmetry_of(fields: NDArray[np.int64]) -> Symmetry:
+    """Return the symmetry whose fields are reflect, switch, reverse and base_shift."""
+    *flags, base_shift = fields.tolist()
+    reflect, switch, reverse = map(bool, flags)
+    return Symmetry(reflect=reflect, switch=switch, reverse=reverse, base_shift=base_shift)
+
+
+def _observed(
+    config: ImagesConfig, ropes: Sequence[Rope], start_qpos: Array
+) -> dict[tuple[int, int], Array]:
+    """Return the points of frames by index of the rope and pulls, in that order."""
+    task = TaskConfig(task="unknot", nx=1, engine=config.engine, horizon=config.pulls, endless=True)
+    schema, found = STARTS.sized(nq=start_qpos.shape[1]), {}
+    for turn, policy in enumerate(config.policies):
+        own = [
+            index for index, rope in enumerate(ropes) if rope.number % len(config.policies) == turn
+        ]
+        starts = schema.empty(len(own))
+        starts["start_qpos"][:] = start_qpos[own]
+        starts["seed"][:] = [
+            derived_seed(Stream.IMAGE_WALK, config.seed, ropes[index].number) for index in own
+        ]
+        played = rollouts(
+            make_policy(PolicyConfig(policy=policy)),
+            task,
+            Table(schema, starts),
+            lanes=max(1, len(own)),
+            keep=STEPS.only("observation"),
+        )
+        lengths = played.episodes["length"].tolist()
+        for index, first, length in zip(own, played.offsets.tolist(), lengths, strict=False):
+            for pulls in range(config.stride, length + 1, config.stride):
+                points = played.steps["observation"][first + pulls].astype(np.float64)
+                if np.isfinite(points).all():
+                    found[index, pulls] = points
+    return dict(sorted(found.items()))
+
+
+def _shown(points: Array, symmetry: Symmetry, config: ImagesConfig) -> str:
+    """Return the code that a frame shows after a symmetry, or "-"."""
+    moved = symmetry.configuration(points)
+    crossings = find_crossings(moved)
+    least = config.limits.base_spacing or 0.0
+    return str(crossings.code) if base_spacing(moved, crossings) >= least else "-"

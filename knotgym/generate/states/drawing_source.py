@@ -1,0 +1,257 @@
+"""States drawn from their Gauss codes.
+
+A curve with the code is drawn (`drawing.drawn_curve`), laid in the simulator, stirred a little,
+left to rest and judged. Drawings are random, so this is repeated until enough are accepted.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.configuration import as_json
+from knotgym.common.errors import Failed
+from knotgym.common.streams import Stream, generator_of, key
+from knotgym.drawing.drawn_curve import drawn_curve
+from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.generate.states.selection import Selection
+from knotgym.generate.states.state_filter import judge
+from knotgym.generate.states.state_rows import (
+    Rows,
+    row_of,
+    stacked,
+    taken,
+    with_report,
+    without_report,
+)
+from knotgym.generate.states.wanted_codes import WantedCodes
+from knotgym.quality.measures import measure
+from knotgym.rope.engines import simulation_of
+from knotgym.rope.simulation import Simulation
+from knotgym.runs.run import Call, Recipe
+from knotgym.states.schema import DRAWING
+from knotgym.topology.diagrams import chiralities
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import UNKNOT, type_of
+from knotgym.topology.knots import shows
+
+# The first drawings of a code must differ from all other states under every symmetry. Codes that a
+# symmetry maps to each other have similar drawings, so later ones need only differ as they lie;
+# `splits.kept_together` then puts such states into one split.
+UNLIKE_DRAWINGS = 3
+
+_CODES = 4  # codes of a call
+_COPIES = 10  # states of a code in a call, at most
+# Drawings of a call for each state, at most. It doesn't depend on `attempts`, so that a run can be
+# resumed with more of them.
+_DRAWINGS = 20
+_ONE = np.array([0])
+
+
+class Order(NamedTuple):
+    """States to draw of one code.
+
+    Attributes:
+        code: with chirality, or without for any chirality.
+        which: index of the code among those of its nx.
+        first: number of the first drawing.
+        drawings: most drawings.
+        wanted: states, at most.
+    """
+
+    code: GaussCode
+    which: int
+    first: int
+    drawings: int
+    wanted: int
+
+
+def drawn_rows(
+    config: GenerateConfig, report: dict[str, Any], stage: str = "drawing"
+) -> Recipe[Rows]:
+    """Draw the states that a configuration asks for.
+
+    Args:
+        config: of source drawing.
+        report: gets the run's counts.
+        stage: first words of the keys of the calls.
+
+    Raises:
+        Failed: states are missing, although all drawings have been made.
+    """
+    codes = {nx: WantedCodes(config, nx) for nx in config.nx}
+    selection, have = Selection(), {nx: Counter[int]() for nx in config.nx}
+    rejected = {nx: Counter[str]() for nx in config.nx}
+    made, reserved = Counter[tuple[int, int]](), Counter[tuple[int, int]]()
+    given_up: dict[int, set[int]] = {nx: set() for nx in config.nx}
+    number = 0
+    while True:
+        orders = list[Order]()
+        for nx in config.nx:
+            for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items():
+                for wanted in _parts(lacking, _COPIES):
+                    first, most = reserved[nx, index], _DRAWINGS * wanted
+                    orders.append(Order(codes[nx][index], index, first, most, wanted))
+                    reserved[nx, index] += most
+        if not orders:
+            break
+        calls = [
+            Call(f"{stage} {number + part}", draw, (config, tuple(orders[first : first + _CODES])))
+            for part, first in enumerate(range(0, len(orders), _CODES))
+        ]
+        number += len(calls)
+        for result in (yield calls):
+            rows, drawn = without_report(result)
+            for nx, index, drawings, reasons in drawn:
+                made[nx, index] += drawings
+                rejected[nx].update(reasons)
+            for row, seed in enumerate(rows.get("source/seed", ())):
+                nx, index, drawing = seed[2:].tolist()
+                if selection.offer(rows, row, lenient=drawing >= UNLIKE_DRAWINGS):
+                    have[nx][index] += 1
+        for nx in config.nx:
+            given_up[nx] |= {
+                index
+                for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items()
+                if made[nx, index] >= config.attempts * (have[nx][index] + lacking)
+            }
+    for nx in config.nx:
+        rejected[nx]["near-duplicate"] += selection.near[nx]
+    report.update(
+        existing_codes={str(nx): of.existing for nx, of in codes.items()},
+        attempts=made.total(),
+        rejected={
+            str(nx): {reason: n for reason, n in sorted(each.items()) if n}
+            for nx, each in rejected.items()
+        },
+        passed_over={
+            str(nx): [str(codes[nx][index]) for index in sorted(given_up[nx])] for nx in config.nx
+        },
+    )
+    missing = {nx: codes[nx].wanted - have[nx].total() for nx in config.nx}
+    if any(missing.values()):
+        listed = ", ".join(f"{count} with nx = {nx}" for nx, count in missing.items() if count)
+        raise Failed(f"missing states: {listed}; give --resume with a larger --set attempts=N")
+    rows = selection.rows()
+    nx, which = rows["nx"].tolist(), rows["source/seed"][:, 3].tolist()
+    order = sorted(range(len(nx)), key=lambda row: (config.nx.index(nx[row]), which[row]))
+    return taken(rows, np.array(order))
+
+
+def draw(config: GenerateConfig, orders: Sequence[Order]) -> Rows:
+    """Draw codes until enough states of each are accepted.
+
+    Returns:
+        The rows, and as report a list with an entry for each order: its nx and index, the number of
+        drawings, and reason -> number of rejected ones.
+    """
+    simulation = simulation_of(1, config.rope, config.engine_used)
+    rows, drawn = list[dict[str, Any]](), []
+    for order in orders:
+        selection, rejected, number = Selection(), Counter[str](), order.first
+        letters = _letters(order.code, config.knot)
+        while number < order.first + order.drawings and len(selection) < order.wanted:
+            # `which` keeps codes from all starting with the same chirality
+            turn = (order.which + number) % len(letters)
+            code = GaussCode(order.code.visits, letters[turn])
+            row = _drawn(config, order, code, number, simulation, rejected)
+            number += 1
+            if row is not None and selection.offer(stacked([row]), 0):
+                rows.append(row)
+        rejected["near-duplicate"] = selection.near[order.code.nx]
+        drawn.append([order.code.nx, order.which, number - order.first, rejected])
+    return with_report(stacked(rows), drawn)
+
+
+@lru_cache(maxsize=4096)
+def _letters(code: GaussCode, knot: str) -> tuple[str, ...]:
+    """Return the chiralities with which a code shows the knot."""
+    if code.chirality is not None:
+        return (code.chirality,)
+    patterns = chiralities(code)
+    if type_of(knot) == UNKNOT:
+        return patterns
+    return tuple(letters for letters in patterns if shows(GaussCode(code.visits, letters), knot))
+
+
+def _drawn(
+    config: GenerateConfig,
+    order: Order,
+    code: GaussCode,
+    number: int,
+    simulation: Simulation,
+    rejected: Counter[str],
+) -> dict[str, Any] | None:
+    """Make one state; return None if it is rejected, and count the reasons in `rejected`."""
+    rope = simulation.rope
+    seed = key(Stream.DRAWING, config.seed, code.nx, order.which, number)
+    rng = generator_of(seed)
+    try:
+        curve = drawn_curve(code, rng, rope, config.drawing.curve)
+    except Failed:
+        rejected["too tight"] += 1
+        return None
+    # most rejections are seen on the curve, before anything is simulated
+    faults = config.limits.faults(measure(curve, quick=True), code.nx)
+    if faults:
+        rejected.update(faults)
+        return None
+    start = rope.qpos(curve)
+    simulation.lay(start[None], _ONE)
+    actions = _stirred(simulation, config, code, rng)
+    if actions is None:
+        rejected["simulation failed"] += 1
+        return None
+    points, qpos = simulation.points[0].copy(), simulation.qpos(_ONE)[0]
+    judgement = judge(points, [config.limits], code=code)
+    rejected.update(judgement.faults)
+    if judgement.faults:
+        return None
+    return row_of(
+        judgement,
+        points,
+        qpos,
+        start_qpos=start,
+        actions=actions,
+        steps=len(actions),
+        seed=np.array(seed),
+        policy=DRAWING,
+        drawing=json.dumps(as_json(config.drawing.curve)),
+    )
+
+
+def _stirred(
+    simulation: Simulation, config: GenerateConfig, code: GaussCode, rng: np.random.Generator
+) -> NDArray[np.float32] | None:
+    """Stir rope 0 with random pulls and let it rest.
+
+    Returns:
+        The actions, float32 (T, 6); None if the simulation fails.
+    """
+    drawing, few = config.drawing, code.nx < 2
+    most = drawing.loop_stir if few else drawing.stir
+    force = (drawing.force[0], 1.0) if few else drawing.force
+    actions = []
+    for step in range((steps := int(rng.integers(most + 1))) + drawing.rest):
+        strength = rng.uniform(*force) if step < steps else 0.0
+        heading, bead = rng.uniform(-np.pi, np.pi), rng.integers(len(simulation.points[0]), size=1)
+        pull = strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])
+        newtons = pull.astype(np.float32).astype(np.float64) * simulation.max_force
+        action = simulation.actions(bead, newtons, _ONE)
+        if not simulation.act(action, _ONE).all():
+            return None
+        actions.append(action[0])
+    return np.array(actions)
+
+
+def _parts(total: int, most: int) -> list[int]:
+    """Split a number into parts of at most `most`.
+
+    >>> _parts(23, 10)
+    [10, 10, 3]
+    """
+    return [min(most, total - done) for done in range(0, total, most)]

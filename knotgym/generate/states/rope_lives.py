@@ -1,0 +1,221 @@
+"""The lives of ropes that states are taken from: random and scripted pulls, watched as they go.
+
+    settle | random | opening | scripted | spreading | scripted | spreading | ...
+           ^ the rope is laid at rest, and its record begins; every few pulls a frame is seen
+
+Opening and spreading pull random beads out of a tangle, so that ropes become loose and readable,
+which random actions alone never leave them.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.streams import generator_of
+from knotgym.common.tables import Table
+from knotgym.control.rollouts import Ids, Player, Policy, Pulls, rollouts
+from knotgym.datasets.episodes import STARTS
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.states.generate_config import PlayConfig
+from knotgym.rope.actions import decode_actions, drawn_actions, quantized
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import WaypointController, propose
+from knotgym.rope.model import Array, Rope
+
+# A spreading pull flees from strands nearer than _REACH in the picture, metres, and at least _APART
+# beads away along the rope. Of _DRAWN beads, it pulls the one that is pushed away most.
+_REACH, _APART, _DRAWN = 0.06, 6, 8
+_SLOPE = 0.1  # most upward or downward part of a pull, in units of the largest force
+
+BeadsAndForces = tuple[NDArray[np.int64], NDArray[np.float32]]
+
+
+class Frame(NamedTuple):
+    """A rope as it lies after some pulls; its velocity isn't kept.
+
+    Attributes:
+        rope: its number in the call.
+        step: pulls of the record before it.
+        qpos: float64 (nq,).
+        points: float64 (beads, 3), metres.
+    """
+
+    rope: int
+    step: int
+    qpos: Array
+    points: Array
+
+
+class Lives(NamedTuple):
+    """What `live` saw.
+
+    Attributes:
+        start_qpos: float64 (ropes, nq), where the records begin, at rest.
+        actions: float32 (ropes, pulls, 6), each at the position of the bead that it pulls.
+        frames: of all ropes, in order of steps.
+    """
+
+    start_qpos: Array
+    actions: NDArray[np.float32]
+    frames: list[Frame]
+
+
+def coil(rope: Rope) -> Array:
+    """Return a coil of two turns, one crossing, radius of gyration 0.11 m: float64 (beads, 3)."""
+    at = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    radius = 1 + 0.25 * np.cos(at)
+    curve = [radius * np.cos(2 * at), radius * np.sin(2 * at), 0.25 * np.sin(at)]
+    return rope.from_curve(np.stack(curve, axis=1))
+
+
+def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> Lives:
+    """Live the lives of ropes, side by side; each depends on its own key alone.
+
+    Args:
+        config: the pulls that they consist of.
+        engine: that moves the ropes.
+        keys: of the ropes' random streams. If the record consists of random actions, these are
+            `drawn_actions(key, config.random)`.
+    """
+    rope = Rope()
+    start = np.repeat(rope.qpos(coil(rope))[None], len(keys), axis=0)
+    if config.settle:
+        walk = PlayConfig(
+            settle=0, random=config.settle, opening=0, rounds=0, first=config.settle, every=1
+        )
+        for frame in _lived(walk, engine, start, keys).frames:
+            start[frame.rope] = frame.qpos  # a rope that was lost on the way stays a coil
+    lived = _lived(config, engine, start, keys)
+    return Lives(start, lived.actions, lived.frames)
+
+
+class _Life(Policy):
+    """The policy of lives; it keeps what `live` returns."""
+
+    name = "life"
+
+    def __init__(self, config: PlayConfig, keys: Sequence[tuple[int, ...]]) -> None:
+        self.config, self.keys = config, keys
+        self.frames: list[Frame] = []
+        self.actions = np.zeros((len(keys), config.pulls, 6), dtype=np.float32)
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        return task
+
+    def player(self, batch: EpisodeBatch) -> "_Living":
+        return _Living(self, batch)
+
+
+class _Living(Player):
+    """Plays the phases of a life in each lane, one after the other."""
+
+    def __init__(self, life: _Life, batch: EpisodeBatch) -> None:
+        self.planned = np.zeros(batch.count, dtype=np.int64)
+        self._life, self._batch = life, batch
+        self._simulation, self._rngs = batch.simulation, dict[int, np.random.Generator]()
+        self._drawn = np.zeros((batch.count, life.config.random, 6), dtype=np.float32)
+        self._macro_actions = MacroActionConfig()
+        self._controller = WaypointController(batch.count, self._macro_actions)
+        config, phases = life.config, list[tuple[int, Callable[[Ids], BeadsAndForces]]]()
+        phases += [(config.random, self._random), (config.opening, self._open)]
+        for _ in range(config.rounds):
+            phases += [(config.scripted, self._script), (config.spreading, self._spread)]
+        self._ends = np.cumsum([length for length, _ in phases])
+        self._phases = [*(phase for _, phase in phases), _rest]
+
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
+        for index in ids.tolist():
+            key = self._life.keys[self._batch.number[index]]
+            self._drawn[index] = drawn_actions(key, self._life.config.random)
+            self._rngs[index] = generator_of((*key[:-1], key[-1] + 1))  # actions have their own
+            self._controller.release(index)
+
+    def act(self, ids: Ids) -> Pulls:
+        steps = self._batch.steps[ids]
+        self._see(ids, steps)
+        beads = np.zeros(len(ids), dtype=np.int64)
+        forces = np.zeros((len(ids), 3), dtype=np.float32)
+        now = np.searchsorted(self._ends, steps, side="right")
+        for phase in np.unique(now):
+            own = now == phase
+            beads[own], forces[own] = self._phases[phase](ids[own])
+        recorded = np.flatnonzero(steps < self._ends[-1])
+        some = ids[recorded]
+        # in float64, or the actions would round otherwise than the pulls
+        newtons = forces[recorded].astype(np.float64) * self._simulation.max_force
+        self._life.actions[self._batch.number[some], steps[recorded]] = self._simulation.actions(
+            beads[recorded], newtons, some
+        )
+        return Pulls(ids, beads, forces)
+
+    def _see(self, ids: Ids, steps: NDArray[np.int64]) -> None:
+        since = steps - self._life.config.first
+        seen = ids[(since >= 0) & (since % self._life.config.every == 0)]
+        if not len(seen):
+            return
+        columns = self._batch.number[seen].tolist(), self._batch.steps[seen].tolist()
+        where = self._simulation.qpos(seen), self._simulation.points[seen]
+        self._life.frames += map(Frame, *columns, *where)
+
+    def _random(self, ids: Ids) -> BeadsAndForces:
+        actions = self._drawn[ids, self._batch.steps[ids]]
+        points, rope = self._simulation.points[ids], self._simulation.rope.config
+        return decode_actions(actions, points, rope)[0], actions[:, 3:]
+
+    def _open(self, ids: Ids) -> BeadsAndForces:
+        """Pull a random bead of each rope away from the rope's middle."""
+        points = self._simulation.points[ids]
+        beads = np.array([self._rngs[index].integers(points.shape[1]) for index in ids.tolist()])
+        away = points[np.arange(len(ids)), beads] - points.mean(axis=1)
+        return beads, self._level(away[:, :2], ids)
+
+    def _spread(self, ids: Ids) -> BeadsAndForces:
+        """Of a few beads, pull the one that is most crowded in the picture, out of the crowd."""
+        points = self._simulation.points[ids]
+        count = points.shape[1]
+        drawn = np.stack([self._rngs[index].integers(count, size=_DRAWN) for index in ids.tolist()])
+        at = np.take_along_axis(points, drawn[..., None], axis=1)
+        away = at[:, :, None, :2] - points[:, None, :, :2]
+        distance = np.sqrt((away**2).sum(axis=-1))
+        along = np.abs(np.arange(count) - drawn[..., None])
+        near = (np.minimum(along, count - along) >= _APART) & (distance < _REACH)
+        # each near bead pushes along `away`; the nearer, the more
+        push = np.where(near, (1 - distance / _REACH) ** 2 / np.maximum(distance, 1e-4), 0.0)
+        total = (away * push[..., None]).sum(axis=2)
+        rows, most = np.arange(len(ids)), (total**2).sum(axis=-1).argmax(axis=1)
+        return drawn[rows, most], self._level(total[rows, most], ids)
+
+    def _level(self, away: Array, ids: Ids) -> NDArray[np.float32]:
+        """Return full forces in the directions (n, 2), seen from above, with some slope."""
+        size = np.maximum(np.sqrt((away**2).sum(axis=1, keepdims=True)), 1e-9)
+        slopes = [self._rngs[index].uniform(-_SLOPE, _SLOPE) for index in ids.tolist()]
+        return quantized(np.column_stack([away / size, slopes])).astype(np.float32)
+
+    def _script(self, ids: Ids) -> BeadsAndForces:
+        """Make random macro-actions, one after another."""
+        points, controller = self._simulation.points, self._controller
+        controller.advance(points)
+        for index in ids[controller.idle[ids]].tolist():
+            drawn = propose(points[index], self._rngs[index], self._macro_actions)
+            controller.begin(index, drawn)
+        controller.advance(points)
+        return controller.beads[ids], controller.forces(points)[ids].astype(np.float32)
+
+
+def _rest(ids: Ids) -> BeadsAndForces:
+    return np.zeros(len(ids), dtype=np.int64), np.zeros((len(ids), 3), dtype=np.float32)
+
+
+def _lived(config: PlayConfig, engine: str, start: Array, keys: Sequence[tuple[int, ...]]) -> _Life:
+    """Play lives from starts float64 (ropes, nq)."""
+    schema, life = STARTS.sized(nq=start.shape[1]), _Life(config, keys)
+    rows = schema.empty(len(keys))
+    rows["seed"][:], rows["start_qpos"][:] = np.arange(len(keys)), start
+    # which goal an endless task has makes no difference; one pull more shows the last frame
+    horizon = config.pulls + 1
+    task = TaskConfig(task="unknot", nx=1, engine=engine, endless=True, horizon=horizon)
+    rollouts(life, task, Table(schema, rows), lanes=len(keys), keep=None)
+    return life

@@ -1,0 +1,194 @@
+"""The recipes of `knotgym train`: read or make data, train, write a checkpoint folder.
+
+Demonstrations are calls of a run, see `knotgym.runs`, so workers make them and its journal keeps
+them; a training that is interrupted continues from its one checkpoint.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import knotgym
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import InvalidInput
+from knotgym.common.streams import Stream, derived_seed, generator
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import rollouts
+from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
+from knotgym.envs.tasks import TaskConfig
+from knotgym.learn.checkpoint import CARD, Learned, save_reader
+from knotgym.learn.clone_policy import save_clone
+from knotgym.learn.clone_training import CloneTraining, first_guesses
+from knotgym.learn.decisions import Decisions
+from knotgym.learn.reader_training import ReaderTraining
+from knotgym.learn.train_config import CloneConfig, ReaderConfig
+from knotgym.learn.training import draw_curve, fit
+from knotgym.learn.training_data import (
+    decisions_of,
+    digest,
+    require_trainable,
+    states_and_pulls,
+)
+from knotgym.runs.compilation import compile_first
+from knotgym.runs.identity import identity
+from knotgym.runs.journal import Result
+from knotgym.runs.progress import Progress
+from knotgym.runs.run import Call, Recipe, checkpoint_of, run
+from knotgym.runs.run_options import RunOptions
+
+_TOGETHER = 250  # demonstrations of one call
+
+
+def train(
+    datasets: Sequence[Any],
+    out: Path,
+    config: ReaderConfig | CloneConfig,
+    options: RunOptions,
+    progress: Progress | None = None,
+) -> Path:
+    """Train a learner on datasets and write its checkpoint folder.
+
+    Args:
+        datasets: ids or folders of train-split episodes; for a clone, of policies that choose
+            macro-actions.
+        out: folder to create.
+        config: which learner, and its settings.
+        options: of the run; its workers make demonstrations.
+        progress: where to show progress.
+
+    Raises:
+        InvalidInput: the datasets are unsuitable, or the training to resume has other settings.
+        Occupied: `out` exists, holds an interrupted training, or is used by another process.
+        InvalidFile, MissingFile: a dataset, or the training to resume, is missing or invalid.
+    """
+    if progress is None:
+        with Progress(options.quiet) as progress:
+            return train(datasets, out, config, options, progress)
+    if not options.shard.is_whole:
+        raise InvalidInput("a training can't be divided: leave out --shard")
+    shown, opened = progress, [columns_of(one) for one in datasets]
+    for one in opened:
+        require_trainable(one.task, str(one.attributes.get("rope")), one.episodes, one.name)
+    if not opened and not getattr(config, "demonstrations", 0):
+        raise InvalidInput(
+            "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations be"
+            " made for a clone, as in --demonstrations 1000"
+        )
+    columns = "observation", "bead", "force", "share"
+    read = digest([one.episodes.steps[name] for one in opened for name in columns])
+    whole = identity(config, {"data_sha256": read})
+    card = {
+        "knotgym": knotgym.__version__,
+        "config": whole["config"],
+        "data": [one.name for one in opened],
+        "identity": whole,
+    }
+
+    def recipe(place: Path) -> Recipe[str]:
+        if isinstance(config, CloneConfig):
+            yield from _train_clone(opened, config, place, card, shown)
+        else:
+            yield from _train_reader(opened, config, place, card, shown)
+        return f"{config.steps} steps"
+
+    def prepare(progress: Progress) -> None:
+        if getattr(config, "demonstrations", 0):
+            compile_first(progress, "chain", options.workers)
+
+    return run(recipe, out, whole, options, progress, prepare=prepare, made_by=_identity_in)
+
+
+def _train_reader(
+    opened: Sequence[EpisodeDataset],
+    config: ReaderConfig,
+    place: Path,
+    card: dict[str, Any],
+    progress: Progress,
+) -> Recipe[None]:
+    yield []
+    data = states_and_pulls([one.episodes for one in opened])
+    training = ReaderTraining(data, config)
+    fit(training, checkpoint_of(place), config.save_every, "reader", progress)
+    rng = generator(Stream.LEARN_PLACES, config.seed)
+    rows = data.starts[np.sort(rng.permutation(len(data.starts))[: config.positions])]
+    learned = Learned(training.network.eval(), data.frames[rows].mean(axis=1, dtype=np.float32))
+    facts = {"episodes": len(data.starts), "frames": len(data.frames)}
+    save_reader(place, learned, {**card, **facts})
+    draw_curve(place, ("join", "correct"), training.losses)
+
+
+def _train_clone(
+    opened: Sequence[EpisodeDataset],
+    config: CloneConfig,
+    place: Path,
+    card: dict[str, Any],
+    progress: Progress,
+) -> Recipe[None]:
+    parts, count = list[Decisions](), 0
+    for one in opened:
+        if "macro_start" not in one.episodes.steps:
+            raise InvalidInput(
+                f"{one.name} doesn't say which macro-actions its policy chose, so the clone can't"
+                " learn them; use a set of expert or noisy"
+            )
+        parts.append(decisions_of(one.episodes, count))
+        count += one.episodes.episodes.rows
+    calls = _demonstrations(config)
+    for made in (yield calls):
+        own = Decisions(**made)
+        parts.append(own._replace(episodes=own.episodes + count))
+        count += _TOGETHER
+    decisions = Decisions(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+    if not decisions.worked.any():
+        raise InvalidInput("no episode reached its goal, so there is nothing to imitate")
+    training = CloneTraining(config, decisions)
+    fit(training, checkpoint_of(place), config.save_every, "clone", progress)
+    network = training.ended()
+    facts = {
+        "episodes": len(np.unique(decisions.episodes)),
+        "decisions": int(decisions.worked.sum()),
+        "decisions_not_imitated": int((~decisions.worked).sum()),
+        "held_out": first_guesses(network, decisions, config.seed),
+    }
+    save_clone(place, network, {**card, **facts})
+    draw_curve(place, ("training", "held_out"), training.losses)
+
+
+def _demonstrations(config: CloneConfig) -> list[Call]:
+    """Return the calls that make the demonstrations of all tasks."""
+    setups = (
+        [(task, nx) for task in config.task for nx in config.nx] if config.demonstrations else []
+    )
+    return [
+        Call(f"demonstrations of {task} {nx} {first}", demonstrate, (config, task, nx, first))
+        for task, nx in setups
+        for first in range(0, config.demonstrations, _TOGETHER)
+    ]
+
+
+def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
+    """Let the demonstrating policy play some episodes of a task; return the decisions' columns."""
+    numbers = range(first, min(first + _TOGETHER, config.demonstrations))
+    place = config.task.index(task), nx
+    seeds = [derived_seed(Stream.DEMONSTRATION, config.seed, *place, k) for k in numbers]
+    setup = TaskConfig(
+        task=task,
+        nx=nx,
+        split=config.split,
+        states=config.states,
+        observation="state",
+        engine="chain",
+    )
+    played = rollouts(make_policy(PolicyConfig(policy=config.policy)), setup, seeds)
+    return decisions_of(played)._asdict()
+
+
+def _identity_in(out: Path) -> dict[str, Any] | None:
+    try:
+        found: dict[str, Any] = read_json(out / CARD)["identity"]
+        return found
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

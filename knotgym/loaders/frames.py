@@ -1,0 +1,223 @@
+"""Frames of a dataset, from which observations are put together: the halves for rope and goal.
+
+Frames have numbers. Those below R, the rows of steps of the dataset, are the states in these rows;
+R + k is the goal of episode k. An observation joins the frame of a state and the frame of a goal,
+so that a state that ends one transition and begins the next is stored once.
+
+Vertices and codes are columns of the dataset. Pictures are drawn when they are asked for, or once
+into a file of NumPy's format, which is mapped into memory:
+
+    {folder}/{key}.npy      uint8 (R + episodes, views * size, size, 3 or 4)
+
+The key is a digest of everything that decides the pictures. You may delete the files.
+"""
+
+import hashlib
+import json
+from dataclasses import asdict
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib.format import open_memmap
+from numpy.typing import NDArray
+
+import knotgym
+from knotgym.common.atomic_files import atomic_write, require_own
+from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.datasets.episode_dataset import EpisodeDataset, content_digest
+from knotgym.datasets.episodes import gauss_code
+from knotgym.envs.tasks import OBSERVATIONS
+
+Ids = NDArray[np.int64]
+_AT_ONCE = 256  # pictures drawn between two writes
+
+
+class Frames:
+    """The frames of one dataset as one kind of observation."""
+
+    def __init__(self, dataset: EpisodeDataset, observation: str, picture: Any, cache: Any) -> None:
+        """Open the frames; with a cache, draw all pictures that its folder doesn't have yet.
+
+        Args:
+            dataset: columns.
+            observation: "pixels", "state", "both", "symbolic" or "marked".
+            picture: a `PictureConfig`; None for that of the environment.
+            cache: folder for pictures; None to draw them when they are asked for.
+
+        Raises:
+            InvalidInput: there is no such observation, or it has no pictures to cache.
+            InvalidFile: the folder can't be written, or is somebody else's.
+        """
+        if observation not in OBSERVATIONS:
+            raise InvalidInput(
+                f"observation must be one of {', '.join(OBSERVATIONS)}, got {observation!r}"
+            )
+        self._dataset, self.observation, self._picture = dataset, observation, picture
+        self._rows = dataset.episodes.steps.rows
+        self._count = self._rows + dataset.episodes.episodes.rows
+        self._file = None
+        if cache is not None:
+            if observation not in ("pixels", "both"):
+                raise InvalidInput(
+                    f"a cache keeps pictures, and observation {observation!r} has none: leave out"
+                    ' cache, or use observation="pixels"'
+                )
+            self._file = self._cached(Path(cache))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parts of an observation: pixels and state for "both"."""
+        return ("pixels", "state") if self.observation == "both" else (self.observation,)
+
+    def goals(self, episodes: Ids) -> Ids:
+        """Return the frames of episodes' own goals."""
+        return self._rows + episodes
+
+    def observe(self, shown: list[Ids], goals: Ids) -> list[Any]:
+        """Join frames of ropes and goals into observations.
+
+        Args:
+            shown: frames of ropes, each (n,) or (n, k).
+            goals: (n,), the frames of their goals.
+
+        Returns:
+            For each of `shown` an array (n, ...) or (n, k, ...), or a dict of them for "both".
+        """
+        every = [(ids.ravel(), np.repeat(goals, ids.size // max(1, len(goals)))) for ids in shown]
+        found: dict[str, list[NDArray[Any]]] = {}
+        for name in self.names:
+            if name == "marked":
+                found[name] = [self._marked(*pair) for pair in every]
+                continue
+            halves = self._halves(name, [ids for pair in every for ids in pair])
+            axis = self._axis(name)
+            pairs = zip(halves[::2], halves[1::2], strict=True)
+            found[name] = [np.concatenate(pair, axis=axis) for pair in pairs]
+        return self._shaped(found, shown)
+
+    def alone(self, shown: list[Ids]) -> list[Any]:
+        """Return frames as they are, the halves of observations; for arguments see `observe`.
+
+        Raises:
+            InvalidInput: the observation is "marked", whose frame depends on rope and goal.
+        """
+        if self.observation == "marked":
+            raise InvalidInput(
+                "a marked observation has no halves: its frame depends on rope and goal; choose"
+                " observation 'pixels', 'state', 'both' or 'symbolic', or leave out apart and"
+                " negatives"
+            )
+        found = {name: self._halves(name, [ids.ravel() for ids in shown]) for name in self.names}
+        return self._shaped(found, shown)
+
+    def _shaped(self, found: dict[str, list[NDArray[Any]]], shown: list[Ids]) -> list[Any]:
+        each = [
+            {
+                name: parts[k].reshape(*ids.shape, *parts[k].shape[1:])
+                for name, parts in found.items()
+            }
+            for k, ids in enumerate(shown)
+        ]
+        return each if self.observation == "both" else [one[self.observation] for one in each]
+
+    def _axis(self, name: str) -> int:
+        """Return the axis along which the goal follows the rope."""
+        if name != "pixels":
+            return 1
+        return 2 if self._dataset.task.layout == "beside" else 3
+
+    def _halves(self, name: str, shown: list[Ids]) -> list[NDArray[Any]]:
+        if name == "pixels" and self._file is None:
+            # what several of them show is drawn once
+            drawn, index = np.unique(np.concatenate(shown), return_inverse=True)
+            pictures = self._drawn(drawn)
+            ends = np.cumsum([len(ids) for ids in shown])[:-1]
+            return [pictures[part] for part in np.split(index, ends)]
+        if name == "pixels":
+            return [self._kept(ids) for ids in shown]
+        return [self._vertices(ids) if name == "state" else self._symbols(ids) for ids in shown]
+
+    def _column(self, ids: Ids, of_state: str, of_goal: str) -> NDArray[Any]:
+        """Gather rows of a column of steps, and of one of episodes for goals."""
+        own, steps = self._dataset.episodes
+        goals = ids >= self._rows
+        if goals.all():
+            return own[of_goal][ids - self._rows]
+        if not goals.any():
+            return steps[of_state][ids]
+        found = np.empty((len(ids), *steps[of_state].shape[1:]), steps[of_state].dtype)
+        found[goals] = own[of_goal][ids[goals] - self._rows]
+        found[~goals] = steps[of_state][ids[~goals]]
+        return found
+
+    def _vertices(self, ids: Ids) -> NDArray[np.float32]:
+        return self._column(ids, "observation", "goal_points").reshape(len(ids), -1)
+
+    def _codes(self, ids: Ids) -> NDArray[np.int16]:
+        return self._column(ids, "visits", "goal_visits")
+
+    def _symbols(self, ids: Ids) -> NDArray[np.int16]:
+        from knotgym.envs.observations import SYMBOLS
+
+        visits = self._codes(ids)[:, :SYMBOLS]
+        return np.pad(visits, ((0, 0), (0, SYMBOLS - visits.shape[1])))[:, None]
+
+    def _marked(self, ropes: Ids, goals: Ids) -> NDArray[np.float32]:
+        from knotgym.envs.marked import join, mark
+
+        points = self._column(ropes, "observation", "goal_points").astype(np.float64)
+        return join(mark(points, [gauss_code(visits) for visits in self._codes(goals)]))
+
+    def _drawn(self, ids: Ids) -> NDArray[np.uint8]:
+        # imported here, so that loading vertices doesn't need OpenCV
+        from knotgym.rendering.picture import draw_many
+
+        points = self._column(ids, "observation", "goal_points").astype(np.float64)
+        return draw_many(points, self._style)
+
+    @cached_property
+    def _style(self) -> Any:
+        from knotgym.envs.observations import picture_config
+
+        return self._picture or picture_config(self._dataset.task)
+
+    def _kept(self, ids: Ids) -> NDArray[np.uint8]:
+        assert self._file is not None
+        return self._file[ids]
+
+    def _cached(self, folder: Path) -> NDArray[np.uint8]:
+        """Map the file of pictures, which is written first if need be, 1 ms a picture."""
+        path, frame = folder / f"{self._key()}.npy", self._drawn(np.zeros(1, np.int64))[0]
+        shape = (self._count, *frame.shape)
+        require_own(folder, InvalidFile)
+        require_own(path, InvalidFile)
+        try:
+            if not path.is_file():
+                folder.mkdir(parents=True, exist_ok=True)
+                with atomic_write(path) as part:
+                    file = open_memmap(part, "w+", np.uint8, shape)
+                    for first in range(0, len(file), _AT_ONCE):
+                        block = np.arange(first, min(first + _AT_ONCE, len(file)))
+                        file[block[0] : block[-1] + 1] = self._drawn(block)
+                    file.flush()
+            found = open_memmap(path, "r")
+        except (OSError, ValueError) as error:
+            raise InvalidFile(f"pictures can't be kept at {path}: {error}; delete it") from error
+        if found.shape != shape or found.dtype != np.uint8:
+            raise InvalidFile(f"{path} holds other pictures than its name says: delete it")
+        return np.asarray(found)  # a plain array slices faster than np.memmap
+
+    def _key(self) -> str:
+        """Digest everything that decides the pictures."""
+        import cv2
+
+        decides = {
+            "episodes": content_digest(self._dataset.episodes),
+            "picture": asdict(self._style),
+            "versions": {"knotgym": knotgym.__version__, "opencv": cv2.__version__},
+        }
+        # repr stands in for values that JSON can't hold, such as the rope model of a picture
+        text = json.dumps(decides, sort_keys=True, default=repr)
+        return hashlib.sha256(text.encode()).hexdigest()[:32]

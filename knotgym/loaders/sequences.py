@@ -1,0 +1,47 @@
+"""Stretches of consecutive states, straight from the columns, for models of sequences."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.errors import InvalidInput
+from knotgym.datasets.episode_dataset import columns_of
+
+
+class Sequences:
+    """Every stretch of `length` consecutive states of an episode. Can be pickled.
+
+    Attributes:
+        starts: int64 (n,), the row of steps that each stretch begins in.
+    """
+
+    def __init__(self, dataset: Any, length: int = 64) -> None:
+        """Open a dataset, see `knotgym.loaders`.
+
+        Raises:
+            InvalidInput: the length isn't above 0.
+        """
+        if length < 1:
+            raise InvalidInput(f"length must be at least 1, got {length}")
+        self.dataset, self.length = columns_of(dataset), length
+        episodes = self.dataset.episodes
+        rows = np.arange(episodes.steps.rows)
+        fits = rows + length <= np.repeat(episodes.offsets[1:], episodes.episodes["length"] + 1)
+        self.starts: NDArray[np.int64] = rows[fits]
+
+    def __len__(self) -> int:
+        """Return the number of stretches; 0 if no episode is long enough."""
+        return len(self.starts)
+
+    def __getitem__(self, index: int) -> dict[str, NDArray[Any]]:
+        """Return a stretch as views of the columns of `datasets.episodes.STEPS`, copying nothing.
+
+        observation is float32 (length, beads, 3), the rope alone; the goal is
+        `dataset.episodes.episodes["goal_points"][episode]`, and episode an array of one number.
+        """
+        first = int(self.starts[index])
+        part = slice(first, first + self.length)
+        columns = {name: column[part] for name, column in self.dataset.episodes.steps.items()}
+        episode = np.searchsorted(self.dataset.episodes.offsets, first, side="right") - 1
+        return {**columns, "episode": np.array([episode])}

@@ -1,0 +1,255 @@
+"""What is typed becomes configurations, validated once; a mistake is one line with status 2."""
+
+import json
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from knotgym.cli.main import COMMANDS, application
+from knotgym.cli.options import field_help, numbers, read_value
+from knotgym.common.errors import InvalidInput
+from knotgym.states.state_file import shipped
+
+from ..small_job import knotgym
+
+MOST_OPTIONS = {"collect": 22, "evaluate": 22, "generate": 22, "prompt": 15}
+MOST_OPTIONS_TOGETHER = 150
+
+
+@pytest.fixture
+def configs(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The configurations that `evaluate` was run with, instead of running it."""
+    found: list[Any] = []
+    monkeypatch.setattr(
+        "knotgym.generate.episodes.evaluate.run",
+        lambda config, options, **_: found.append((config, options)),
+    )
+    return found
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """What lines name: things that are there, and that aren't."""
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder / "minari"))
+    os.mkfifo(folder / "fifo")
+    (folder / "text").write_text("neither JSON nor a table\n", encoding="utf-8")
+    (folder / "list.json").write_text("[1]", encoding="utf-8")
+    (folder / "mood.toml").write_text("mood = 1\n", encoding="utf-8")
+    names = ("fifo", "text", "list.json", "mood.toml", "new", "absent")
+    return {**{name: str(folder / name) for name in names}, "states": str(shipped("hard-unknots"))}
+
+
+def leaves(app: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every command that does something, with the words that it is typed with."""
+    names = [name for name in app if not name.startswith("-")]
+    for name in names:
+        yield from leaves(app[name], (*words, name))
+    if not names:
+        yield words, app
+
+
+def options_of(app: Any) -> set[str]:
+    """The options that a command's help lists."""
+    shown = [one for one in app.assemble_argument_collection() if one.parameter.show is not False]
+    return {one.names[0] for one in shown if one.names[0].startswith("--")}
+
+
+def test_commands_have_few_options() -> None:
+    counts = Counter({words[-1]: len(options_of(app)) for words, app in leaves(application())})
+    assert counts["collect"] > 10
+    assert {name: counts[name] for name, most in MOST_OPTIONS.items() if counts[name] > most} == {}
+    assert counts.total() <= MOST_OPTIONS_TOGETHER
+
+
+def test_every_option_says_what_it_is() -> None:
+    silent = [
+        (*words, one.names[0])
+        for words, app in leaves(application())
+        for one in app.assemble_argument_collection(parse_docstring=True)
+        if not one.parameter.help
+    ]
+    assert silent == []
+
+
+def test_a_summary_in_the_list_is_the_first_line_of_the_commands_own_help() -> None:
+    for name, summary in COMMANDS.items():
+        command = getattr(import_module(f"knotgym.cli.{name}_command"), name)
+        assert " ".join(command.help.split()) == summary
+
+
+def test_what_is_typed_counts_before_a_setting_and_a_setting_before_a_file(
+    configs: list[Any], tmp_path: Path
+) -> None:
+    toml, as_json = tmp_path / "a.toml", tmp_path / "a.json"
+    toml.write_text("episodes = 3\nseed = 4\n[task]\nhorizon = 9\nhold = 2\n[run]\nworkers = 2\n")
+    task = {"horizon": 9, "hold": 2}
+    as_json.write_text(json.dumps({"episodes": 3, "seed": 4, "task": task, "run": {"workers": 2}}))
+    for file in (toml, as_json):
+        line = ("--settings", file, "--set", "task.horizon=7", "--set", "seed=5", "--seed", 6)
+        assert knotgym("evaluate", *line, "--quiet") == 0
+    assert configs[0] == configs[1]
+    config, options = configs[0]
+    assert (config.episodes, config.seed, options.workers, options.quiet) == (3, 6, 2, True)
+    assert (config.task.horizon, config.task.hold) == (7, 2)
+    assert config.task.observation == "state"  # the default of evaluate, not of an environment
+
+
+def test_settings_are_read_by_the_type_of_their_field(configs: list[Any]) -> None:
+    words = ("task.depth=true", "task.views=top,left", "task.tow_limit=0.04", "task.max_goals=none")
+    assert knotgym("evaluate", *(word for one in words for word in ("--set", one))) == 0
+    task = configs[0][0].task
+    assert (task.depth, task.views, task.tow_limit) == (True, ("top", "left"), 0.04)
+    assert task.max_goals is None
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("3", (3,)), ("2,3", (2, 3)), ("0-4", (0, 1, 2, 3, 4)), ("0-1,3", (0, 1, 3))],
+)
+def test_numbers_of_crossings_are_lists_and_ranges(text: str, expected: tuple[int, ...]) -> None:
+    assert numbers(text) == expected
+
+
+@pytest.mark.parametrize("text", ["x", "", "1,1", "3-1", "1,,2", "0-", "99999999", "1-3,2", "²"])
+def test_other_numbers_of_crossings_are_refused(text: str) -> None:
+    with pytest.raises(InvalidInput, match="--nx takes"):
+        numbers(text)
+
+
+def test_none_is_a_value_only_where_a_field_allows_it() -> None:
+    assert read_value("none", int | None, "--x") is None
+    with pytest.raises(InvalidInput, match="--x takes a whole number, got 'none'"):
+        read_value("none", int, "--x")
+
+
+def test_the_help_of_an_option_is_the_first_sentence_about_its_field() -> None:
+    class Pair:
+        """Two numbers.
+
+        Attributes:
+            low, high: ends of the range, `low` first; e.g. 1,2. Never equal.
+            other: another
+                thing.
+        """
+
+    assert field_help(Pair, "high") == "Ends of the range, `low` first; e.g. 1,2."
+    assert field_help(Pair, "other") == "Another thing." and field_help(Pair, "absent") == ""
+
+
+NEW = ("--out", "{new}")
+REFUSED = [
+    ("x", 'Unknown command "x". Available commands: demo, generate'),
+    ("colect", 'Did you mean "collect"?'),
+    ("--x", 'Unknown command "--x"'),
+    ("\x1b[2J", r"Unknown command"),
+    ("collect --episode 3", "Unknown option: --episode. Did you mean --episodes?"),
+    ("collect surplus", "Unused Tokens: ['surplus']"),
+    ("collect --nx", "requires an argument"),
+    ("collect --nx 2 --nx 3", "specified multiple times"),
+    ("collect --horizon 30", "--horizon is a setting: --set task.horizon=..."),
+    ("collect --budget=3", "--budget is a setting: --set policy.expert.budget=... or"),
+    ("evaluate --noise 0.2", "--noise is a setting: --set policy.noise=..."),
+    ("evaluate --shard 1/2", "--shard is a setting: --set run.shard=..."),
+    ("collect --set horizon", "--set takes name=value, such as task.horizon=30, got 'horizon'"),
+    ("collect --set mood=1", "has no field 'mood'; it has task, policy"),
+    ("collect --set task.mood=1", "has no field 'task.mood'; it has task, nx"),
+    ("collect --set task.horizon=x", "--set task.horizon takes a whole number, got 'x'"),
+    ("collect --set run.shard=3/2", "shard"),
+    ("collect --set run.mood=3", "a run has no setting 'mood'"),
+    ("collect --set task.depth=maybe", "--set task.depth takes true or false, got 'maybe'"),
+    ("collect --settings {absent}", "--settings {absent} can't be read as JSON"),
+    ("collect --settings {fifo}", "isn't a regular file"),
+    ("collect --settings {text}", "can't be read as JSON"),
+    ("collect --settings {list.json}", "must hold an object, got [1]"),
+    ("collect --settings {mood.toml}", "has no field 'mood'"),
+    ("collect --episodes x", "--episodes takes a whole number, got 'x'"),
+    ("collect --episodes -1", "episodes must be at least 1, got -1"),
+    ("collect --nx 2,2", "--nx takes each number once, got '2,2'"),
+    ("collect --nx 99", "nx must be from 1 to 11 on 100 beads, got 99"),
+    ("collect --nx 2,3 --id knotgym/a-v0", "--id names one dataset, but --nx makes 2"),
+    ("collect --task plait", "task.task must be one of unknot, tie, convert, got 'plait'"),
+    ("collect --engine bullet", "task.engine must be one of mujoco, chain, got 'bullet'"),
+    ("collect --workers -1", "workers must be at least 0, got -1"),
+    ("collect --resume --restart", "give only one of them"),
+    ("collect --set task.hold=99", "hold 99 is longer than the horizon of 50 steps"),
+    ("collect --set policy.noise=nan", "policy.noise must be a finite number"),
+    ("collect --policy nowhere:act", "nowhere"),
+    ("collect --id ../x-v0", "x-v0"),
+    ("evaluate --task tie,plait", "must be one of unknot, tie, convert"),
+    ("evaluate --split both", "must be one of train, test"),
+    ("evaluate --policy x", "x"),
+    ("generate --source x", "--source takes"),
+    ("generate --knot 99_99", "99_99"),
+    ("generate --codes {fifo}", "not a regular file"),
+    ("images --vary mood", "mood"),
+    ("images --size 4", "appearance.sizes must be at least 64, got 4"),
+    ("suite --policy x", "the suite's policies must be among"),
+    ("train --data x", "name the folder to write: --out FOLDER"),
+    ("prompt", "name the model to ask: --model NAME"),
+    ("prompt --model m --base-url file:///dev/zero", "the base URL must be"),
+    ("prompt --model m --mode read", "takes a folder of pictures"),
+    ("dataset x", 'Unknown command "x"'),
+    ("dataset show", "parameter PATH-OR-ID requires an argument"),
+    ("dataset show {absent}", "absent"),
+    ("dataset export {states}", "--out requires an argument"),
+    ("dataset merge --out {new}", "name what to merge"),
+    ("dataset merge {states} {states}", "give an output"),
+    ("dataset replay {states} --row x", 'unable to convert "x" into int'),
+    ("dataset replay {states} --row 999 --out {new}.gif", "999"),
+    ("dataset select {states} --sample x", 'unable to convert "x" into int'),
+    ("dataset select {states} --where nx== --out {new}", "nx=="),
+    ("dataset split {states} --parts a=0.5,a=0.5 --out {new}", "a"),
+    ("dataset delete {states} --rows 3-1 --out {new}", "3-1"),
+    ("dataset import --out {new}", "name the files of curves"),
+]
+
+
+@pytest.mark.parametrize(("line", "message"), REFUSED)
+def test_a_mistake_is_one_line_and_writes_nothing(
+    line: str, message: str, here: dict[str, str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    def filled(word: str) -> str:
+        for name, there in here.items():
+            word = word.replace(f"{{{name}}}", there)
+        return word
+
+    before = sorted(Path.cwd().rglob("*"))
+    status = knotgym(*map(filled, line.split(" ")), "--quiet")
+    said = capfd.readouterr().err
+    assert status == 2 and len(said.splitlines()) == 1 and said.rstrip("\n").isprintable(), said
+    assert said.startswith("knotgym: ") and filled(message) in said
+    assert sorted(Path.cwd().rglob("*")) == before
+
+
+@pytest.mark.parametrize("words", [(), ("--help",), ("collect", "--help"), ("dataset", "-h")])
+def test_help_is_shown_with_status_0(
+    words: tuple[str, ...], capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert knotgym(*words) == 0
+    assert capfd.readouterr().out.startswith("Usage: knotgym")
+
+
+def test_the_version_is_told(capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("--version") == 0
+    assert capfd.readouterr().out.startswith("knotgym ")
+
+
+@pytest.mark.parametrize("name", ["", "collect", "dataset", "evaluate"])
+def test_help_imports_no_simulator(name: str) -> None:
+    words = [*name.split(), "--help"]
+    code = f"import sys; sys.argv[1:] = {words!r}; from knotgym.cli.main import main\n"
+    code += "try: main()\nexcept SystemExit: print(*sys.modules, file=sys.stderr)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    modules = set(run.stderr.split())
+    heavy = {"cv2", "dask", "h5py", "minari", "mujoco", "numba", "pyarrow", "torch"}
+    assert "cyclopts" in modules and modules & heavy == set()

@@ -1,0 +1,94 @@
+"""How a command ends: one line on standard error and its status, whatever happens."""
+
+import subprocess
+import sys
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from knotgym.cli import main as cli
+from knotgym.common.errors import Failed, InvalidFile, MissingExtra
+
+from ..small_job import knotgym
+
+ROOT = Path(__file__).parents[2]
+
+
+def interrupted_in_compiled_code() -> Exception:
+    """What numba makes of Ctrl-C."""
+    error = SystemError("a function returned a result with an exception set")
+    error.__cause__ = KeyboardInterrupt()
+    return error
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (InvalidFile("a.h5 is\ncorrupted"), 2, "a.h5 is corrupted"),
+        (MissingExtra("torch", "pip install x"), 2, "this needs torch, which isn't installed"),
+        (Failed("3 of 4 codes were made"), 1, "3 of 4 codes were made"),
+        (BrokenProcessPool(), 1, "a worker died, perhaps out of memory; --resume continues"),
+        (MemoryError(), 1, "out of memory, here or in a worker"),
+        (OSError(28, "full", "a.h5"), 1, "No space left on device a.h5"),
+        (OSError(36, "long", "a"), 2, "File name too long a"),
+        (KeyboardInterrupt(), 130, "interrupted; no partial output is left\n"),
+        (interrupted_in_compiled_code(), 130, "interrupted; no partial output is left\n"),
+    ],
+)
+def test_an_end_is_one_line(
+    error: BaseException,
+    status: int,
+    line: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def ended(*_: Any) -> None:
+        raise error
+
+    monkeypatch.setattr("knotgym.cli.inspection.show", ended)
+    assert knotgym("dataset", "show", "x") == status
+    said = capfd.readouterr().err
+    assert said.startswith(f"knotgym: {line}") and said.count("\n") == 1
+
+
+def test_a_fault_of_our_own_is_not_called_the_users_mistake(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("knotgym.cli.inspection.show", lambda *_: 1 / 0)
+    assert knotgym("dataset", "show", "x") == 1
+    said = capfd.readouterr().err
+    assert said.startswith("Traceback") and "ZeroDivisionError" in said
+    assert said.splitlines()[-1].startswith("knotgym: this is a bug in knotgym: please report it")
+
+
+def test_an_interrupted_run_names_resume(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("knotgym.generate.episodes.evaluate.run", stopped)
+    assert knotgym("evaluate") == 130
+    assert capfd.readouterr().err == (
+        "knotgym: interrupted; no partial output is left, --resume continues from the last"
+        " checkpoint\n"
+    )
+
+
+def test_the_alias_of_generate_has_its_own_name(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit):
+        patch.setattr("signal.signal", lambda *_: None)
+        cli.main_generate(["--help"])
+    assert "Usage: knotgym-generate [OPTIONS]" in capfd.readouterr().out
+
+
+@pytest.mark.skipif(not (ROOT / "datasets").is_symlink(), reason="a checkout without links")
+@pytest.mark.parametrize("name", ["datasets", "generate", "loaders"])
+def test_a_link_is_not_imported_by_its_bare_name(name: str) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", f"import {name}"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert run.returncode == 1
+    assert f"import knotgym.{name}" in run.stderr.splitlines()[-1]

@@ -1,0 +1,180 @@
+"""Tests of `knotgym.datasets.episode_dataset`: files of episodes, and what they refuse."""
+
+import pickle
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from synthetic_episodes import TASK, TINY, episodes, written
+
+from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile
+from knotgym.datasets.episode_dataset import (
+    columns_of,
+    content_digest,
+    episode_file,
+    open_episodes,
+    write_episodes,
+)
+from knotgym.datasets.episodes import differences
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("episodes") / "a.h5", episodes([3, 1, 4]))
+
+
+@pytest.mark.parametrize("pack", [False, True])
+def test_what_is_written_is_read(tmp_path: Path, pack: bool) -> None:
+    made = episodes([3, 1])
+    write_episodes(tmp_path / "a.h5", [made], TASK, {"run": {"seed": 3}}, pack=pack)
+    read = open_episodes(tmp_path / "a.h5")
+    assert differences(made, read.episodes) == []
+    assert made.episodes.keys() == read.episodes.episodes.keys()
+    assert made.steps.keys() == read.episodes.steps.keys()
+    assert read.task == TASK and read.facts == {"run": {"seed": 3}}
+
+
+def test_parts_give_the_same_bytes_as_the_whole(tmp_path: Path) -> None:
+    made = episodes([3, 1, 2])
+    written(tmp_path / "whole.h5", made)
+    write_episodes(tmp_path / "parts.h5", [made.select([0]), made.select([1, 2])], TASK)
+    assert (tmp_path / "whole.h5").read_bytes() == (tmp_path / "parts.h5").read_bytes()
+
+
+def test_a_recording_is_read_as_one_and_has_the_same_digest(tmp_path: Path, file: Path) -> None:
+    recording = open_episodes(file).episodes.recording()
+    written(tmp_path / "r.h5", recording)
+    read = open_episodes(tmp_path / "r.h5")
+    assert read.episodes.is_recording and read.attributes["form"] == "recording"
+    assert read.attributes["digest"] == open_episodes(file).attributes["digest"]
+    with pytest.raises(InvalidInput, match="is a recording"):
+        columns_of(tmp_path / "r.h5")
+
+
+def test_columns_are_mapped_not_copied(file: Path) -> None:
+    column = open_episodes(file).episodes.steps["observation"]
+    assert not column.flags.owndata and not column.flags.writeable
+
+
+def test_a_pickled_dataset_keeps_its_selection_and_no_data(file: Path) -> None:
+    chosen = open_episodes(file).select([2, 0]).select([1])
+    stored = pickle.dumps(chosen)
+    again = pickle.loads(stored)
+    assert len(stored) < 1000 and again.rows.tolist() == [0]
+    assert differences(chosen.episodes, again.episodes) == []
+
+
+def test_the_digest_follows_the_pulls_alone() -> None:
+    made = episodes([3])
+    moved = made.steps["observation"] + 1
+    force = made.steps["force"] / 2
+    assert content_digest(made) == content_digest(
+        made._replace(steps=made.steps.replaced(observation=moved))
+    )
+    assert content_digest(made) != content_digest(
+        made._replace(steps=made.steps.replaced(force=force))
+    )
+
+
+def test_a_dataset_is_found_by_file_folder_data_folder_and_id(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = tmp_path / "root/knotgym/tie-nx2/expert-v0/data"
+    data.mkdir(parents=True)
+    made = written(data / "episodes.h5", episodes([1]))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "root"))
+    for source in (made, data, data.parent, "knotgym/tie-nx2/expert-v0"):
+        assert episode_file(source) == made
+    with pytest.raises(MissingFile, match="no episodes at"):
+        episode_file("knotgym/tie-nx2/other-v0")
+
+
+def test_a_dataset_may_not_name_states_outside_it(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    made = written(tmp_path / "episodes.h5", episodes([1]), replace(TASK, states="../x.h5"))
+    assert open_episodes(made).states_path() == Path("../x.h5")
+    (tmp_path / "metadata.json").write_text("{}")
+    with pytest.raises(InvalidFile, match="outside the dataset"):
+        open_episodes(made).states_path()
+
+
+def _lengthened(file: h5py.File) -> None:
+    file["episodes/length"][0] = 5
+
+
+def _overlong(file: h5py.File) -> None:
+    file["episodes/length"][0] = 2**62
+
+
+def _retyped(file: h5py.File) -> None:
+    del file["steps/share"]
+    file["steps/share"] = np.zeros(11)
+
+
+def _renamed(file: h5py.File) -> None:
+    file.move("steps/share", "steps/part")
+
+
+def _linked(file: h5py.File) -> None:
+    del file["steps/share"]
+    file["steps/share"] = h5py.ExternalLink("other.h5", "x")
+
+
+def _external(file: h5py.File) -> None:
+    del file["steps/share"]
+    file.create_dataset("steps/share", (11,), "float32", external=[("/etc/passwd", 0, 44)])
+
+
+def _virtual(file: h5py.File) -> None:
+    del file["steps/share"]
+    layout = h5py.VirtualLayout((11,), "float32")
+    layout[:] = h5py.VirtualSource("other.h5", "x", (11,))
+    file.create_virtual_dataset("steps/share", layout)
+
+
+def _objects(file: h5py.File) -> None:
+    del file["episodes/policy"]
+    file["episodes/policy"] = ["a", "b", "c"]
+
+
+def _task(file: h5py.File) -> None:
+    file.attrs["task"] = '{"task": "fly"}'
+
+
+def _form(file: h5py.File) -> None:
+    file.attrs["form"] = "poem"
+
+
+def _beads(file: h5py.File) -> None:
+    file.attrs["task"] = file.attrs["task"].replace('"beads": 50', '"beads": 60')
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        *(_lengthened, _overlong, _retyped, _renamed, _linked, _external, _virtual, _objects),
+        *(_task, _form, _beads),
+    ],
+)
+def test_a_harmed_file_is_one_line(file: Path, tmp_path: Path, harm: object) -> None:
+    copy = tmp_path / "copy.h5"
+    copy.write_bytes(file.read_bytes())
+    with h5py.File(copy, "r+") as opened:
+        assert callable(harm)
+        harm(opened)
+    with pytest.raises(InvalidFile) as caught:
+        open_episodes(copy)
+    assert "\n" not in str(caught.value) and str(copy) in str(caught.value)
+
+
+def test_a_torn_file_is_one_line(file: Path, tmp_path: Path) -> None:
+    (tmp_path / "torn.h5").write_bytes(file.read_bytes()[:5000])
+    with pytest.raises(InvalidFile):
+        open_episodes(tmp_path / "torn.h5")
+
+
+def test_the_files_of_the_tests_are_read() -> None:
+    for path in TINY.values():
+        assert open_episodes(path).episodes.episodes.rows == 3

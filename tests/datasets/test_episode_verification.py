@@ -1,0 +1,144 @@
+"""Tests of verification: every column of an episode file follows from its starts and pulls."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from synthetic_episodes import TINY
+
+import knotgym
+from knotgym.control.verification import replay
+from knotgym.datasets import show_episodes
+from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
+from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episode_verification import expanded, verify_episodes
+from knotgym.datasets.episodes import Episodes, differences, goals_reached, relabelled
+from knotgym.envs.tasks import TaskConfig
+
+Change = Callable[[NDArray[np.generic]], None]
+
+
+@pytest.fixture(scope="module")
+def good() -> EpisodeDataset:
+    return open_episodes(TINY["expert"])
+
+
+@pytest.fixture(scope="module")
+def played(good: EpisodeDataset) -> Callable[[Episodes, TaskConfig], Episodes]:
+    """Play the episodes again, once for all tests."""
+    made = expanded(good, replay).episodes
+    return lambda episodes, task: made
+
+
+@pytest.mark.parametrize("name", [*TINY])
+def test_what_was_played_is_verified(name: str) -> None:
+    assert knotgym.verify(TINY[name]) == []
+
+
+def test_a_recording_expands_to_the_columns(tmp_path: Path, good: EpisodeDataset) -> None:
+    write_episodes(tmp_path / "r.h5", [good.episodes.recording()], good.task)
+    whole = expanded(open_episodes(tmp_path / "r.h5"), replay)
+    assert differences(good.episodes, whole.episodes) == []
+    assert knotgym.verify(tmp_path / "r.h5") == []
+
+
+@pytest.mark.parametrize("name", [*TINY])
+def test_outcomes_follow_from_codes_by_the_reward_rule(name: str) -> None:
+    dataset = open_episodes(TINY[name])
+    found, steps = outcomes(dataset.episodes, dataset.task), dataset.episodes.steps
+    for column in ("reward", "terminated", "truncated"):
+        np.testing.assert_array_equal(getattr(found, column), steps[column])
+    reached = found.reached[dataset.episodes.last()]
+    np.testing.assert_array_equal(reached, dataset.episodes.episodes["success"])
+
+
+def test_episodes_in_hindsight_are_verified(tmp_path: Path) -> None:
+    dataset = open_episodes(TINY["random"])
+    at = goals_reached(dataset.episodes)
+    assert len(at.step)
+    made = relabelled(dataset.episodes, at, reward=dataset.task.success_reward)
+    write_episodes(tmp_path / "h.h5", [made], dataset.task)
+    faults = knotgym.verify(tmp_path / "h.h5")
+    assert all("starts as" in fault or "its goal" in fault for fault in faults), faults
+
+
+def _first(value: Any) -> Change:
+    def change(array: NDArray[np.generic]) -> None:
+        array[0] = value
+
+    return change
+
+
+def _more(array: NDArray[np.generic]) -> None:
+    array[1] = array[1] + 1
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "change"),
+    [
+        ("steps", "observation", _more),
+        ("steps", "action", _first(0.5)),
+        ("steps", "reward", _first(5)),
+        ("steps", "terminated", _first(True)),
+        ("steps", "truncated", _first(True)),
+        ("steps", "share", _first(0.5)),
+        ("steps", "visits", _first(1)),
+        ("steps", "signs", _first(1)),
+        ("steps", "crossings", _first(9)),
+        ("steps", "force", _first(0.25)),
+        ("steps", "bead", _first(7)),
+        ("steps", "force", _first(2)),
+        ("steps", "observation", _first(np.nan)),
+        ("episodes", "success", _first(False)),
+        ("episodes", "failed", _first(True)),
+        ("episodes", "total", _first(1)),
+        ("episodes", "goal_points", _more),
+        ("episodes", "goal_visits", _first(0)),
+        ("episodes", "goal", _first(10**6)),
+        ("episodes", "start", _first(-1)),
+        ("episodes", "start_qpos", _first(0.01)),
+        ("episodes", "relabelled", _first(True)),
+    ],
+)
+def test_a_changed_column_is_a_fault(
+    tmp_path: Path,
+    good: EpisodeDataset,
+    played: Callable[[Episodes, TaskConfig], Episodes],
+    table: str,
+    column: str,
+    change: Change,
+) -> None:
+    columns = {name: array.copy() for name, array in getattr(good.episodes, table).items()}
+    change(columns[column])
+    harmed = getattr(good.episodes, table).replaced(**columns)
+    write_episodes(tmp_path / "h.h5", [good.episodes._replace(**{table: harmed})], good.task)
+    assert [*verify_episodes(tmp_path / "h.h5", played, pyknotid=False)]
+
+
+def test_a_digest_that_is_not_the_contents_is_a_fault(tmp_path: Path, good: EpisodeDataset) -> None:
+    import h5py
+
+    write_episodes(tmp_path / "h.h5", [good.episodes], good.task)
+    with h5py.File(tmp_path / "h.h5", "r+") as file:
+        file["steps/force"][0] = 0.5
+    assert any("digest" in fault for fault in verify_episodes(tmp_path / "h.h5", None))
+
+
+def test_an_episode_twice_is_a_fault(tmp_path: Path, good: EpisodeDataset) -> None:
+    write_episodes(tmp_path / "h.h5", [good.episodes.select([0, 1, 0])], good.task)
+    faults = [*verify_episodes(tmp_path / "h.h5", None, pyknotid=False)]
+    assert [fault for fault in faults if "episode 2: the same as episode 0" in fault]
+
+
+def test_a_damaged_file_is_one_fault(tmp_path: Path) -> None:
+    (tmp_path / "h.h5").write_bytes(TINY["expert"].read_bytes()[:4000])
+    assert len([*verify_episodes(tmp_path / "h.h5", None)]) == 1
+
+
+def test_a_summary_counts_what_is_there() -> None:
+    found = show_episodes(TINY["expert"])
+    assert (found["episodes"], found["successes"], found["success_rate"]) == (3, 3, 1.0)
+    assert found["policies"] == {"expert": 3} and found["form"] == "columns"

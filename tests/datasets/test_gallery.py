@@ -1,0 +1,35 @@
+"""Contact sheets."""
+
+import numpy as np
+
+from knotgym.datasets.gallery import Tile, contact_sheet
+from knotgym.rendering.video import OUTCOMES
+
+
+def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
+    images = np.random.default_rng(0).integers(0, 255, (5, 16, 16, 3), dtype=np.uint8)
+    sheet = contact_sheet([Tile(image, ("a", "b")) for image in images], columns=2)
+    assert sheet.shape == (3 * 58, 2 * 28, 3)
+    for k, image in enumerate(images):
+        top, left = k // 2 * 58 + 6, k % 2 * 28 + 6
+        assert np.array_equal(sheet[top : top + 16, left : left + 16], image)
+
+
+def test_a_contact_sheet_has_no_empty_column() -> None:
+    tile = Tile(np.zeros((16, 16, 3), dtype=np.uint8), ("a",))
+    assert contact_sheet([tile] * 3).shape[1] == 3 * 28
+
+
+def test_a_coloured_tile_is_framed() -> None:
+    image = np.zeros((16, 16, 3), dtype=np.uint8)
+    sheet = contact_sheet([Tile(image, ("a",), OUTCOMES["failed"])])
+    assert (sheet[5, 6:22] == OUTCOMES["failed"]).all()
+    assert np.array_equal(sheet[6:22, 6:22], image)
+
+
+def test_a_caption_too_long_for_its_picture_goes_on_in_the_next_line() -> None:
+    image = np.zeros((128, 128, 3), dtype=np.uint8)
+    code = ",".join(f"{number}+a" for number in (*range(1, 7), *range(1, 7)))
+    short, long = (contact_sheet([Tile(image, (text, "b"))]) for text in ("1+a", code))
+    assert long.shape[0] > short.shape[0] and long.shape[1] == short.shape[1]
+    assert (long[short.shape[0] - 12 :] != long[-1, 0]).any()

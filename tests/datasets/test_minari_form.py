@@ -1,0 +1,171 @@
+"""Tests of `knotgym.datasets.minari_form`: what Minari loads, and what a forged file gives."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import minari
+import numpy as np
+import pytest
+from synthetic_episodes import TASK, TINY, episodes
+
+from knotgym.common.errors import InvalidInput, Occupied
+from knotgym.datasets import gauss_codes
+from knotgym.datasets.episode_dataset import open_episodes
+from knotgym.datasets.minari_form import (
+    MinariMetadata,
+    metadata_of,
+    minari_faults,
+    publish,
+)
+
+ID = "knotgym/tie-nx2/tiny-v0"
+METADATA = MinariMetadata(
+    dataset_id=ID,
+    algorithm_name="expert",
+    description="Three episodes.",
+    author=("B", "A"),
+    ref_min_score=-5.0,
+    ref_max_score=5.0,
+    num_episodes_average_score=8,
+)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A Minari root with one published dataset; only ever read."""
+    out, dataset = tmp_path_factory.mktemp("root"), open_episodes(TINY["expert"])
+    publish([dataset.episodes], dataset.task, METADATA, out, facts={"run": {"seed": 3}})
+    return out
+
+
+@pytest.fixture
+def loaded(root: Path, monkeypatch: pytest.MonkeyPatch) -> minari.MinariDataset:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    return minari.load_dataset(ID)
+
+
+def test_minari_loads_every_array_of_the_columns(loaded: minari.MinariDataset) -> None:
+    dataset = open_episodes(TINY["expert"])
+    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
+    assert loaded.total_episodes == 3 and loaded.total_steps == own["length"].sum()
+    for k, one in enumerate(loaded.iterate_episodes()):
+        states, pulls = slice(offsets[k], offsets[k + 1]), slice(offsets[k], offsets[k + 1] - 1)
+        np.testing.assert_array_equal(one.actions, steps["action"][pulls])
+        np.testing.assert_array_equal(one.rewards, steps["reward"][pulls])
+        np.testing.assert_array_equal(one.terminations, steps["terminated"][pulls])
+        np.testing.assert_array_equal(one.truncations, steps["truncated"][pulls])
+        rope = one.observations["state"][:, :300].reshape(-1, 100, 3)
+        np.testing.assert_array_equal(rope, steps["observation"][states])
+        assert one.observations["pixels"].shape == (own["length"][k] + 1, 32, 64, 3)
+        codes = [code.decode() for code in one.infos["gauss_code"]]
+        assert codes == gauss_codes(steps["visits"][states]).tolist()
+        assert one.infos["is_success"].tolist() == [False] * own["length"][k] + [True]
+        assert one.infos["bead"].tolist() == [-1, *steps["bead"][pulls].tolist()]
+
+
+def test_minari_has_seeds_options_scores_and_the_environment(
+    loaded: minari.MinariDataset,
+) -> None:
+    own = open_episodes(TINY["expert"]).episodes.episodes
+    found = [*loaded.storage.get_episode_metadata(range(3))]
+    assert [one["seed"] for one in found] == own["seed"].tolist()
+    assert [one["options"]["goal"] for one in found] == own["goal"].tolist()
+    assert minari.get_normalized_score(loaded, np.array([0.0])) == 0.5
+    environment = loaded.recover_environment()
+    assert environment.spec is not None and environment.spec.kwargs["nx"] == 2
+
+
+def test_metadata_comes_back(root: Path) -> None:
+    dataset = open_episodes(root / ID)
+    assert metadata_of(dataset) == METADATA and dataset.facts["run"] == {"seed": 3}
+    assert metadata_of(open_episodes(root / ID)) == replace(METADATA, author=("A", "B"))
+
+
+def test_what_is_published_has_no_faults(root: Path) -> None:
+    assert [*minari_faults(open_episodes(root / ID))] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("total_steps", 7), ("author", ["M"]), ("ref_max_score", 9.0), ("jpeg_encoding", True)],
+)
+def test_a_forged_entry_is_a_fault(root: Path, tmp_path: Path, name: str, value: object) -> None:
+    copy = shutil.copytree(root / ID, tmp_path / "copy")
+    path = copy / "data/metadata.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
+    assert any(f": {name} isn't" in fault for fault in minari_faults(open_episodes(copy)))
+
+
+def test_a_forged_environment_is_a_fault(root: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(root / ID, tmp_path / "copy")
+    path = copy / "data/metadata.json"
+    entries = json.loads(path.read_text())
+    spec = json.loads(entries["env_spec"])
+    spec["entry_point"] = "os:system"
+    path.write_text(json.dumps({**entries, "env_spec": json.dumps(spec)}))
+    assert any("env_spec" in fault for fault in minari_faults(open_episodes(copy)))
+
+
+@pytest.mark.parametrize(
+    "name", ["actions", "rewards", "infos/bead", "observations/state", "observations/pixels"]
+)
+def test_a_changed_array_is_a_fault(root: Path, tmp_path: Path, name: str) -> None:
+    copy = shutil.copytree(root / ID, tmp_path / "copy")
+    with h5py.File(copy / "data/main_data.hdf5", "r+") as file:
+        data = file["episode_1"][name]
+        data[0] = data[0] + 1
+    assert any(name in fault for fault in minari_faults(open_episodes(copy)))
+
+
+def test_a_missing_or_added_array_is_a_fault(root: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(root / ID, tmp_path / "copy")
+    with h5py.File(copy / "data/main_data.hdf5", "r+") as file:
+        del file["episode_0/rewards"]
+        file["episode_1/infos/more"] = np.zeros(3)
+    assert len([*minari_faults(open_episodes(copy))]) == 2
+
+
+def test_one_of_two_files_is_a_fault(root: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(root / ID, tmp_path / "copy")
+    (copy / "data/main_data.hdf5").unlink()
+    assert [*minari_faults(open_episodes(copy))]
+
+
+def test_large_sets_and_recordings_have_no_minari_form(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("knotgym.datasets.minari_form.MINARI_STEPS", 2)
+    for made in (episodes([3]), episodes([1]).recording()):
+        folder = publish([made], TASK, METADATA, tmp_path, overwrite=True)
+        assert [path.name for path in (folder / "data").iterdir()] == ["episodes.h5"]
+    with pytest.raises(InvalidInput, match="recording"):
+        publish([made], TASK, METADATA, tmp_path, minari=True, overwrite=True)
+
+
+def test_a_state_file_is_carried_and_found_by_the_id(tmp_path: Path) -> None:
+    (tmp_path / "s.h5").write_bytes(b"states")
+    task = replace(TASK, states="s.h5")
+    folder = publish(
+        [episodes([1])], task, METADATA, tmp_path, states=tmp_path / "s.h5", minari=False
+    )
+    dataset = open_episodes(folder)
+    assert dataset.task.states == ID
+    assert dataset.states_path() == folder / "data/states.h5"
+
+
+def test_a_dataset_that_is_there_is_kept(tmp_path: Path) -> None:
+    publish([episodes([1])], TASK, METADATA, tmp_path, minari=False)
+    with pytest.raises(Occupied):
+        publish([episodes([1])], TASK, METADATA, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"dataset_id": "no version"}, {"ref_min_score": 1.0, "ref_max_score": None}]
+)
+def test_metadata_that_minari_cannot_hold_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInput):
+        replace(METADATA, **wrong)

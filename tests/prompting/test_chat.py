@@ -1,0 +1,262 @@
+"""Hostile, slow and peculiar servers: what they return is bounded, counted, and never the key."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from typing import Any
+from urllib.parse import quote
+
+import pytest
+
+from knotgym.common.errors import Failed, InvalidInput
+from knotgym.prompting.chat import Chat, ChatConfig, retry_after, spellings
+
+from .chat_server import Answer, ChatServer
+
+pytest.importorskip("openai")
+KEY = "sk-test/+" + "51ec2e7" * 4
+WORDS = "I pull."
+
+
+@pytest.fixture(autouse=True)
+def key(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+
+
+def asked(answer: Callable[[int, Any], Answer], **settings: Any) -> tuple[Any, ChatServer]:
+    """Send one request to a server; return the reply or the error raised."""
+    server = ChatServer(answer)
+    with server.serving():
+        usual = {"model": "m", "timeout": 0.5, "attempts": 3, "backoff": 0.01}
+        chat = Chat(ChatConfig(**{**usual, "base_url": server.url, **settings}))
+        try:
+            return chat.ask([{"role": "user", "content": "?"}]), server
+        except Exception as error:
+            return error, server
+
+
+def always(answer: Answer) -> Callable[[int, Any], Answer]:
+    return lambda number, body: answer
+
+
+def body(message: Any, **more: Any) -> Answer:
+    return "body", json.dumps({"choices": [{"index": 0, "message": message, **more}]})
+
+
+@pytest.mark.parametrize(
+    ("misdeed", "reason"),
+    [
+        (("status", (500, {}, "oh")), "500"),
+        (("status", (429, {"retry-after": "0.01"}, "{}")), "429"),
+        (("cut", None), "connection"),
+        (("slow", 0.7), "timeout"),
+        (("body", "{not json"), "malformed"),
+        (("body", '{"choices": []}'), "malformed"),
+        (("body", '{"error": {"message": "overloaded"}}'), "error"),
+        (body({"content": None}, finish_reason="error"), "error"),
+        (body({"content": "no"}, finish_reason="content_filter"), "refusal"),
+        (("refusal", "I can't"), "refusal"),
+    ],
+)
+def test_a_request_that_fails_is_sent_again_and_counted(misdeed: Answer, reason: str) -> None:
+    reply, server = asked(lambda number, body: WORDS if number else misdeed)
+    assert (reply.text, reply.fault, reply.retries) == (WORDS, "", {reason: 1})
+    assert len(server.requests) == 2 and server.requests[0] == server.requests[1]
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ([{"type": "text", "text": "I "}, {"type": "text", "text": "pull."}], "I pull."),
+        ([{"type": "thinking", "text": "hm"}, {"type": "text", "text": "yes"}], "yes"),
+        ("<think><answer>draft</answer></think>final", "final"),
+        ("no opening mark</think>final", "final"),
+        ("<think>cut off in thought", ""),
+    ],
+)
+def test_only_what_a_model_says_at_last_is_its_answer(content: Any, text: str) -> None:
+    reply, _ = asked(always(body({"content": content}, finish_reason="stop")))
+    assert (reply.text, reply.finish) == (text, "stop")
+
+
+def test_an_answer_that_was_cut_off_says_so_and_unknown_tokens_stay_unknown() -> None:
+    reply, _ = asked(always(body({"content": "cut"}, finish_reason="length")))
+    assert (reply.text, reply.finish) == ("cut", "length")
+    assert reply.prompt_tokens is None and reply.completion_tokens is None
+
+
+def test_choices_may_come_in_any_order() -> None:
+    first, second = ({"index": k, "message": {"content": str(k)}} for k in (0, 1))
+    reply, _ = asked(always(("body", json.dumps({"choices": [second, first]}))))
+    assert reply.text == "0"
+
+
+def test_retry_after_is_waited_for() -> None:
+    began = time.monotonic()
+    wait = ("status", (429, {"retry-after": "0.3"}, "{}"))
+    asked(lambda number, body: WORDS if number else wait)
+    assert time.monotonic() - began >= 0.3
+    assert retry_after("Wed, 21 Oct 2015 07:28:00 GMT") == retry_after("soon") == 0
+
+
+def test_a_model_that_goes_on_refusing_has_answered_so() -> None:
+    reply, _ = asked(always(("refusal", "I can't")))
+    assert (reply.fault, reply.text, reply.retries) == ("refusal", "I can't", {"refusal": 2})
+    assert reply.prompt_tokens == 300  # all three were paid for
+
+
+def test_a_server_that_never_answers_ends_the_run_with_its_reason() -> None:
+    error, server = asked(always(("body", '{"error": {"message": "overloaded"}}')))
+    assert isinstance(error, Failed) and "3 attempts" in str(error)
+    assert "overloaded" in str(error) and len(server.requests) == 3
+
+
+@pytest.mark.parametrize("status", [400, 401, 404])
+def test_a_request_that_the_server_rejects_is_not_sent_again(status: int) -> None:
+    told = json.dumps({"error": {"message": f"bad key {KEY}"}})
+    error, server = asked(always(("status", (status, {}, told))))
+    assert isinstance(error, InvalidInput) and len(server.requests) == 1
+    assert str(status) in str(error) and KEY not in str(error) and "[key]" in str(error)
+
+
+def drip(first: bytes) -> Callable[[], Iterator[bytes]]:
+    """Yield some bytes, then one every 50 ms for two seconds."""
+
+    def pieces() -> Iterator[bytes]:
+        yield first
+        for _ in range(40):
+            time.sleep(0.05)
+            yield b" "
+
+    return pieces
+
+
+def flood() -> Iterator[bytes]:
+    yield b"HTTP/1.1 200 OK\r\ncontent-length: 600000000\r\n\r\n"
+    for _ in range(600):
+        yield b" " * 1_000_000
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        b"HTTP/1.1 200 OK\r\ncontent-length: 999\r\n\r\n",
+        b"HTTP/1.1 500 Oh\r\ncontent-length: 999\r\n\r\n",
+        b"HTTP/1.1 200 OK\r\nx:",
+    ],
+    ids=["body", "error body", "headers"],
+)
+def test_an_attempt_ends_in_time_however_slowly_bytes_drip(first: bytes) -> None:
+    began = time.monotonic()
+    reply, _ = asked(lambda number, body: WORDS if number else ("raw", drip(first)))
+    assert reply.text == WORDS and reply.retries == {"timeout": 1}
+    assert time.monotonic() - began < 1.9  # 0.5 s are allowed; all that is sent takes 2 s
+
+
+def test_a_reply_without_end_is_hung_up_on() -> None:
+    reply, server = asked(lambda number, body: WORDS if number else ("raw", flood))
+    assert reply.text == WORDS and reply.retries == {"too long": 1}
+    assert server.hung_up.wait(5)
+
+
+def test_compressed_bytes_are_not_expanded() -> None:
+    packed = gzip.compress(bytes(20_000_000))
+    head = "HTTP/1.1 500 Oh\r\ncontent-encoding: gzip\r\ncontent-length: "
+    bomb = f"{head}{len(packed)}\r\n\r\n".encode() + packed
+    tracemalloc.start()
+    reply, _ = asked(lambda number, body: WORDS if number else ("raw", lambda: [bomb]))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert reply.retries == {"500": 1} and most < 10_000_000
+
+
+def test_the_key_is_not_sent_to_where_a_server_redirects() -> None:
+    other = ChatServer(always(WORDS))
+    with other.serving():
+        moved = ("status", (302, {"location": f"{other.url}/chat/completions"}, ""))
+        error, _ = asked(always(moved))
+    assert isinstance(error, InvalidInput) and "302" in str(error) and not other.requests
+
+
+def test_a_local_server_is_not_reached_through_a_proxy(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
+        monkeypatch.setenv(name, "http://127.0.0.1:9")
+    assert asked(always(WORDS))[0].text == WORDS
+    chat = ChatConfig(model="m", base_url="http://host.invalid/v1", attempts=1, timeout=5)
+    with pytest.raises(Failed, match="through the proxy http://127.0.0.1:9"):
+        Chat(chat).ask([])
+
+
+SPELLINGS = {
+    "slashes": KEY.replace("/", r"\/"),
+    "unicode": KEY.replace("+", r"\u002b").replace("/", r"\u002F"),
+    "escaped twice": json.dumps(json.dumps(KEY.replace("+", r"\u002b"))),
+    "percent": quote(KEY, safe=""),
+    "percent twice": quote(quote(KEY, safe="")),
+    "html": KEY.replace("+", "&#43;").replace("/", "&#x2f;"),
+    "reversed": KEY[::-1],
+    "hex": KEY.encode().hex(),
+    "hex bytes": KEY.encode().hex(" "),
+    **{
+        f"base64 {shift}": base64.b64encode(b"x" * shift + KEY.encode() + b"y").decode()
+        for shift in range(3)
+    },
+}
+
+
+@pytest.mark.parametrize("spelled", SPELLINGS.values(), ids=[*SPELLINGS])
+def test_the_key_is_blotted_however_it_is_spelled(spelled: str) -> None:
+    error, _ = asked(always(("status", (401, {}, f"<p>{spelled}</p>"))))
+    assert isinstance(error, InvalidInput) and "[key]" in str(error)
+    texts = [str(error), *(asked(always(a))[0].text for a in (spelled, ("refusal", spelled)))]
+    for text in texts:
+        assert "[key]" in text and "51ec2e7" not in text and spelled[8:-8] not in text
+
+
+@pytest.mark.parametrize("letter", ["\\", "&amp;", "%25", "s", "73 "])
+def test_blotting_takes_time_in_proportion_to_the_text(letter: str) -> None:
+    secret = spellings(KEY)
+    seconds = []
+    for length in (20_000, 200_000):
+        began = time.process_time()
+        assert not secret.search(letter * (length // len(letter)))
+        seconds.append(time.process_time() - began)
+    assert seconds[1] < 40 * seconds[0] + 0.1  # quadratic would be 100 times
+
+
+@pytest.mark.parametrize(
+    "url", ["http://me:secret@host/v1", "ftp://host", "http://host/v1?key=secret", "host", ""]
+)
+def test_a_url_that_might_hold_a_key_is_refused_and_not_repeated(url: str) -> None:
+    with pytest.raises(InvalidInput, match="base URL") as refused:
+        ChatConfig(model="m", base_url=url)
+    assert "secret" not in str(refused.value)
+
+
+def test_without_a_key_the_public_server_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENAI_API_KEY")
+    with pytest.raises(InvalidInput, match="OPENAI_API_KEY"):
+        Chat(ChatConfig(model="m"))
+    reply, server = asked(always(WORDS))
+    assert reply.text == WORDS and server.keys == [""]
+
+
+def test_a_placeholder_for_a_key_is_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", "pull")
+    assert asked(always(WORDS))[0].text == WORDS
+
+
+def test_a_key_in_the_base_url_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="--base-url") as refused:
+        Chat(ChatConfig(model="m", base_url=f"http://127.0.0.1:1/{KEY}/v1"))
+    assert KEY not in str(refused.value)
+
+
+def test_the_temperature_is_sent_unless_it_is_the_server_s() -> None:
+    sent = [asked(always(WORDS), temperature=one)[1].requests[0] for one in (0.5, -1.0)]
+    assert sent[0]["temperature"] == 0.5 and "temperature" not in sent[1]

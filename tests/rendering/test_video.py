@@ -1,0 +1,134 @@
+"""Films are written whole or not at all, and show what they were given."""
+
+import sys
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from knotgym.common.errors import InvalidInput
+from knotgym.rendering.video import (
+    FRAMES_PER_SECOND,
+    OUTCOMES,
+    captioned,
+    film_frame,
+    film_frames,
+    write_film,
+)
+from knotgym.rope.model import Rope
+
+from ..conftest import curled
+
+FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 180, 240)]
+
+
+def film_length(path: Path) -> int:
+    if path.suffix == ".gif":
+        with Image.open(path) as animation:
+            return getattr(animation, "n_frames", 1)
+    film = cv2.VideoCapture(str(path))
+    count = 0
+    while film.read()[0]:
+        count += 1
+    return count
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a.webm", "A.GIF"])
+def test_a_film_has_the_frames_it_was_given(tmp_path: Path, name: str) -> None:
+    write_film(tmp_path / name, FRAMES)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    if not name.isupper():
+        assert film_length(tmp_path / name) == len(FRAMES)
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a.webm"])
+def test_a_film_shows_what_it_was_given(tmp_path: Path, name: str) -> None:
+    write_film(tmp_path / name, FRAMES)
+    film = cv2.VideoCapture(str(tmp_path / name))
+    levels = [float(film.read()[1].mean()) for _ in FRAMES]
+    assert np.allclose(levels, [0, 60, 120, 180, 240], atol=6)
+
+
+def test_a_film_runs_as_fast_as_the_rope(tmp_path: Path) -> None:
+    write_film(tmp_path / "a.gif", FRAMES)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.info["duration"] == 1000 // FRAMES_PER_SECOND
+
+
+@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "h264"), ("a.webm", "vp9")])
+def test_films_are_of_a_kind_that_browsers_play(tmp_path: Path, name: str, codec: str) -> None:
+    write_film(tmp_path / name, FRAMES)
+    with av.open(str(tmp_path / name)) as film:
+        stream = film.streams.video[0]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == (codec, "yuv420p")
+        assert stream.average_rate == FRAMES_PER_SECOND
+
+
+def test_a_film_that_needs_pyav_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(InvalidInput, match=r"pip install '\.\[video\]'"):
+        write_film(tmp_path / "a.mp4", FRAMES)
+    write_film(tmp_path / "a.gif", FRAMES)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
+
+
+def test_a_frame_shows_the_pull_and_says_the_plain_loop() -> None:
+    loop = Rope().loop()
+    plain = film_frame(loop, loop, "step 0 of 1")
+    pulled = film_frame(loop, loop, "step 0 of 1", (0, np.array([0.0, 1.0, 0.0])))
+    moved = np.argwhere((pulled != plain).any(axis=2))
+    assert moved[:, 1].max() < 384  # on the rope's half
+    # upwards, +y: the bead's place is the arrow's lowest point
+    assert 60 < np.ptp(moved[:, 0]) < 100 and np.ptp(moved[:, 1]) < 40
+
+
+def test_a_frame_names_its_halves_and_has_both_codes_in_one_notation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("cv2.putText", lambda frame, text, *_: said.append(text))
+    film_frame(Rope().loop(), Rope().from_curve(curled(1)), "step 0 of 1")
+    assert said == ["step 0 of 1", "now   the plain loop", "goal  1+,1-", "now", "goal"]
+
+
+def test_a_film_says_at_its_end_whether_the_goal_was_reached() -> None:
+    loop, pull = Rope().loop(), (0, np.zeros(3))
+    for reached, outcome in (([False, True], "reached"), ([False, False], "failed")):
+        first, *rest = film_frames([loop, loop], loop, ["0", "1"], [pull], reached)
+        assert len(rest) == 1 + FRAMES_PER_SECOND
+        assert (rest[-1][4, 4:-4] == OUTCOMES[outcome]).all()
+        assert (first[4, 4:-4] != OUTCOMES[outcome]).any()
+
+
+def test_a_film_keeps_its_scale_while_the_rope_shrinks() -> None:
+    loop = Rope().loop()
+    frames = film_frames([loop, loop / 2], loop, ["0", "1"], [(0, np.zeros(3))], [False, False])
+    wide = [
+        np.ptp(np.flatnonzero((frame[40:340, :384].max(axis=2) > 60).any(axis=0)))
+        for frame in (frames[0], film_frame(loop / 2, loop, "1"))
+    ]
+    assert 1.8 < wide[0] / wide[1] < 2.2
+
+
+@pytest.mark.parametrize("name", ["a.avi", "a", "a.gif.txt"])
+def test_another_kind_of_film_is_refused_and_not_written(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InvalidInput, match="a video must end in .gif, .mp4 or .webm"):
+        write_film(tmp_path / name, FRAMES)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_captions_stand_below_the_picture() -> None:
+    frame = np.arange(30 * 60 * 3).reshape(30, 60, 3).astype(np.uint8)
+    out = captioned(frame, ["one", "two"])
+    assert np.array_equal(out[:30], frame) and out[30:].any() and out.shape[0] % 2 == 0
+
+
+@pytest.mark.parametrize("text", ["", "short", "1+c,2-a,3+a," * 30])
+def test_captions_of_any_length_fit(text: str) -> None:
+    out = captioned(np.zeros((60, 120, 3), dtype=np.uint8), [text])
+    assert out.shape[1] == 120 and not out[:, -4:].any()

@@ -1,0 +1,143 @@
+"""Progress: a live table on a terminal, plain lines elsewhere."""
+
+import io
+import os
+import pty
+import re
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+
+from knotgym.rope.engines import warn_of_compilation
+from knotgym.runs.compilation import compile_first
+from knotgym.runs.progress import Progress, Status, duration, tell_if_long
+
+_END = b"the end of it"
+
+
+@contextmanager
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], str]]:
+    """A pseudo-terminal as standard output; gives all that was written there, and closes it."""
+    master, slave = pty.openpty()
+    seen, whole = bytearray(), threading.Event()
+
+    def read() -> None:
+        while not whole.is_set():
+            seen.extend(os.read(master, 4096))
+            if _END in seen:
+                whole.set()
+
+    threading.Thread(target=read, daemon=True).start()
+    output = os.fdopen(slave, "w", buffering=1, encoding="utf-8")
+    monkeypatch.setattr(sys, "stdout", output)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def shown() -> str:
+        output.write(_END.decode())
+        output.flush()
+        assert whole.wait(60)
+        return bytes(seen).decode()
+
+    yield shown
+    output.close()
+    os.close(master)
+
+
+def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))  # nothing compiled there
+    monkeypatch.setattr("knotgym.topology.crossing_kernel.scan", kernel)
+    stages: list[str] = []
+    monkeypatch.setattr(Progress, "stage", lambda _, name: stages.append(name))
+    compile_first(Progress(quiet=True))
+    assert stages == ["compiling, only on the first run", "starting"]
+
+
+def test_a_first_environment_says_once_that_it_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))
+    monkeypatch.setattr("knotgym.topology.crossing_kernel.scan", kernel)
+    monkeypatch.setattr("knotgym.rope.engines._warned", set())
+    for _ in range(2):
+        warn_of_compilation("mujoco")
+    assert [one.getMessage() for one in caplog.records] == [
+        "compiling, in the first run only; `knotgym compile` does it beforehand"
+    ]
+
+
+def test_a_terminal_is_told_while_printed_words_go_elsewhere(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with monkeypatch.context() as patch, terminal(patch) as shown:
+        # as pyknotid's do, while it is imported
+        with Progress() as progress, redirect_stdout(io.StringIO()) as kept:
+            progress.say("told")
+        assert "told" in shown() and not kept.getvalue()
+
+
+def shown(even: bool, *done: int) -> str:
+    """What plain lines say of a run of ten things, looked at every 20 s."""
+    written, now = io.StringIO(), iter(range(0, 10**6, 20))
+    progress = Progress(console=Console(file=written, width=200), clock=lambda: float(next(now)))
+    with progress:
+        for count in done:
+            progress.show(lambda count=count: Status(count, 10, "things", even=even))  # type: ignore[misc]
+    return written.getvalue()
+
+
+def test_counters_never_pass_what_was_asked_for() -> None:
+    told = shown(False, 0, 12)
+    assert "things 10 of 10; beyond the request 2" in told and "12 of" not in told
+
+
+def test_a_plain_run_says_something_before_it_imports_anything(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with Progress():
+        assert capsys.readouterr().out == "    0 s  starting\n"
+
+
+def test_the_time_left_is_told_where_it_can_be() -> None:
+    assert "time left, about" in shown(True, 0, 2)
+    assert "time left" not in shown(False, 0, 2) and "time left" not in shown(True, 0, 0)
+
+
+def test_a_time_left_grows_while_nothing_happens() -> None:
+    first, second = re.findall(r"about (\d+) s", shown(True, 0, 8, 8))
+    assert int(second) > int(first)
+
+
+def test_the_time_left_goes_by_the_share_of_the_work_where_it_is_known() -> None:
+    times, written = iter([0.0, 0.0, 20.0, 20.0]), io.StringIO()
+    progress = Progress(console=Console(file=written, width=200), clock=lambda: next(times))
+    progress.show(lambda: Status(0, 40, "states", share=0.0))
+    progress.show(lambda: Status(0, 40, "states", share=0.25))
+    assert "20 s  states 0 of 40; time left, about 60 s" in written.getvalue()
+
+
+def test_a_long_run_whose_output_is_a_result_tells_on_standard_error(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    times = iter((0.0, 1.0, 5.0, 12.0, 13.0))
+    progress = Progress(lines=False, clock=lambda: next(times))
+    for done in range(4):
+        progress.show(partial(Status, done, 4, "episodes"))
+    assert capfd.readouterr() == ("", "   12 s  episodes 2 of 4\n")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "told"), [(3000, ""), (9e6, "about 52 days"), (2e9, "32 years")]
+)
+def test_a_job_without_end_says_so_before_it_begins(seconds: float, told: str) -> None:
+    written = io.StringIO()
+    tell_if_long(Progress(console=Console(file=written, width=200)), seconds, 2)
+    assert told in written.getvalue() and bool(told) == bool(written.getvalue())
+    assert duration(59) == "59 s"
