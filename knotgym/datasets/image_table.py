@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write, require_regular
 from knotgym.common.errors import (
     InvalidFile,
     MissingExtra,
@@ -29,7 +29,6 @@ from knotgym.common.errors import (
     install_command,
     one_line,
 )
-from knotgym.common.hdf5_files import require_regular
 from knotgym.quality.limits import UNITS
 from knotgym.states.splits import IMAGE_SPLITS
 

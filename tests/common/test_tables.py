@@ -205,16 +205,29 @@ HARMED: dict[
         ),
         "utf-8",
     ),
-    "another format": (lambda file: file.attrs.update(format="theirs"), "format 'theirs'"),
+    "another format": (
+        lambda file: file.attrs.update(format=np.bytes_("theirs")),
+        "format 'theirs'",
+    ),
     "another version": (lambda file: file.attrs.update(format_version=2), "version 2; .* 1"),
-    "a version as text": (lambda file: file.attrs.update(format_version="1"), "version '1'"),
+    "a version as text": (
+        lambda file: file.attrs.update(format_version=np.bytes_("1")),
+        "version '1'",
+    ),
     "a fractional version": (lambda file: file.attrs.update(format_version=1.0), "version 1.0"),
     "a boolean version": (lambda file: file.attrs.update(format_version=True), "version True"),
     "no format": (lambda file: file.attrs.pop("format"), "format None"),
+    "attribute of any length": (lambda file: file.attrs.update(n="a"), "attribute n is object"),
     "attribute of many": (lambda file: file.attrs.update(n=["a", "b"]), "attribute n is"),
     "attribute of nothing": (lambda file: file.attrs.update(n=h5py.Empty("f8")), "attribute n is"),
-    "attribute to a terminal": (lambda file: file.attrs.update(n="\x1b"), "control characters"),
-    "attribute of torn JSON": (lambda file: file.attrs.update(n="{1"), "isn't a whole ours file"),
+    "attribute to a terminal": (
+        lambda file: file.attrs.update(n=np.bytes_("\x1b")),
+        "control characters",
+    ),
+    "attribute of torn JSON": (
+        lambda file: file.attrs.update(n=np.bytes_("{1")),
+        "isn't a whole ours file",
+    ),
 }
 
 

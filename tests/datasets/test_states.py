@@ -107,7 +107,7 @@ def test_a_missing_column_is_named(copy: Path, name: str) -> None:
 
 def test_a_configuration_that_is_no_json_is_refused(copy: Path) -> None:
     with h5py.File(copy, "a") as file:
-        file.attrs["config"] = "none"
+        file.attrs["config"] = np.bytes_("none")
     with pytest.raises(InvalidFile, match="attribute config is 'none'"):
         read_states(copy)
 

@@ -21,7 +21,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import atomic_write, new_hdf5
+from knotgym.common.atomic_files import atomic_write
 from knotgym.common.configuration import read_json
 from knotgym.common.errors import InvalidFile, one_line
 from knotgym.common.hdf5_files import (
@@ -32,6 +32,7 @@ from knotgym.common.hdf5_files import (
     read_attribute,
     read_column,
 )
+from knotgym.common.tables import new_hdf5
 from knotgym.control.planner import REST
 from knotgym.control.policy import NO_MACRO, Choice, UnplannedPolicy
 from knotgym.datasets.episode_reader import EpisodeReader
