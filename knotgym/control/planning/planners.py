@@ -286,6 +286,9 @@ class PassPlayer(Player):
         self._search(passing[over & ~settled])
         self._last_resort.look(ids[self._by_pulls[ids]])
         self.desk.tick()
+        # Many pulls together take less time: the ropes wait until most searches are done.
+        while 4 * np.count_nonzero(self.desk.thinking[ids]) > len(ids):
+            self.desk.tick()
         ready = ids[~self.desk.thinking[ids]]
         beads, forces = follower.beads[ready], follower.forces(points, ready)
         macros = np.column_stack([self._taken[ready] == 0, self._moves[ready]])

@@ -144,7 +144,7 @@ def episodes_of(config: CollectConfig, source: dict[str, Any], place: Path) -> R
     """Play a collection's episodes and publish them as the folder `place`; return a summary."""
     parts = yield [
         Call(f"episodes {few.start}-{few.stop - 1}", play, (config, few))
-        for few in blocks(config.episodes, config.task.horizon)
+        for few in blocks(config.episodes, config.task)
     ]
     return publish_episodes(config, [from_result(part) for part in parts], source, place)
 
