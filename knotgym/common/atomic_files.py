@@ -8,7 +8,6 @@ it points to, and it is the link that gets replaced, never its target.
 import ctypes
 import errno
 import hashlib
-import io
 import os
 import shutil
 import stat
@@ -16,11 +15,8 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-import h5py
-
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, Occupied
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, Occupied
 
 # what identifies a folder as an output of this package, so that --overwrite may replace it
 _OUTPUT_MARKS = (
@@ -30,13 +26,7 @@ _OUTPUT_MARKS = (
 _AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2(2)
 
 
-def require_output(
-    path: str | os.PathLike[str],
-    *,
-    folder: bool,
-    overwrite: bool = False,
-    sources: Iterable[str | os.PathLike[str]] = (),
-) -> None:
+def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: bool = False) -> None:
     """Check, before hours of work, that an output can be written and replaces nothing unasked.
 
     Only a regular file, a link, an empty folder or a folder that is an output of this package is
@@ -46,7 +36,6 @@ def require_output(
         path: path of the output.
         folder: whether it will be a folder.
         overwrite: whether it may replace an older output.
-        sources: what the output is made from; it may not be, contain or be in any of these.
 
     Raises:
         Occupied: something exists at `path` that may not be replaced.
@@ -55,12 +44,16 @@ def require_output(
     target = Path(path)
     _put_back(target)
     _require_free(target, folder, overwrite)
-    where = target.resolve()
-    for source in map(Path, sources):
-        found = source.resolve()
-        if where.is_relative_to(found) or found.is_relative_to(where):
-            raise Occupied(f"{target} is, contains or is in the source {source}; choose another")
     require_writable(path)
+
+
+def require_apart(path: str | os.PathLike[str], sources: Iterable[str | os.PathLike[str]]) -> None:
+    """Raise Occupied if an output is, contains or is in one of the paths that it is made from."""
+    target = Path(path).resolve()
+    for source in sources:
+        found = Path(source).resolve()
+        if target.is_relative_to(found) or found.is_relative_to(target):
+            raise Occupied(f"{path} is, contains or is in its source {source}; choose another")
 
 
 def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
@@ -238,46 +231,17 @@ def copy_file(source: Path, target: Path) -> None:
             shutil.copyfileobj(file, copy)
 
 
-@contextmanager
-def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File]:
-    """Yield a new HDF5 file; `options` are passed to h5py.File.
+def require_regular(
+    path: str | os.PathLike[str], what: str, error: type[KnotgymError] = InvalidFile
+) -> None:
+    """Raise MissingFile if a path doesn't exist or is a folder, `error` if it is no regular file.
 
-    The HDF5 library can't handle a failed write: on a full disk it can't close the file, and may
-    crash. So failures are hidden from it: data that doesn't fit is dropped, and the error is raised
-    here once the file is closed.
-
-    Raises:
-        OSError: something could not be written.
+    Reading a pipe or a device may never end.
     """
-    with _Sink(path, "w+") as sink:
-        try:
-            with h5py.File(sink, "w", **options) as file:
-                yield file
-        finally:
-            failure = sink.failure
-            if failure is not None:
-                raise OSError(failure.errno, failure.strerror, str(path)) from failure
-
-
-class _Sink(io.FileIO):
-    """A file for h5py whose writes never fail; `failure` is the first error."""
-
-    failure: OSError | None = None
-
-    def write(self, data: Any) -> int:
-        view, done = memoryview(data).cast("B"), 0
-        try:
-            while self.failure is None and done < len(view):
-                done += super().write(view[done:]) or 0
-        except OSError as error:
-            self.failure = error
-        return len(view)
-
-    def readinto(self, buffer: Any) -> int:
-        view = memoryview(buffer).cast("B")
-        found = super().readinto(view) or 0
-        view[found:] = bytes(len(view) - found)  # dropped data reads as zeros
-        return len(view)
+    if not Path(path).exists() or Path(path).is_dir():
+        raise MissingFile(f"no {what} at {path}")
+    if not Path(path).is_file():
+        raise error(f"{path} isn't a regular file, so no {what} is read from it")
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

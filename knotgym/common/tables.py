@@ -9,9 +9,11 @@ column only after checking its type, shape and size.
 """
 
 import hashlib
+import io
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,8 +22,8 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.atomic_files import atomic_write, new_hdf5
-from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile, one_line
+from knotgym.common.atomic_files import atomic_write, require_regular
+from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 
 # A column may be this many times as large as its stored bytes: gzip expands at most 1032-fold.
 _MOST_EXPANDED, _SMALL = 1100, 1 << 20  # columns of up to _SMALL bytes are always read
@@ -244,6 +246,48 @@ def write(
             _write_table(file, [table] if isinstance(table, Table) else table, pack)
 
 
+@contextmanager
+def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File]:
+    """Yield a new HDF5 file; `options` are passed to h5py.File.
+
+    The HDF5 library can't handle a failed write: on a full disk it can't close the file, and may
+    crash. So failures are hidden from it: data that doesn't fit is dropped, and the error is raised
+    here once the file is closed.
+
+    Raises:
+        OSError: something could not be written.
+    """
+    with _Sink(path, "w+") as sink:
+        try:
+            with h5py.File(sink, "w", **options) as file:
+                yield file
+        finally:
+            failure = sink.failure
+            if failure is not None:
+                raise OSError(failure.errno, failure.strerror, str(path)) from failure
+
+
+class _Sink(io.FileIO):
+    """A file for h5py whose writes never fail; `failure` is the first error."""
+
+    failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        view, done = memoryview(data).cast("B"), 0
+        try:
+            while self.failure is None and done < len(view):
+                done += super().write(view[done:]) or 0
+        except OSError as error:
+            self.failure = error
+        return len(view)
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        found = super().readinto(view) or 0
+        view[found:] = bytes(len(view) - found)  # dropped data reads as zeros
+        return len(view)
+
+
 def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
     schema, rows = _shared_schema(parts), sum(part.rows for part in parts)
     group = file.require_group(schema.name) if schema.name else file
@@ -285,7 +329,7 @@ def read(
         MissingFile: there is no such file.
         InvalidFile: it is damaged, of another format or version, or doesn't fit the schemas.
     """
-    _require_file(path, format)
+    require_regular(path, f"{format} file")
     try:
         with h5py.File(path, "r", locking=False) as file:
             attributes = {name: _attribute(file, name) for name in file.attrs}
@@ -316,7 +360,7 @@ def read(
 def format_of(path: str | os.PathLike[str]) -> str | None:
     """Return the format that a file claims to have; None if it isn't one of ours."""
     try:
-        _require_file(path, "")
+        require_regular(path, "file")
         with h5py.File(path, "r", locking=False) as file:
             return str(_attribute(file, "format"))
     except Exception:
@@ -333,14 +377,6 @@ def digest(table: Table) -> str:
         if not text:
             whole.update(np.ascontiguousarray(values).data if values.size else b"")
     return whole.hexdigest()
-
-
-def _require_file(path: str | os.PathLike[str], format: str) -> None:
-    """Check that a path is a regular file; reading a pipe may never end."""
-    if not Path(path).exists() or Path(path).is_dir():
-        raise MissingFile(f"no {format} file at {path}")
-    if not Path(path).is_file():
-        raise InvalidFile(f"{path} isn't a regular file; a {format} file is read here")
 
 
 def _attribute(file: h5py.File, name: str) -> Any:
@@ -365,7 +401,7 @@ def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[An
         raise InvalidInput(
             f"column {column.name} is {_type_name(data.dtype)}, should be {column.dtype}"
         )
-    _require_stored_here(data, column.name)
+    require_stored_here(data, column.name)
     offset = data.id.get_offset()
     if data.dtype.kind == "S":
         values: NDArray[Any] = np.strings.decode(np.asarray(data[()]), "utf-8").astype(np.str_)
@@ -380,7 +416,7 @@ def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[An
     return values
 
 
-def _require_stored_here(data: h5py.Dataset, name: str) -> None:
+def require_stored_here(data: h5py.Dataset, name: str) -> None:
     """Refuse data in other files, unusual filters, and sizes beyond what the bytes can hold."""
     made = data.id.get_create_plist()
     layout = made.get_layout()

@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, new_hdf5
+from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import InvalidFile
 from knotgym.common.hdf5_files import Column, stored_column
+from knotgym.common.tables import new_hdf5
 from knotgym.datasets.episode_reader import (
     ATTRIBUTES_DIGEST,
     FORMAT,

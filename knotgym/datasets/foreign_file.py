@@ -12,7 +12,7 @@ from pathlib import Path
 import h5py
 
 from knotgym.common.errors import InvalidFile
-from knotgym.common.hdf5_files import require_stored_here
+from knotgym.common.tables import require_stored_here
 
 LIMIT = 60.0  # seconds
 SLOWEST = 5_000_000  # bytes per second; a file adds the time that reading it at this rate takes

@@ -29,9 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, copy_file, new_hdf5, require_output
+from knotgym.common.atomic_files import atomic_write, copy_file, require_output
 from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, one_line
+from knotgym.common.tables import new_hdf5
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episode_outcomes import outcomes
 from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes

@@ -18,10 +18,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from knotgym.common.atomic_files import atomic_write, sha256
+from knotgym.common.atomic_files import atomic_write, require_regular, sha256
 from knotgym.common.configuration import read_json
 from knotgym.common.errors import InvalidFile, one_line
-from knotgym.common.hdf5_files import require_regular
 from knotgym.learn.reader import Reader
 
 FORMAT, FORMAT_VERSION = "knotgym-policy", 1

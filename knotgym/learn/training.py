@@ -20,9 +20,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from knotgym.common.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write, require_regular
 from knotgym.common.errors import InvalidFile, one_line
-from knotgym.common.hdf5_files import require_regular
 from knotgym.runs.progress import Progress, Status
 
 _SEAL = "seal"  # name of the array that holds the digest of the others

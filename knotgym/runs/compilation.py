@@ -1,6 +1,6 @@
 """Compilation before a run, so that its processes don't all wait for the same kernels."""
 
-from knotgym.rope.engines import MUJOCO, compile_engine, is_compiled
+from knotgym.rope.engines import CHAIN, MUJOCO, compile_engine, is_compiled
 from knotgym.runs.executors import cores, executor
 from knotgym.runs.progress import Progress
 
@@ -8,20 +8,29 @@ _PICTURES, _DRAWINGS, _MEASURES = "pictures", "drawings", "measures"
 
 
 def compile_first(
-    progress: Progress, engine: str = MUJOCO, workers: int = 1, *, draws: bool = False
+    progress: Progress,
+    engine: str = MUJOCO,
+    workers: int = 1,
+    *,
+    draws: bool = False,
+    plans: bool = False,
 ) -> None:
     """Compile an engine's kernels, if they aren't; beside them, those that paint pictures.
 
     Both take about as long, so two processes compile them; with one worker (0: one per core),
     pictures wait until one is painted. A run that draws states also needs the kernels that draw
-    and measure them; each of its workers would compile them.
+    and measure them, and one that plans those of the chain engine; each of its workers would
+    compile them.
     """
-    if not is_compiled(engine):
+    engines = [CHAIN, engine] if plans and engine != CHAIN else [engine]
+    if not all(map(is_compiled, engines)):
         progress.stage("compiling, only on the first run")
         count = min(2, workers or cores())
-        others = [_PICTURES, _DRAWINGS, _MEASURES] if draws else [_PICTURES]
+        others = [_DRAWINGS, _MEASURES, _PICTURES] if draws else [_PICTURES]
         with executor(count) as pool:
-            list(pool.map(_compile, [engine, *others] if count > 1 else [engine]))
+            # the chain engine takes longest, so it comes first
+            first, *more = engines
+            list(pool.map(_compile, [first, *others, *more] if count > 1 else engines))
     progress.stage("starting")
 
 

@@ -16,13 +16,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
-from knotgym.loaders.frame_cache import CachedFrames, FrameCache
 
-from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
-from knotgym.datasets.exports.minari_export import to_minari
-from knotgym.runs.staging import staging_folder
+from knotgym.runs.journal import Journal
+from knotgym.runs.run import staging_folder
 
 from ..small_job import knotgym
 
@@ -47,13 +45,9 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "generate": Command("generate --nx 0 --count 1 --workers 1 --out {out}/a", "a", True),
-    "walk": Command(
-        "generate --nx 0 --source random-walk --out {out}/a --settings {none}", "a", True
-    ),
-    "draw": Command("generate --nx 0 --source drawing --out {out}/a --settings {none}", "a", True),
     "images": Command("images --nx 0 --count 1 --out {out}/a", "a", True, "pyarrow"),
     "collect": Command(f"collect --policy random --id {ID} --out {{out}}", ID, True),
-    "suite": Command("suite --task tie --nx 2 --policies random --out {out}", ID, True),
+    "suite": Command("suite --task tie --nx 2 --policy random --out {out}", ID, True),
     "train": Command("train --data {episodes} --out {out}/a", "a", True, "torch"),
     "prompt": Command("prompt --model x --out {out}/a", "a", True, "openai"),
     "evaluate": Command("evaluate --episodes 1 --out {out}/a.json", "a.json", True),
@@ -65,7 +59,6 @@ COMMANDS = {
     "merge --id": Command(f"dataset merge {{episodes}} --id {ID} --out {{out}}", ID),
     "compact": Command("dataset export {episodes} --out {out}/a.h5", "a.h5"),
     "minari": Command("dataset export {episodes} --to minari --out {out}/a", "a"),
-    "lerobot": Command("dataset export {episodes} --to lerobot --out {out}/a", "a"),
     "huggingface": Command("dataset export {episodes} --to huggingface --out {out}/a", "a"),
     "ogbench": Command(
         "dataset export {episodes} --to ogbench --out {out}/a", "a/tie-nx2-random-v0-train.npz"
@@ -78,7 +71,7 @@ STAGED = [name for name, command in COMMANDS.items() if command.stages]
 def episodes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two episodes of a step each."""
     root = tmp_path_factory.mktemp("two")
-    words = "collect --policy random --episodes 2 --horizon 1 --observation state --workers 1"
+    words = "collect --policy random --episodes 2 --set task.horizon=1 --workers 1"
     assert knotgym(*words.split(), "--id", ID, "--out", root, "--quiet") == 0
     return root / ID
 
@@ -87,11 +80,14 @@ Type = Callable[..., int]
 
 
 @pytest.fixture
-def typed(tmp_path: Path, states_path: str, episodes: Path) -> Type:
+def typed(
+    tmp_path: Path, states_path: str, episodes: Path, monkeypatch: pytest.MonkeyPatch
+) -> Type:
     """Type a command by its name in COMMANDS, with more words; its exit status."""
 
     def type_it(name: str, *more: str) -> int:
         pytest.importorskip(COMMANDS[name].library)
+        monkeypatch.setenv("OPENAI_API_KEY", "none")
         (tmp_path / "none.json").write_text("{}")
         places = {
             "out": tmp_path / "out",
@@ -162,40 +158,24 @@ def test_an_interrupted_run_goes_only_by_a_word_and_no_link_for_it_is_followed(
     name: str, typed: Type, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     staged = staging_folder(output_of(name, tmp_path))
-    exists("folder", staged, tmp_path)
+    staged.mkdir()
+    with Journal(staged / "journal", {"of": "another run"}) as journal:
+        journal.keep("one", {"result": np.zeros(3)})
     for more in ((), ("--overwrite",)):
-        before = everything(tmp_path)
         assert typed(name, *more) == 2
         (line,) = capfd.readouterr().err.splitlines()
         assert "interrupted run" in line and "--resume" in line and "--restart" in line
-        assert everything(tmp_path) == before
+        assert (staged / "journal").is_file()
+    assert typed(name, "--resume") == 2  # a journal of another run
+    capfd.readouterr()
     shutil.rmtree(staged)
+    (tmp_path / "mine").mkdir()
     staged.symlink_to(tmp_path / "mine")
-    before = everything(tmp_path)
     for more in ((), ("--resume",), ("--restart",), ("--overwrite",)):
         assert typed(name, *more) == 2
         (line,) = capfd.readouterr().err.splitlines()
         assert "is a link, and is never followed" in line
-        assert everything(tmp_path) == before
-
-
-def test_a_link_inside_a_staging_folder_is_refused_too(
-    typed: Type, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    staged = staging_folder(output_of("evaluate", tmp_path))
-    exists("folder", staged, tmp_path)
-    (staged / "played.json").symlink_to(tmp_path / "mine" / "file")
-    assert typed("evaluate", "--resume") == 2
-    assert "is a link, and is never followed" in capfd.readouterr().err
-
-
-def test_a_folder_of_another_user_is_refused(
-    typed: Type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    exists("folder", staging_folder(output_of("evaluate", tmp_path)), tmp_path)
-    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
-    assert typed("evaluate", "--restart") == 2
-    assert "belongs to another user" in capfd.readouterr().err
+        assert not list((tmp_path / "mine").iterdir())
 
 
 @pytest.mark.parametrize("kind", ["file", "link to file"])
@@ -209,69 +189,13 @@ def test_overwrite_replaces_a_file_and_never_what_a_link_points_to(
     assert (tmp_path / "mine" / "file").read_text() == "mine"
 
 
-def test_overwrite_and_restart_make_a_dataset_anew(typed: Type, tmp_path: Path) -> None:
-    path, small = output_of("collect", tmp_path), ("--episodes", "1", "--set", "task.horizon=1")
-    exists("folder", path, tmp_path)
-    (staging_folder(path)).mkdir()
-    (staging_folder(path) / "kept").write_text("")
-    assert typed("collect", *small, "--workers", "1", "--overwrite", "--restart") == 0
-    assert [one.name for one in path.parent.iterdir()] == [path.name]
-    assert [one.name for one in path.iterdir()] == ["data"]
-
-
-def test_what_another_process_writes_meanwhile_stays(tmp_path: Path) -> None:
-    for name in ("a file", "a folder"):
-        with pytest.raises(Occupied), atomic_write(tmp_path / name, overwrite=False) as part:
-            part.mkdir() if name == "a folder" else part.write_text("new")
-            exists(name.removeprefix("a "), tmp_path / name, tmp_path)
-            shutil.rmtree(tmp_path / "mine")
-    assert everything(tmp_path) == {"a file": "mine", "a folder": "", "a folder/file": "mine"}
-
-
-@pytest.mark.parametrize("name", ["a file", "a folder"])
-def test_the_old_one_goes_only_when_the_new_one_is_whole(name: str, tmp_path: Path) -> None:
-    exists(name.removeprefix("a "), tmp_path / name, tmp_path)
-    before = everything(tmp_path)
-    with pytest.raises(RuntimeError), atomic_write(tmp_path / name) as part:
-        part.mkdir() if name == "a folder" else part.write_text("new")
-        raise RuntimeError
-    assert everything(tmp_path) == before
-    wrong = tmp_path / name
-    with pytest.raises(Occupied, match="never replaces"), atomic_write(wrong) as part:
-        part.write_text("new") if name == "a folder" else part.mkdir()
-    assert everything(tmp_path) == before
-
-
-def test_an_export_copies_a_datasets_own_files_and_no_links(
-    episodes: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+def test_overwrite_replaces_a_dataset_but_no_folder_of_the_users(
+    typed: Type, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copytree(episodes, tmp_path / "copy")
-    data, secret = tmp_path / "copy" / "data", tmp_path / "secret.txt"
-    secret.write_text("secret")
-    (data / "notes.json").symlink_to(secret)
-    (data / "notes.txt").write_text("private")
-    to_minari([tmp_path / "copy"], tmp_path / "upload")
-    assert {path.name for path in (tmp_path / "upload" / ID / "data").iterdir()} == {
-        "main_data.hdf5",
-        "metadata.json",
-        "collection.json",
-    }
-    (data / "main_data.hdf5").rename(tmp_path / "elsewhere.hdf5")
-    (data / "main_data.hdf5").symlink_to(tmp_path / "elsewhere.hdf5")
-    with pytest.raises(InvalidFile):
-        to_minari([tmp_path / "copy"], tmp_path / "b")
-    for form in ("compact", "minari", "lerobot", "ogbench", "huggingface"):
-        assert knotgym("dataset", "export", data.parent, "--to", form, "--out", tmp_path / "b") == 2
-        assert "only a dataset's own files are copied" in capfd.readouterr().err
-    assert knotgym("dataset", "merge", data.parent, "--out", tmp_path / "b.h5") == 2
-    assert not (tmp_path / "b").exists() and not (tmp_path / "b.h5").exists()
-
-
-def test_a_cache_of_frames_follows_no_link(episodes: Path, tmp_path: Path) -> None:
-    from knotgym.datasets.episode_reader import EpisodeReader
-
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "cache").symlink_to(tmp_path / "mine")
-    with pytest.raises(InvalidInput, match="is a link"):
-        CachedFrames(EpisodeReader(episodes), None, FrameCache(tmp_path / "cache"))
-    assert not any((tmp_path / "mine").iterdir())
+    path = output_of("collect", tmp_path)
+    words = ("--episodes", "1", "--set", "task.horizon=1", "--workers", "1", "--overwrite")
+    exists("folder", path, tmp_path)
+    assert typed("collect", *words) == 2 and (path / "file").is_file()
+    shutil.rmtree(path)
+    assert typed("collect", *words) == 0 and typed("collect", *words) == 0
+    assert [one.name for one in path.iterdir()] == ["data"]

@@ -156,7 +156,7 @@ def episodes_of(
     """Play a collection's episodes and publish them as the folder `place`; return a summary."""
     parts = yield [
         Call(f"episodes {few.start}-{few.stop - 1}", block, (config, few))
-        for few in blocks(config.episodes, config.task.horizon)
+        for few in blocks(config.episodes, config.task)
     ]
     return publish_episodes(config, [from_result(part) for part in parts], source, place)
 

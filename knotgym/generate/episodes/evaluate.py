@@ -70,7 +70,7 @@ class Evaluation:
 def evaluation(config: EvaluateConfig, found: Evaluation) -> Recipe[str]:
     """Play every setup; fill `found`, and return a summary."""
     setups = list(config.setups())
-    numbers = blocks(config.episodes, 0)
+    numbers = blocks(config.episodes, config.task)
     filmed = [range(config.filmed)] if config.filmed else []
     calls = [
         Call(f"setup {setup} {few.start}-{few.stop - 1}", play, (*one, few, config.seed, False))

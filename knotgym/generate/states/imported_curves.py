@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from knotgym.common.atomic_files import require_regular
 from knotgym.common.errors import InvalidInput, one_line
-from knotgym.common.hdf5_files import require_regular
 from knotgym.common.streams import Stream, key
 from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_rows import row_of, stacked, states_of

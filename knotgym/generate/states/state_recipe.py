@@ -57,7 +57,8 @@ def make_states(
     made_by = identity(asked)
 
     def prepare(progress: Progress) -> None:
-        compile_first(progress, config.engine_used, options.workers, draws=True)
+        engine, plans = config.engine_used, config.demonstrations
+        compile_first(progress, engine, options.workers, draws=True, plans=plans)
 
     return run(
         lambda place: state_recipe(config, place, made_by),
