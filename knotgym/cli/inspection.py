@@ -26,6 +26,7 @@ from knotgym.datasets.image_table import read_table
 from knotgym.datasets.located import (
     demonstrations,
     episodes_at,
+    require_apart_from,
     resolve_dataset,
     resolve_datasets,
     sources,
@@ -103,6 +104,7 @@ def gallery(named: str, out: Path, columns: int, overwrite: bool) -> str:
     """Write a contact sheet; return a one-line summary."""
     require_output(out, folder=False, overwrite=overwrite)
     found = resolve_datasets(named)
+    require_apart_from(out, named)
     kind, path = found[0]
     with atomic_write(out, overwrite=overwrite) as temporary:
         if kind == "states":
@@ -124,6 +126,7 @@ def page(named: str, out: Path, overwrite: bool) -> str:
     """Write an HTML page for browsing a dataset; return a one-line summary."""
     require_output(out, folder=False, overwrite=overwrite)
     data = page_data(**sources(named)._asdict())
+    require_apart_from(out, named)
     with atomic_write(out, overwrite=overwrite) as temporary:
         write_page(temporary, data)
     return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
@@ -139,6 +142,7 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
     require_output(out, folder=False, overwrite=overwrite)
     require_film(out)
     kind, path = resolve_dataset(named, "states", "episodes")
+    require_apart_from(out, named)
     scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
     if scene.difference:
         raise Failed(

@@ -26,13 +26,7 @@ _OUTPUT_MARKS = (
 _AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2(2)
 
 
-def require_output(
-    path: str | os.PathLike[str],
-    *,
-    folder: bool,
-    overwrite: bool = False,
-    sources: Iterable[str | os.PathLike[str]] = (),
-) -> None:
+def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: bool = False) -> None:
     """Check, before hours of work, that an output can be written and replaces nothing unasked.
 
     Only a regular file, a link, an empty folder or a folder that is an output of this package is
@@ -42,7 +36,6 @@ def require_output(
         path: path of the output.
         folder: whether it will be a folder.
         overwrite: whether it may replace an older output.
-        sources: what the output is made from; it may not be, contain or be in any of these.
 
     Raises:
         Occupied: something exists at `path` that may not be replaced.
@@ -51,12 +44,16 @@ def require_output(
     target = Path(path)
     _put_back(target)
     _require_free(target, folder, overwrite)
-    where = target.resolve()
-    for source in map(Path, sources):
-        found = source.resolve()
-        if where.is_relative_to(found) or found.is_relative_to(where):
-            raise Occupied(f"{target} is, contains or is in the source {source}; choose another")
     require_writable(path)
+
+
+def require_apart(path: str | os.PathLike[str], sources: Iterable[str | os.PathLike[str]]) -> None:
+    """Raise Occupied if an output is, contains or is in one of the paths that it is made from."""
+    target = Path(path).resolve()
+    for source in sources:
+        found = Path(source).resolve()
+        if target.is_relative_to(found) or found.is_relative_to(target):
+            raise Occupied(f"{path} is, contains or is in its source {source}; choose another")
 
 
 def _require_free(target: Path, folder: bool, overwrite: bool) -> None:

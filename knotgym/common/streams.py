@@ -25,17 +25,12 @@ _WORD, _MOST = 2**32, 2**63 - 1  # _MOST: seeds are stored in int64 columns
 class Stream(IntEnum):
     """The purposes of random draws; comments name the counters of each.
 
-    The number of a purpose is never reused for another one, because datasets store keys.
+    The number of a purpose is never reused for another one, because datasets store keys; 6 is that
+    of the curated states.
     """
 
-    SHARD = 1  # shard number: the seed of its search
     SPLIT = 2  # nx: train or test
     CODE_ORDER = 4  # nx: order in which codes are processed
-    CANDIDATE = 6  # nx, code, copy: its demonstration, and the state that it may end in
-    TARGETED_SEARCH = 7  # nx, code, search number of the planner
-    SEARCH_ROPE = 8  # round, index of the rope in the batch
-    SEARCH_PARENTS = 9  # round
-    SEARCH_REPLAYS = 10  # round, wave of the planner after it
     EPISODE = 13  # episode number: the seed of its environment, in datasets
     POLICY = 14  # episode number, rollout of the episode: the policy's draws, in datasets
     IMAGE_WALK = 15  # rope: the seed of its policy
@@ -51,23 +46,17 @@ class Stream(IntEnum):
     EVALUATION_POLICY = 26  # episode number: the policy's draws, in evaluations
     INTERVAL = 27  # bootstraps of confidence intervals
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
-    RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
     PLAYED_ROPE = 32  # rope, 0: its random actions, 1: its other pulls
     NOISE_SURVIVAL = 33  # the seed is a digest of the configuration that the noise is added to
     DRAWING = 40  # nx, code, number of the drawing
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
-    START = 42  # the drawing of a knot that action sequences begin at
     SELECTION = 43  # which rows (0) or codes (2) are sampled, or how rows are split (1)
     IMPORT = 44  # nx, number of the curve: its noise survival
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_PLACES = 52  # the start positions of ropes that are kept
     LEARN_CLONE = 53  # step of training the clone
     LEARN_HELD_OUT = 54  # the episodes held out of a clone's training
-    LEARN_PLAY = 55  # round and task, episode: the choices of a clone that plays
-    LEARN_PLAY_START = 56  # the same: the seed of that episode's start and goal
-    LEARN_COPIES = 57  # episode: the first beads of its copies
     DEMONSTRATION = 58  # task, episode: its start, its goal, and the passes before it
-    DEMONSTRATION_STARTS = 59  # task: the starts of demonstrations
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play
     DEMONSTRATED = 66  # state, attempt: the seed of the episode that ends in its code

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from knotgym.common.atomic_files import require_no_links
+from knotgym.common.atomic_files import require_apart, require_no_links
 from knotgym.common.errors import InvalidInput, MissingFile
 from knotgym.common.tables import format_of
 from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
@@ -70,8 +70,17 @@ def folder_of(named: str) -> Path:
         MissingFile, InvalidInput: as in `resolve_datasets`.
     """
     resolve_datasets(named)
-    given = Path(named) if Path(named).exists() else minari_root() / named
+    given = _root(named)
     return given if given.is_dir() else given.parent
+
+
+def require_apart_from(out: Path, *given: str) -> None:
+    """Raise Occupied if an output is, contains or is in a dataset, by its path, id or name."""
+    require_apart(out, [_root(named) for named in given])
+
+
+def _root(named: str) -> Path:
+    return Path(named) if Path(named).exists() else minari_root() / named
 
 
 def resolve_dataset(named: str, *kinds: str) -> Dataset:
@@ -133,7 +142,7 @@ def sources(named: str) -> Sources:
     """
     found = resolve_datasets(named)
     kind, path = found[0]
-    root = Path(named) if Path(named).exists() else minari_root() / named
+    root = _root(named)
     title, episodes = path.resolve().name, list(found)
     if kind == "images":
         require_no_links(root, shards(path))

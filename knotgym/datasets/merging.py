@@ -11,10 +11,22 @@ from typing import Any
 from knotgym.common.atomic_files import atomic_write, require_output, sha256
 from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
-from knotgym.datasets.located import refuse_minaris_folder, resolve_dataset, sources
+from knotgym.datasets.located import (
+    refuse_minaris_folder,
+    require_apart_from,
+    resolve_dataset,
+    sources,
+)
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import merge_states, read_states, ships, states_at, write_states
+from knotgym.states.state_file import (
+    merge_states,
+    minari_root,
+    read_states,
+    ships,
+    states_at,
+    write_states,
+)
 
 
 def merge(
@@ -49,6 +61,7 @@ def merge(
             raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
         require_output(out, folder=False, overwrite=overwrite)
         refuse_minaris_folder(out)
+    require_apart_from(Path(out or minari_root()) / dataset_id, *given)
     if kinds == {"states"}:
         if dataset_id or out is None:
             raise InvalidInput("an id is for episodes; give --out for states")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, require_output, sha256
+from knotgym.common.atomic_files import atomic_write, require_apart, require_output, sha256
 from knotgym.common.errors import InvalidInput, one_line
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
@@ -35,7 +35,14 @@ from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.states.near_duplicates import families
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.states.state_file import States, read_states, ships, states_at, write_states
+from knotgym.states.state_file import (
+    States,
+    minari_root,
+    read_states,
+    ships,
+    states_at,
+    write_states,
+)
 
 Rows = NDArray[np.int64]
 Selections = list[dict[str, Any]]
@@ -189,7 +196,7 @@ class _Pictures:
         manifest, files = _manifest(self.path), shards(self.path)
         ends = np.cumsum([len(read_table(one, columns=["nx"])) for one in files])[:-1]
         chosen = dict(zip(files, np.split(kept, ends), strict=True))
-        written = write_shards(path, chosen, int(manifest["config"]["rows_per_file"]))
+        written = write_shards(path, chosen)
         finish_images(path, written, manifest["report"], *_made(manifest, made))
 
 
@@ -271,9 +278,12 @@ def require_target(given: Selectable, target: Destination) -> None:
     episodes = isinstance(given, _Episodes)
     if target.dataset_id and not episodes:
         raise InvalidInput("an id is for episodes; give --out for states and pictures")
-    if not target.dataset_id:
+    if target.dataset_id:
+        require_apart(Path(target.out or minari_root()) / target.dataset_id, [given.path])
+    else:
         if target.out is None:
             raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
+        require_apart(target.out, [given.path])
         folder = given.path.is_dir() and not episodes
         require_output(target.out, folder=folder, overwrite=target.overwrite)
 

@@ -1,6 +1,7 @@
 """Convert datasets for other libraries: torch Dataset, d3rlpy ReplayBuffer, TensorDict."""
 
 import importlib
+import os
 import sys
 from pathlib import Path
 from typing import Any, Unpack
@@ -9,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput, MissingExtra, install_command
-from knotgym.loaders.rows import drawn_goals, rows
+from knotgym.loaders.rows import drawn_generator, drawn_goals, rows
 from knotgym.loaders.transitions import Opening, Transitions
 from knotgym.loaders.windows import Window
 
 # d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0 (which knotgym supports), and an extra would pin
 # it for everyone who installs all extras
+_AT_ONCE = 4096  # transitions written to mapped files at once
 _INSTALL = {
     "datasets": install_command("huggingface"),
     "torch": install_command("torch"),
@@ -155,11 +157,15 @@ class _WindowPicker:
         )
 
 
-def to_tensordict(dataset: Any, **opening: Unpack[Opening]) -> Any:
+def to_tensordict(
+    dataset: Any, *, folder: str | os.PathLike[str] | None = None, **opening: Unpack[Opening]
+) -> Any:
     """Make a `tensordict.TensorDict` of all N transitions, to `extend` a TorchRL buffer with.
 
     Args:
         dataset, opening: see `knotgym.loaders`.
+        folder: where to keep the tensors in memory-mapped files, for datasets that are larger than
+            the memory; None to hold them in memory.
 
     Returns:
         Batch size [N]. Keys: observation (for "both", pixels and state); action; done, terminated
@@ -175,7 +181,24 @@ def to_tensordict(dataset: Any, **opening: Unpack[Opening]) -> Any:
     """
     tensordict = import_client("tensordict")
     transitions = Transitions(dataset, **opening)
-    columns = rows(transitions)
+    if folder is None:
+        return _tensors(tensordict, transitions, rows(transitions), slice(None))
+    goals, count = drawn_generator(transitions), len(transitions)
+    mapped = None
+    for first in range(0, count, _AT_ONCE):
+        some = slice(first, min(first + _AT_ONCE, count))
+        columns = transitions.gather(np.arange(some.start, some.stop), rng=goals)
+        block = _tensors(tensordict, transitions, columns, some)
+        if mapped is None:
+            mapped = block[:1].expand(count).memmap_like(folder)
+        mapped[some] = block
+    return mapped
+
+
+def _tensors(
+    tensordict: Any, transitions: Transitions, columns: dict[str, Any], some: slice
+) -> Any:
+    """Return a TensorDict of the columns of some transitions."""
     terminated, truncated = columns["terminals"][:, None], columns["timeouts"][:, None]
     running = np.zeros_like(terminated)
     added, after = {}, {}
@@ -191,11 +214,12 @@ def to_tensordict(dataset: Any, **opening: Unpack[Opening]) -> Any:
     def seen(observations: Any) -> dict[str, NDArray[Any]]:
         return observations if isinstance(observations, dict) else {"observation": observations}
 
+    episode = np.repeat(np.arange(transitions.segments), np.diff(transitions.starts))
     return tensordict.TensorDict(
         {
             **seen(columns["observations"]),
             "action": columns["actions"],
-            "episode": np.repeat(np.arange(transitions.segments), np.diff(transitions.starts)),
+            "episode": episode[some],
             **added,
             "done": running,
             "terminated": running.copy(),
@@ -209,7 +233,7 @@ def to_tensordict(dataset: Any, **opening: Unpack[Opening]) -> Any:
                 "truncated": truncated,
             },
         },
-        batch_size=[len(transitions)],
+        batch_size=[len(terminated)],
     )
 
 

@@ -153,7 +153,8 @@ class Frames:
         return found
 
     def _vertices(self, ids: Ids) -> NDArray[np.float32]:
-        return self._column(ids, "observation", "goal_points").reshape(len(ids), -1)
+        beads = self._dataset.task.beads
+        return self._column(ids, "observation", "goal_points").reshape(len(ids), 3 * beads)
 
     def _codes(self, ids: Ids) -> NDArray[np.int16]:
         return self._column(ids, "visits", "goal_visits")

@@ -40,7 +40,7 @@ def arrays(dataset: Any, **opening: Unpack[Opening]) -> dict[str, Any]:
 
 def rows(transitions: Transitions) -> dict[str, Any]:
     """Load opened transitions; return what `arrays` does."""
-    loaded = transitions.gather(np.arange(len(transitions)), rng=_generator(transitions))
+    loaded = transitions.gather(np.arange(len(transitions)), rng=drawn_generator(transitions))
     if transitions.action == "macro":
         loaded.setdefault("pulls", transitions.pulls)
     return loaded
@@ -48,10 +48,11 @@ def rows(transitions: Transitions) -> dict[str, Any]:
 
 def drawn_goals(transitions: Transitions) -> NDArray[np.int64] | None:
     """Return the states that `rows` draws as goals, int64 (N,); None if it draws none."""
-    rng = _generator(transitions)
+    rng = drawn_generator(transitions)
     return None if rng is None else transitions.sample_goals(np.arange(len(transitions)), rng)
 
 
-def _generator(transitions: Transitions) -> np.random.Generator | None:
+def drawn_generator(transitions: Transitions) -> np.random.Generator | None:
+    """Return the generator that the goals of all transitions are drawn from; None for none."""
     goals = transitions.window.goals if transitions.window else None
     return None if goals is None else generator(Stream.SAMPLED_GOALS, goals.seed)

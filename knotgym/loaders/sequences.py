@@ -1,5 +1,6 @@
 """Stretches of consecutive states, straight from the columns, for models of sequences."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,16 +17,25 @@ class Sequences:
         starts: int64 (n,), the row of steps that each stretch begins in.
     """
 
-    def __init__(self, dataset: Any, length: int = 64) -> None:
+    def __init__(
+        self, dataset: Any, length: int = 64, columns: Sequence[str] = ("observation", "action")
+    ) -> None:
         """Open a dataset, see `knotgym.loaders`.
 
+        Args:
+            dataset: see `knotgym.loaders`.
+            length: states of a stretch.
+            columns: which columns of `datasets.episodes.STEPS` a stretch has.
+
         Raises:
-            InvalidInput: the length isn't above 0.
+            InvalidInput: the length isn't above 0, or there is no such column.
         """
         if length < 1:
             raise InvalidInput(f"length must be at least 1, got {length}")
-        self.dataset, self.length = columns_of(dataset), length
+        self.dataset, self.length, self.columns = columns_of(dataset), length, tuple(columns)
         episodes = self.dataset.episodes
+        episodes.steps.only(*columns)  # refuses unknown names
+        self._offsets = episodes.offsets
         rows = np.arange(episodes.steps.rows)
         fits = rows + length <= np.repeat(episodes.offsets[1:], episodes.episodes["length"] + 1)
         self.starts: NDArray[np.int64] = rows[fits]
@@ -35,13 +45,12 @@ class Sequences:
         return len(self.starts)
 
     def __getitem__(self, index: int) -> dict[str, NDArray[Any]]:
-        """Return a stretch as views of the columns of `datasets.episodes.STEPS`, copying nothing.
+        """Return a stretch as views of the columns, copying nothing, and the number of its episode.
 
         observation is float32 (length, beads, 3), the rope alone; the goal is
         `dataset.episodes.episodes["goal_points"][episode]`, and episode an array of one number.
         """
-        first = int(self.starts[index])
-        part = slice(first, first + self.length)
-        columns = {name: column[part] for name, column in self.dataset.episodes.steps.items()}
-        episode = np.searchsorted(self.dataset.episodes.offsets, first, side="right") - 1
-        return {**columns, "episode": np.array([episode])}
+        first, steps = int(self.starts[index]), self.dataset.episodes.steps
+        found = {name: steps[name][first : first + self.length] for name in self.columns}
+        episode = np.searchsorted(self._offsets, first, side="right") - 1
+        return {**found, "episode": np.array([episode])}

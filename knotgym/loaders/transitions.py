@@ -84,7 +84,7 @@ class Transitions:
             relabel: None for episodes as they are. "last": the goal becomes the last new code that
                 an episode reached, and the episode ends there. "all": one such segment for every
                 code that it reached. An episode that never leaves its first code gives none.
-            labels: use the actions that an expert would have taken (`collect --labels expert`)
+            labels: use the actions that an expert would have taken (`collect --set labels=expert`)
                 instead of those taken; they don't lead to the next observation.
             cache: a folder to keep uncompressed pictures in; see `knotgym.loaders`.
             window: steps, chunks, stacks, histories and sampled goals of `batch`; None for single
@@ -117,7 +117,8 @@ class Transitions:
             hold, limit = self.task.hold, self.task.tow_limit
             self.episode, lengths = goals_reached(episodes, hold, limit, relabel)
             self.goal_step = lengths
-        first = episodes.offsets[self.episode]
+        self._offsets = episodes.offsets
+        first = self._offsets[self.episode]
         counts, states = lengths, ranges(first, lengths + 1)
         if self.action == "macro":
             # transitions begin where macro-actions do; the last state of a segment ends the last
@@ -148,7 +149,7 @@ class Transitions:
             "the expert's actions lead to the episode's own goal: use labels without relabel": (
                 self._labels and self._relabelled
             ),
-            f"{path} has no expert actions: collect it with --labels expert": (
+            f"{path} has no expert actions: collect it with --set labels=expert": (
                 self._labels and "expert_action" not in steps
             ),
             "sampled goals replace the episodes': leave out relabel and labels": (
@@ -279,7 +280,7 @@ class Transitions:
     def _goals(self, segments: Ids) -> Ids:
         """Return the frames of segments' goals."""
         episode, step = self.episode[segments], self.goal_step[segments]
-        reached = self._dataset.episodes.offsets[episode] + step
+        reached = self._offsets[episode] + step
         return np.where(step < 0, self._frames.goals(episode), reached)
 
     def _segments(self, rows: Ids) -> Ids:
@@ -372,7 +373,7 @@ class Transitions:
     def _codes_held(self) -> tuple[Ids, Ids]:
         """Per state: its code as a number, -1 where none counts; and for how many steps it held."""
         episodes = self._dataset.episodes
-        offsets, episode = episodes.offsets, episodes.episode_of()
+        offsets, episode = self._offsets, episodes.episode_of()
         step = np.arange(len(episode)) - offsets[episode]
         # no state counts from the first one on that is towed too far, or that blew up
         beyond = ~within_tow(episodes, self.task.tow_limit)

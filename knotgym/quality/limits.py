@@ -8,11 +8,6 @@ from dataclasses import dataclass, field, fields
 
 from knotgym.common.configuration import NonNegative, Real, Share, configuration
 
-# Area of a face whose region, inside the drawn rope, shows some background, square pixels. The
-# region's own area is 0 when no background shows, and so gives a search no direction; the face's
-# area, between the axes, does.
-FACE = 20.0
-
 # Scale of the reset noise, radians per joint and metres: the environment's default, and the scale
 # at which `Quality.noise_survival` is measured.
 RESET_NOISE = 0.015
@@ -121,32 +116,6 @@ class Limits:
             if value > bound if name in _MAXIMA else value < bound:
                 missed.append(name)
         return missed
-
-    def objective(self, quality: Quality, nx: int) -> float:
-        """Return a penalty for searches to minimize.
-
-        It is a sum over the measures: 0 for a measure twice as good as its limit, 1 for a measure
-        at its limit, more for a worse one.
-        """
-        # Squared hinges for lower limits, whose slope grows with the violation; linear hinges for
-        # upper limits. Strands that touch have a clearance of 10 mm, so twice its limit would be
-        # too much to ask; its penalty is 1 at the limit and 0 from 1 mm above. NaN is unmeasured.
-        total = max(0.0, 2 - quality.smallest_face / FACE) ** 2
-        for limit in fields(self):
-            name, bound = limit.name, getattr(self, limit.name)
-            if name == "curvature_per_crossing":
-                name, bound = "total_curvature", bound * (nx + 1)
-            value = getattr(quality, name)
-            if value != value or bound is None:
-                continue
-            if name in ("excess_crossing_number", "total_curvature"):
-                allowed = bound
-                total += max(0.0, 2 * value / allowed - 1)
-            elif limit.name == "clearance":
-                total += max(0.0, 1 - (value - bound)) if value < bound + 1 else 0.0
-            else:
-                total += max(0.0, 2 - value / bound) ** 2
-        return total
 
 
 _NO_LIMITS: dict[str, None] = dict.fromkeys(limit.name for limit in fields(Limits))

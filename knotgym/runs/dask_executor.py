@@ -1,4 +1,4 @@
-"""Run work on a Dask cluster; imported only for `--executor dask`.
+"""Run work on a Dask cluster; imported only for run.executor=dask.
 
 Workers read the files of a run themselves, so they must see its folder under the same path: start
 them anywhere on one shared file system, with the same version of knotgym, and PYTHONSAFEPATH=1
@@ -17,7 +17,7 @@ from typing import Any
 from knotgym.common.errors import Failed, InvalidInput, MissingExtra, install_command
 from knotgym.runs.identity import versions
 
-_TIMEOUT = 10.0  # seconds to wait for the scheduler, and for a first worker
+TIMEOUT = 10.0  # seconds to wait for the scheduler, and for a first worker
 
 # Simulations are cached per process, and two threads of a worker must not share them.
 _one_at_a_time = threading.Lock()
@@ -48,11 +48,17 @@ def cluster(scheduler: str) -> Iterator[Executor]:
         from distributed.comm import CommClosedError
     except ModuleNotFoundError as error:
         raise MissingExtra(
-            "Dask distributed", install_command("dask"), "--executor dask"
+            "Dask distributed", install_command("dask"), "run.executor=dask"
+        ) from error
+    except AttributeError as error:
+        # distributed takes any module `snappy` for the compressor of that name
+        raise InvalidInput(
+            "Dask distributed can't be imported where SnapPy is installed, which has a module of"
+            " the same name as a compressor that Dask looks for: use an environment without SnapPy"
         ) from error
     try:
-        client = Client(scheduler, timeout=_TIMEOUT, set_as_default=False)
-        client.wait_for_workers(1, timeout=_TIMEOUT)
+        client = Client(scheduler, timeout=TIMEOUT, set_as_default=False)
+        client.wait_for_workers(1, timeout=TIMEOUT)
     except (OSError, ValueError) as error:
         raise InvalidInput(
             f"no Dask scheduler with workers answers at {scheduler}: check the address, or start"

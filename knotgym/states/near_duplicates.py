@@ -157,22 +157,6 @@ def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
     return distance, row
 
 
-def apart(points: Array) -> NDArray[np.bool_]:
-    """Keep each configuration that is not near an earlier kept one (`distances`): bool (n,)."""
-    centred = points - points.mean(axis=1, keepdims=True)
-    # By the triangle inequality the root mean square radii of near-duplicates differ by less than
-    # NEAR: compare each configuration only with those in that window of the sorted radii.
-    size = np.sqrt((centred**2).sum(axis=(1, 2)) / points.shape[1])
-    order = np.argsort(size, kind="stable")
-    first, last = (np.searchsorted(size[order], size + sign * NEAR) for sign in (-1, 1))
-    kept = np.ones(len(points), dtype=bool)
-    for row in range(len(points)):
-        like = order[first[row] : last[row]]
-        like = like[(like < row) & kept[like]]
-        kept[row] = not (len(like) and (distances(points[row], points[like]) < NEAR).any())
-    return kept
-
-
 def repeated(points: Array) -> list[tuple[int, int]]:
     """List the rows that equal an earlier one bit for bit, as pairs (first such row, row).
 

@@ -268,7 +268,8 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     _require_equal("engine", [part.engine for part in parts])
     _require_equal("quality and source", [", ".join(sorted(part.table)) for part in parts])
     longest = max(part.table[_ACTIONS].shape[1] if _ACTIONS in part.table else 0 for part in parts)
-    merged = joined([_padded(part.table, longest) for part in parts]).take(merged_order(parts))
+    order = np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
+    merged = joined([_padded(part.table, longest) for part in parts]).take(order)
     twice = repeated(merged["points"]) if distinct else []
     if twice:
         raise InvalidFile(
@@ -278,11 +279,6 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     configs = [config for part in parts for config in _configs(part)]
     config = configs if len(configs) > 1 else configs[0]
     return States(merged, {**parts[0].attributes, "config": config})
-
-
-def merged_order(parts: Sequence[States]) -> NDArray[np.int64]:
-    """Return the row of the concatenated parts that each row of `merge_states` comes from."""
-    return np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
 
 
 def _require_equal(what: str, found: Sequence[str]) -> None:

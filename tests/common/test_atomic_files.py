@@ -9,7 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.common.atomic_files import atomic_write, copy_file, require_output, sha256
+from knotgym.common.atomic_files import (
+    atomic_write,
+    copy_file,
+    require_apart,
+    require_output,
+    sha256,
+)
 from knotgym.common.errors import Occupied
 
 
@@ -184,8 +190,8 @@ def test_nothing_but_an_output_is_replaced(
 @pytest.mark.parametrize("source", [".", "out", "out/part.h5", "linked"])
 def test_an_output_is_apart_from_its_sources(tmp_path: Path, source: str) -> None:
     (tmp_path / "linked").symlink_to(tmp_path / "out")
-    with pytest.raises(Occupied, match="is, contains or is in the source"):
-        require_output(tmp_path / "out", folder=True, sources=[tmp_path / source])
+    with pytest.raises(Occupied, match="is, contains or is in its source"):
+        require_apart(tmp_path / "out", [tmp_path / source])
 
 
 def test_a_link_is_replaced_and_not_its_target(tmp_path: Path) -> None:

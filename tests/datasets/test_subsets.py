@@ -1,5 +1,6 @@
 """Tests of select, split, delete and merge: table operations on states and episodes alike."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,11 @@ import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common.errors import InvalidInput, MissingExtra, MissingFile, Occupied
+from knotgym.control.verification import replay
 from knotgym.datasets import delete, open_episodes, select, split
 from knotgym.datasets.conditions import matching_rows
 from knotgym.datasets.episodes import differences, merged
+from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.subsets import kept, row_numbers
@@ -229,3 +232,17 @@ def test_states_and_episodes_are_not_merged(states_path: str, tmp_path: Path) ->
     one = str(written(tmp_path / "a.h5", episodes([2])))
     with pytest.raises(InvalidInput, match="all of states or all of trajectories"):
         merge([one, states_path], tmp_path / "m.h5")
+
+
+def test_an_output_in_the_way_of_its_source_is_refused(states_path: str, tmp_path: Path) -> None:
+    file = tmp_path / "states.h5"
+    shutil.copy(states_path, file)
+    before = file.read_bytes()
+    for write in (
+        lambda: select(file, where="nx = 3", out=file, overwrite=True),
+        lambda: merge([str(file), states_path], file, overwrite=True),
+        lambda: export(str(file), file, "curves", replay, overwrite=True),
+    ):
+        with pytest.raises(Occupied, match="is, contains or is in its source"):
+            write()
+    assert file.read_bytes() == before and len(list(tmp_path.iterdir())) == 1

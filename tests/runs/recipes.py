@@ -19,6 +19,8 @@ from knotgym.generate.episodes.evaluate import run as evaluate
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
+from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.generate.states.state_recipe import make_states
 from knotgym.runs.run import Call, Recipe, run
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
@@ -58,6 +60,11 @@ def evaluated(out: Path, options: RunOptions) -> Path:
     return out if options.shard.is_whole else options.shard.journal(out)
 
 
+def made_states(out: Path, options: RunOptions) -> Path:
+    config = GenerateConfig(nx=(0, 1), count=4, engine="chain")
+    return make_states(config, out, options)
+
+
 def made_images(out: Path, options: RunOptions) -> Path:
     config = ImagesConfig(nx=(0, 1), count=8, engine="chain", pulls=4, ropes=2, rows_per_file=2)
     return make_images(config, out, options)
@@ -67,6 +74,7 @@ RECIPES: dict[str, Callable[[Path, RunOptions], Path]] = {
     "toy": made_toy,
     "collect-v0": collected,
     "evaluate.json": evaluated,
+    "states": made_states,
 }
 if find_spec("pyarrow") is not None:
     RECIPES["images"] = made_images

@@ -2,16 +2,20 @@
 is lost or replaced unasked.
 """
 
+import errno
+import fcntl
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +30,13 @@ from .recipes import RECIPES, drawn, made_toy, toy
 
 QUIET = RunOptions(workers=1, quiet=True)
 RESUMED = replace(QUIET, resume=True)
-KILLS = 5
+KILLS = 3
 
-every_recipe = pytest.mark.parametrize("name", RECIPES)
+every_recipe = pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name == "toy" else pytest.mark.slow) for name in RECIPES],
+)
+Unbroken = Callable[[str], dict[str, bytes]]
 
 
 def content(out: Path) -> dict[str, bytes]:
@@ -37,23 +45,26 @@ def content(out: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, dict[str, bytes]]]:
-    folder = tmp_path_factory.mktemp("unbroken")
-    yield {name: content(make(folder / name, QUIET)) for name, make in RECIPES.items()}
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Unbroken:
+    """The files of an unbroken run of a recipe, made when they are first asked for."""
+
+    @cache
+    def made(name: str) -> dict[str, bytes]:
+        return content(RECIPES[name](tmp_path_factory.mktemp("unbroken") / name, QUIET))
+
+    return made
 
 
 @every_recipe
-def test_two_processes_make_the_same_bytes(
-    name: str, tmp_path: Path, unbroken: dict[str, dict[str, bytes]]
-) -> None:
+def test_two_processes_make_the_same_bytes(name: str, tmp_path: Path, unbroken: Unbroken) -> None:
     out = RECIPES[name](tmp_path / name, replace(QUIET, workers=2))
-    assert content(out) == unbroken[name]
+    assert content(out) == unbroken(name)
     assert list(tmp_path.iterdir()) == [out]
 
 
 @every_recipe
 def test_a_run_that_is_killed_again_and_again_makes_the_same_bytes(
-    name: str, tmp_path: Path, unbroken: dict[str, dict[str, bytes]]
+    name: str, tmp_path: Path, unbroken: Unbroken
 ) -> None:
     out, rng, kills = tmp_path / name, random.Random(name), 0
     journal = staging_folder(out) / "journal"
@@ -70,13 +81,13 @@ def test_a_run_that_is_killed_again_and_again_makes_the_same_bytes(
         assert child.wait() in (0, -signal.SIGKILL)
         size = _size(journal)
     assert kills
-    assert content(out) == unbroken[name]
+    assert content(out) == unbroken(name)
     assert list(tmp_path.iterdir()) == [out]
 
 
 @every_recipe
 def test_three_shards_merge_to_the_same_bytes(
-    name: str, tmp_path: Path, unbroken: dict[str, dict[str, bytes]]
+    name: str, tmp_path: Path, unbroken: Unbroken
 ) -> None:
     out, make = tmp_path / name, RECIPES[name]
     for number in (2, 1, 3):
@@ -85,14 +96,14 @@ def test_three_shards_merge_to_the_same_bytes(
     for number in (1, 2, 3, 1, 2, 3):  # what depends on the others' results
         make(out, replace(RESUMED, shard=Shard(number, 3)))
     assert not out.exists()
-    assert content(make(out, QUIET)) == unbroken[name]
+    assert content(make(out, QUIET)) == unbroken(name)
 
 
 def test_a_shard_computes_its_share_alone_and_names_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = made_toy(tmp_path / "a", RunOptions(workers=1, shard=Shard(2, 3)))
-    assert "run --shard 1/3, 3/3" in capsys.readouterr().out
+    assert "run shard 1/3, 3/3" in capsys.readouterr().out
     with Journal(path, {"config": {"toy": 0}}) as journal:
         assert list(journal) == [f"parts {number}" for number in range(1, 30, 3)]
 
@@ -123,7 +134,7 @@ def test_results_stay_in_memory_without_a_journal_and_threads_compute_too() -> N
     alone = compute(recipe())
     with ThreadPoolExecutor(2) as pool:
         assert compute(recipe(), pool=pool) == alone
-    with pytest.raises(Failed, match="run --shard 2/2"):
+    with pytest.raises(Failed, match="run shard 2/2"):
         compute(recipe(), shard=Shard(1, 2))
 
 
@@ -217,6 +228,34 @@ def test_numbers_of_results_are_added_up_and_shown(
 
 def _size(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
+
+
+def test_a_disk_without_locks_is_one_line_and_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(Occupied, match=r"its file system has no locks \(No locks available\)"):
+        made_toy(tmp_path / "a", QUIET)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_removed_under_a_run_ends_it(tmp_path: Path) -> None:
+    def recipe(place: Path) -> Recipe[None]:
+        yield [Call("one 1", drawn, (0, 0, 1.0))]
+        shutil.rmtree(place.parents[1])
+
+    with pytest.raises(Occupied, match="was removed during the run"):
+        run(recipe, tmp_path / "a", {}, QUIET)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("text", ["5/4", "0/4", "4", "a/b", "1/2/3", "-1/2", "1/", "1/99999999"])
+def test_a_shard_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(InvalidInput, match="a shard is i/n with i from 1 to n, such as 2/8; got"):
+        Shard.parse(text)
 
 
 def test_a_large_result_survives(tmp_path: Path) -> None:

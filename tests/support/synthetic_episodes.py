@@ -66,6 +66,7 @@ def episodes(
     # ropes are circles with a bump, so that they can be drawn
     for points in (own["goal_points"], steps["observation"]):
         points[..., 0], points[..., 1] = 0.1 * np.cos(_CIRCLE), 0.1 * np.sin(_CIRCLE)
+        points[..., 2] *= 0.01
         points[:, 0, 0] += rng.uniform(0, 0.05, len(points))
     last = np.cumsum(np.asarray(lengths) + 1) - 1
     for name in ("bead", "force", "action", "reward", "share"):

@@ -231,13 +231,7 @@ class PullPlayer(Player):
         codes, goals = self._batch.codes_of(idle), self._batch.goals_of(idle)
         for index, code, goal in zip(idle.tolist(), codes, goals, strict=True):
             proposals = Proposals(self._guide.to(goal, code).nearer(code))
-            move = proposals.draw(
-                points[index],
-                self._rngs[index],
-                config.macro_actions,
-                config.guided,
-                config.template_noise,
-            )
+            move = proposals.draw(points[index], self._rngs[index], config)
             follower.begin(np.array([index]), [move])
         follower.arrive(points, idle)
         return np.where(blind, follower.beads[ids], 0), follower.forces(points, ids)
@@ -286,6 +280,9 @@ class PassPlayer(Player):
         self._search(passing[over & ~settled])
         self._last_resort.look(ids[self._by_pulls[ids]])
         self.desk.tick()
+        # Many pulls together take less time: the ropes wait until most searches are done.
+        while 4 * np.count_nonzero(self.desk.thinking[ids]) > len(ids):
+            self.desk.tick()
         ready = ids[~self.desk.thinking[ids]]
         beads, forces = follower.beads[ready], follower.forces(points, ready)
         macros = np.column_stack([self._taken[ready] == 0, self._moves[ready]])

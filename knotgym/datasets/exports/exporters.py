@@ -9,7 +9,13 @@ from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_dataset import open_episodes, write_episodes
 from knotgym.datasets.episode_verification import Replay, expanded
 from knotgym.datasets.exports.curves_export import write_curves
-from knotgym.datasets.located import Sources, name_of, refuse_minaris_folder, sources
+from knotgym.datasets.located import (
+    Sources,
+    name_of,
+    refuse_minaris_folder,
+    require_apart_from,
+    sources,
+)
 from knotgym.states.state_file import read_states
 
 
@@ -32,6 +38,7 @@ def export(named: str, out: Path, form: str, replay: Replay, *, overwrite: bool 
         raise InvalidInput(f"no format {form!r}; formats are {', '.join(EXPORTERS)}")
     require_writable(out)
     given = sources(named)
+    require_apart_from(out, named)
     if form in _FILES:
         return _files(given, out, overwrite, form == "recording", replay)
     return _OTHERS[form](given, out, overwrite)

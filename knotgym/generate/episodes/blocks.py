@@ -10,19 +10,24 @@ from numpy.typing import NDArray
 
 from knotgym.common.tables import Schema, Table
 from knotgym.datasets.episodes import EPISODES, PULLS, RECORDED, STEPS, Episodes
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.engines import MUJOCO
 
-_PIECES = 8  # blocks of a run, so that workers have equal shares
-_LEAST, _MOST = 64, 1024  # episodes of a block: enough to fill the lanes; few enough for memory
-_MOST_STEPS = 2**17  # of a block
+# pieces of a run, so that workers have equal shares; episodes of a block, at least and at most. The
+# chain engine steps many ropes in little more time than one, MuJoCo doesn't.
+_CHAIN, _MUJOCO = (4, 64, 1024), (32, 8, 64)
+_MOST_STEPS = 2**17  # of a block, which bounds its memory
 
 
-def blocks(episodes: int, horizon: int) -> list[range]:
+def blocks(episodes: int, task: TaskConfig) -> list[range]:
     """Divide the numbers of a run's episodes into blocks of about equal size.
 
-    >>> blocks(200, 50)
+    >>> blocks(200, TaskConfig(task="tie", engine="chain"))
     [range(0, 50), range(50, 100), range(100, 150), range(150, 200)]
     """
-    size = min(max(-(-episodes // _PIECES), _LEAST), _MOST, max(1, _MOST_STEPS // (horizon + 1)))
+    pieces, least, most = _MUJOCO if task.engine == MUJOCO else _CHAIN
+    most = min(most, max(1, _MOST_STEPS // (task.horizon + 1)))
+    size = min(max(-(-episodes // pieces), least), most)
     count = -(-episodes // size)
     ends = [number * episodes // count for number in range(count + 1)]
     return [range(first, end) for first, end in zip(ends[:-1], ends[1:], strict=True)]

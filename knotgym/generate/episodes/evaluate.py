@@ -70,7 +70,7 @@ class Evaluation:
 def evaluation(config: EvaluateConfig, found: Evaluation) -> Recipe[str]:
     """Play every setup; fill `found`, and return a summary."""
     setups = list(config.setups())
-    numbers = blocks(config.episodes, 0)
+    numbers = blocks(config.episodes, config.task)
     filmed = [range(config.filmed)] if config.filmed else []
     calls = [
         Call(f"setup {setup} {few.start}-{few.stop - 1}", play, (*one, few, config.seed, False))
@@ -209,7 +209,7 @@ def report(
 ) -> dict[str, Any]:
     """Return the content of the result file; `source` is `sources_of(config)` before playing."""
     learners = {
-        one.policy: {name: card[name] for name in _TRAINING}
+        one.policy: {name: card[name] for name in _TRAINING if name in card}
         for one in config.policies
         if (card := training_card(one.policy)) is not None
     }

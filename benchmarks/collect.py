@@ -1,0 +1,106 @@
+"""How fast `knotgym collect` is, beside the bare chain engine.
+
+    python benchmarks/collect.py [--episodes 1024] [random:2 expert:2 expert:3]
+
+For each policy and number of crossings: steps a CPU second of the engine alone, pulled at random
+from the same starts, and of a collection in this process, from its seeds to a closed file of
+columns that has been read back; before and after it the engine is timed again, because machines
+that others use change their speed within minutes. Minari's form of the same episodes is timed
+apart. Bytes are those of a step on disk, as columns and as a recording.
+"""
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.datasets.episode_dataset import FILE, columns_of, write_episodes
+from knotgym.datasets.minari_form import write_minari
+from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes.blocks import blocks, from_result
+from knotgym.generate.episodes.collect import collect, play
+from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.rope.chain.chain_simulation import ChainSimulation
+from knotgym.runs.run import Call, Recipe, run
+from knotgym.runs.run_options import RunOptions
+
+ROPES, PULLS = 256, 50  # of the engine alone
+OPTIONS = RunOptions(workers=1, quiet=True)
+
+
+def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Return the CPU seconds of a call, and what it returned."""
+    began = time.process_time()
+    result = work()
+    return time.process_time() - began, result
+
+
+def columns(config: CollectConfig, place: Path) -> Recipe[None]:
+    """Collect as `collect` does, without Minari's form."""
+    parts = yield [
+        Call(f"episodes {few.start}-{few.stop - 1}", play, (config, few))
+        for few in blocks(config.episodes, config.task)
+    ]
+    write_episodes(place, [from_result(part) for part in parts], config.task)
+
+
+def engine_rate(qpos: Any) -> float:
+    """Return the pulls a CPU second of the chain engine from ropes at rest."""
+    simulation, rng = ChainSimulation(len(qpos)), np.random.default_rng(0)
+    simulation.lay(qpos)
+    beads = rng.integers(100, size=(PULLS, len(qpos)))
+    forces = rng.uniform(-1, 1, (PULLS, len(qpos), 3)) * simulation.max_force
+
+    def pull() -> None:
+        for some, force in zip(beads, forces, strict=True):
+            simulation.step(some, force)
+
+    return PULLS * len(qpos) / seconds(pull)[0]
+
+
+def measure(policy: str, nx: int, episodes: int, folder: Path) -> None:
+    """Print the figures of one policy and number of crossings."""
+    task = TaskConfig(task="tie", nx=nx, engine="chain", observation="state")
+    config = CollectConfig(task=task, policy=PolicyConfig(policy=policy), episodes=episodes)
+    starts = from_result(play(config, range(ROPES))).episodes["start_qpos"]
+    before, out = engine_rate(starts), folder / f"{policy}-{nx}.h5"
+
+    def collected() -> int:
+        run(lambda place: columns(config, place), out, {}, OPTIONS, is_folder=False)
+        return int(columns_of(out).episodes.episodes["length"].sum())
+
+    spent, steps = seconds(collected)
+    engine = (before + engine_rate(starts)) / 2
+    dataset, made = columns_of(out), collect(replace(config, episodes=64), folder, OPTIONS)
+    published = columns_of(made / "data" / FILE)
+    minari, _ = seconds(lambda: write_minari(published, made / "data"))
+    few = int(published.episodes.episodes["length"].sum())
+    write_episodes(folder / "recording.h5", [dataset.episodes.recording()], task)
+    sizes = [path.stat().st_size / steps for path in (out, folder / "recording.h5")]
+    print(
+        f"{policy} nx {nx}: {steps} steps, {steps / spent:.0f} a CPU second, engine {engine:.0f}:"
+        f" {100 * steps / spent / engine:.1f} %; Minari's form {few / minari:.0f} a CPU second;"
+        f" {sizes[0]:.0f} and {sizes[1]:.0f} bytes a step"
+    )
+
+
+def main() -> None:
+    """Measure what the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--episodes", type=int, default=1024)
+    parser.add_argument("which", nargs="*", default=["random:2", "expert:2", "expert:3"])
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        for one in given.which:
+            policy, _, nx = one.partition(":")
+            measure(policy, int(nx or 2), given.episodes, Path(temporary))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,373 @@
+"""Tests of loaders: every row of a batch is aligned with the columns of the dataset."""
+
+from __future__ import annotations
+
+import importlib.util
+import pickle
+import subprocess
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from synthetic_episodes import BEADS, TASK, TINY, episodes, written
+
+from knotgym.common.errors import InvalidFile, InvalidInput, MissingExtra
+from knotgym.common.tables import Table
+from knotgym.datasets import open_episodes
+from knotgym.datasets.episodes import MACROS, STEPS, Episodes, goals_reached
+from knotgym.envs.observations import observe, picture_config
+from knotgym.loaders import (
+    Sequences,
+    Transitions,
+    Window,
+    arrays,
+    to_d3rlpy,
+    to_tensordict,
+    torch_dataset,
+)
+from knotgym.rendering.picture import PictureConfig
+
+LENGTHS = [3, 1, 6, 2]
+N, S = sum(LENGTHS), len(LENGTHS)
+clients = pytest.mark.clients
+
+
+def needs(module: str) -> pytest.MarkDecorator:
+    found = importlib.util.find_spec(module)
+    return pytest.mark.skipif(found is None, reason=f"{module} isn't installed")
+
+
+@pytest.fixture(scope="module")
+def made() -> Episodes:
+    return episodes(LENGTHS, codes=[0, 1, 1, 2, 0, 1, 0, 0, 1, 2, 2, 3, 1, 0, 0, 0])
+
+
+@pytest.fixture(scope="module")
+def path(made: Episodes, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("loaders") / "state.h5", made)
+
+
+def state_of(made: Episodes, rows: Any, goals: Any) -> np.ndarray:
+    """Return the expected state observations of rows of steps, from their definition."""
+    seen = made.steps["observation"][rows].reshape(len(rows), -1)
+    return np.concatenate([seen, np.reshape(goals, (len(rows), -1))], axis=1)
+
+
+BEFORE = np.concatenate([np.arange(n) + k + sum(LENGTHS[:k]) for k, n in enumerate(LENGTHS)])
+OWNERS = np.repeat(np.arange(S), LENGTHS)
+
+
+def test_arrays_are_aligned(made: Episodes, path: Path) -> None:
+    held = arrays(path)
+    goals = made.episodes["goal_points"][OWNERS]
+    np.testing.assert_array_equal(held["observations"], state_of(made, BEFORE, goals))
+    np.testing.assert_array_equal(held["next_observations"], state_of(made, BEFORE + 1, goals))
+    for name, column in (
+        ("actions", "action"),
+        ("rewards", "reward"),
+        ("terminals", "terminated"),
+        ("timeouts", "truncated"),
+    ):
+        np.testing.assert_array_equal(held[name], made.steps[column][BEFORE])
+
+
+def test_a_batch_is_rows_of_the_arrays(path: Path) -> None:
+    held, opened = arrays(path), Transitions(path)
+    for name, column in opened.batch([4, -1, 0]).items():
+        np.testing.assert_array_equal(column, held[name][[4, N - 1, 0]])
+    for wrong in ([], [[1]], [N], [-N - 1]):
+        with pytest.raises(IndexError):
+            opened.batch(wrong)
+
+
+def test_apart_gives_halves(made: Episodes, path: Path) -> None:
+    batch = Transitions(path).batch([4, 0], apart=True)
+    rows = BEFORE[[4, 0]]
+    np.testing.assert_array_equal(
+        batch["observations"], made.steps["observation"][rows].reshape(2, -1)
+    )
+    np.testing.assert_array_equal(
+        batch["goals"], made.episodes["goal_points"][OWNERS[[4, 0]]].reshape(2, -1)
+    )
+
+
+def test_hindsight_cuts_at_every_code_that_was_reached(made: Episodes, path: Path) -> None:
+    held, at = arrays(path, relabel="all"), goals_reached(made)
+    assert len(held["rewards"]) == at.step.sum()
+    ends = np.cumsum(at.step) - 1
+    assert np.flatnonzero(held["terminals"]).tolist() == ends.tolist()
+    assert held["rewards"].tolist() == (5.0 * held["terminals"]).tolist()
+    shown = made.steps["observation"][made.offsets[at.episode] + at.step].reshape(len(ends), -1)
+    for name in ("observations", "next_observations"):
+        np.testing.assert_array_equal(held[name][ends][:, 3 * BEADS :], shown)
+    np.testing.assert_array_equal(held["next_observations"][ends][:, : 3 * BEADS], shown)
+
+
+def test_hindsight_to_the_last_code_gives_one_segment_an_episode(path: Path) -> None:
+    opened = Transitions(path, relabel="last")
+    assert opened.episode.tolist() == [0, 1, 2] and opened.goal_step.tolist() == [3, 1, 5]
+    assert opened.codes(0)[-1] == "1+,2-,2+,1-"
+
+
+@pytest.mark.parametrize("observation", ["pixels", "both", "symbolic", "marked"])
+def test_observations_are_those_of_the_environment(observation: str) -> None:
+    dataset = open_episodes(TINY["expert"])
+    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
+    states = slice(offsets[1], offsets[2])
+    right = observe(
+        steps["observation"][states].astype(float),
+        own["goal_points"][1].astype(float),
+        observation,
+        picture_config(dataset.task),
+    )
+    seen = Transitions(TINY["expert"], observation=observation).observations(1)
+    for name in right if isinstance(right, dict) else [None]:
+        one, other = (seen, right) if name is None else (seen[name], right[name])
+        np.testing.assert_array_equal(one, other)
+
+
+def test_pictures_of_another_size_are_drawn() -> None:
+    small = arrays(TINY["expert"], observation="pixels", picture=PictureConfig(size=16))
+    assert small["observations"].shape[1:] == (16, 32, 3)
+
+
+def test_a_cache_holds_every_picture_once(tmp_path: Path) -> None:
+    plain = Transitions(TINY["expert"], observation="both")
+    kept = Transitions(TINY["expert"], observation="both", cache=tmp_path / "c")
+    (file,) = (tmp_path / "c").iterdir()
+    before, rows = file.stat().st_mtime_ns, open_episodes(TINY["expert"]).episodes.steps.rows
+    assert np.load(file, mmap_mode="r").shape == (rows + 3, 32, 32, 3)
+    for one in (kept, pickle.loads(pickle.dumps(kept))):
+        for name in ("pixels", "state"):
+            np.testing.assert_array_equal(
+                one.batch([9, 3])["observations"][name], plain.batch([9, 3])["observations"][name]
+            )
+    assert file.stat().st_mtime_ns == before  # later processes read it
+    picture = PictureConfig(size=16)
+    Transitions(TINY["expert"], observation="pixels", picture=picture, cache=tmp_path / "c")
+    assert len([*(tmp_path / "c").iterdir()]) == 2
+
+
+def test_a_damaged_or_linked_cache_is_one_line(tmp_path: Path) -> None:
+    Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
+    (file,) = (tmp_path / "c").iterdir()
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(InvalidFile, match="delete it"):
+        Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
+    file.unlink()
+    file.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InvalidFile):
+        Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_the_bead_view_names_the_beads_that_were_pulled() -> None:
+    steps = open_episodes(TINY["expert"]).episodes.steps
+    opened = Transitions(TINY["expert"], observation="state", action="bead")
+    rows = np.delete(np.arange(steps.rows), open_episodes(TINY["expert"]).episodes.last())
+    np.testing.assert_array_equal(opened.actions[:, 0], steps["bead"][rows])
+
+
+def labelled(made: Episodes) -> Episodes:
+    """Add an expert's actions and macro-actions that begin at every other state."""
+    sizes, rows = dict(made.steps.schema.sizes), made.steps.rows
+    even = np.arange(rows) % 2 == 0
+    extra = {
+        "expert_action": np.full((rows, 6), 0.5, np.float32),
+        "macro_start": even,
+        "macro_bead": np.arange(rows).astype(np.uint16),
+        "macro_target": (np.arange(rows) + 9).astype(np.uint16),
+        "macro_side": np.where(even, 1, -1).astype(np.int8),
+    }
+    return made._replace(steps=Table(STEPS.sized(**sizes), {**made.steps, **extra}))
+
+
+def test_the_macro_view_goes_from_one_macro_action_to_the_next(tmp_path: Path) -> None:
+    made = labelled(episodes([3, 1, 6]))
+    opened = Transitions(written(tmp_path / "a.h5", made), action="macro")
+    # rows 0 to 3, 4 to 5, 6 to 12; macro-actions start in even rows but the last of an episode
+    assert opened._before.tolist() == [0, 2, 4, 6, 8, 10]
+    assert opened._after.tolist() == [2, 3, 5, 8, 10, 12]
+    assert opened.pulls.tolist() == [2, 1, 1, 2, 2, 2]
+    assert opened.actions.tolist() == [[row, row + 9, 1] for row in (0, 2, 4, 6, 8, 10)]
+    rewards = made.steps["reward"]
+    np.testing.assert_allclose(opened.rewards[0], rewards[0] + rewards[1])
+    assert "pulls" in arrays(tmp_path / "a.h5", action="macro")
+
+
+def test_labels_take_the_place_of_actions(tmp_path: Path) -> None:
+    made = labelled(episodes([3, 1]))
+    path = written(tmp_path / "a.h5", made)
+    assert (Transitions(path, labels=True).actions == 0.5).all()
+    history = Transitions(path, labels=True, window=Window(history=1)).batch([1])["history"]
+    np.testing.assert_array_equal(history[0, 0], made.steps["action"][0])
+
+
+@pytest.mark.parametrize(
+    ("opening", "says"),
+    [
+        ({"action": "fly"}, "no action"),
+        ({"observation": "smell"}, "observation must be one of"),
+        ({"action": "macro"}, "doesn't record macro-actions"),
+        ({"labels": True}, "no expert actions"),
+        ({"relabel": "first"}, "'last' or 'all'"),
+        ({"cache": "c"}, "a cache keeps pictures"),
+        ({"labels": True, "relabel": "all"}, "without relabel"),
+        ({"labels": True, "action": "macro"}, "are pulls"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(
+    path: Path, opening: dict[str, Any], says: str
+) -> None:
+    with pytest.raises(InvalidInput, match=says):
+        Transitions(path, **opening)
+
+
+def test_a_recording_is_refused(tmp_path: Path, made: Episodes) -> None:
+    with pytest.raises(InvalidInput, match="recording"):
+        arrays(written(tmp_path / "r.h5", made.recording()))
+
+
+def test_an_empty_dataset_loads_empty(tmp_path: Path, made: Episodes) -> None:
+    path = written(tmp_path / "a.h5", made.select([]))
+    assert {name: len(column) for name, column in arrays(path).items()} == dict.fromkeys(
+        ("observations", "actions", "rewards", "next_observations", "terminals", "timeouts"), 0
+    )
+
+
+def test_transitions_pickle_without_their_data(path: Path) -> None:
+    stored = pickle.dumps(Transitions(path, relabel="all"))
+    again = pickle.loads(stored)
+    assert len(stored) < 2000
+    np.testing.assert_array_equal(
+        again.batch([3])["observations"], arrays(path, relabel="all")["observations"][[3]]
+    )
+
+
+def test_a_frame_and_a_transition_know_their_segment(path: Path) -> None:
+    opened = Transitions(path)
+    assert [opened.place(t) for t in (0, 3, 4)] == [(0, 0), (1, 0), (2, 0)]
+    assert [opened.frame_place(t) for t in (3, 4, 6)] == [(0, 3), (1, 0), (2, 0)]
+
+
+def test_sequences_are_views_of_the_columns(made: Episodes, path: Path) -> None:
+    data = Sequences(path, 3)
+    assert data.starts.tolist() == [0, 1, 6, 7, 8, 9, 10, 13]
+    one = data[3]
+    np.testing.assert_array_equal(one["observation"], made.steps["observation"][7:10])
+    assert one["episode"].tolist() == [2] and not one["observation"].flags.owndata
+    assert len(pickle.loads(pickle.dumps(data))) == len(data) and len(Sequences(path, 99)) == 0
+    with pytest.raises(InvalidInput):
+        Sequences(path, 0)
+
+
+def test_importing_the_loaders_imports_no_simulator_and_no_learner() -> None:
+    code = (
+        "import sys, knotgym.loaders as l; l.arrays, l.Transitions;"
+        "print([m for m in ('torch', 'mujoco', 'cv2', 'd3rlpy', 'polars') if m in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "[]\n"
+
+
+def test_a_missing_library_says_how_to_install_it(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, call in (
+        ("torch", torch_dataset),
+        ("d3rlpy", to_d3rlpy),
+        ("tensordict", to_tensordict),
+    ):
+        monkeypatch.setitem(sys.modules, name, None)
+        with pytest.raises(MissingExtra, match="install"):
+            call(path)
+
+
+@clients
+@needs("torch")
+@pytest.mark.parametrize("workers", [0, 2])
+def test_torch_transitions_are_aligned_with_any_number_of_workers(path: Path, workers: int) -> None:
+    from torch.utils.data import DataLoader
+
+    held = arrays(path)
+    loader = DataLoader(torch_dataset(path), batch_size=4, num_workers=workers)
+    batches = [*loader]
+    for name, column in (("observation", "observations"), ("reward", "rewards")):
+        found = np.concatenate([batch[name].numpy() for batch in batches])
+        np.testing.assert_allclose(found, held[column].astype(np.float32))
+
+
+@clients
+@needs("torch")
+def test_torch_episodes_are_whole_and_frames_hold_every_state(made: Episodes, path: Path) -> None:
+    whole = torch_dataset(path, kind="episodes")
+    assert [len(one["actions"]) for one in whole] == LENGTHS
+    assert [len(one["observations"]) for one in whole] == [n + 1 for n in LENGTHS]
+    frames = torch_dataset(path, kind="frames")
+    assert len(frames) == N + S
+    assert [frames[k]["crossings"] for k in range(4)] == made.steps["crossings"][:4].tolist()
+    with pytest.raises(InvalidInput, match="kind must be"):
+        torch_dataset(path, kind="poems")
+    with pytest.raises(InvalidInput, match="window needs"):
+        torch_dataset(path, kind="frames", window=Window())
+
+
+@clients
+@needs("tensordict")
+def test_a_tensordict_holds_every_transition_in_memory_or_mapped(
+    path: Path, tmp_path: Path
+) -> None:
+    held = arrays(path)
+    for data in (to_tensordict(path), to_tensordict(path, folder=tmp_path / "td")):
+        assert data.batch_size == (N,)
+        np.testing.assert_array_equal(data["observation"].numpy(), held["observations"])
+        np.testing.assert_array_equal(
+            data["next", "observation"].numpy(), held["next_observations"]
+        )
+        np.testing.assert_array_equal(data["episode"].numpy(), OWNERS)
+        ends = held["terminals"] | held["timeouts"]
+        np.testing.assert_array_equal(data["next", "done"].numpy()[:, 0], ends)
+    assert any((tmp_path / "td").iterdir())
+
+
+@clients
+@needs("torchrl")
+def test_torchrl_samples_aligned_batches(path: Path) -> None:
+    from torchrl.data import LazyTensorStorage, ReplayBuffer
+
+    buffer = ReplayBuffer(storage=LazyTensorStorage(N), batch_size=8)
+    buffer.extend(to_tensordict(path))
+    batch, held = buffer.sample(), arrays(path)
+    for row in range(8):
+        (at,) = np.flatnonzero((held["actions"] == batch["action"][row].numpy()).all(axis=1))
+        np.testing.assert_array_equal(batch["observation"][row].numpy(), held["observations"][at])
+
+
+@clients
+@needs("d3rlpy")
+def test_d3rlpy_holds_every_transition(path: Path) -> None:
+    buffer = to_d3rlpy(path)
+    held, row = arrays(path), 0
+    for episode, length in zip(buffer.episodes, LENGTHS, strict=True):
+        assert episode.transition_count == length
+        np.testing.assert_array_equal(
+            episode.observations[:length], held["observations"][row : row + length]
+        )
+        row += length
+
+
+@clients
+@needs("d3rlpy")
+def test_d3rlpy_pictures_are_channels_first() -> None:
+    buffer = to_d3rlpy(TINY["expert"], observation="pixels")
+    assert buffer.episodes[0].observations.shape[1:] == (3, 32, 64)
+    with pytest.raises(InvalidInput, match="use action 'pull'"):
+        to_d3rlpy(TINY["expert"], action="bead")
+
+
+def test_the_settings_of_a_window_are_validated_and_stored() -> None:
+    assert asdict(Window(n_step=5))["n_step"] == 5
+    assert replace(TASK, hold=2).hold == 2 and set(MACROS) <= {c.name for c in STEPS.columns}

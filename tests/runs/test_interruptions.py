@@ -1,0 +1,107 @@
+"""What can go wrong while a command writes: it is one line, nothing half-written is left, and
+--resume finishes with the same bytes.
+"""
+
+import os
+import resource
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from knotgym.runs.journal import Journal
+from knotgym.runs.run import staging_folder
+
+from ..cli.test_generate_command import said
+from ..small_job import SECONDS, knotgym, typed, wait_for_file
+
+COLLECT = (
+    *("collect", "--task", "unknot", "--nx", 1, "--policy", "random"),
+    *("--engine", "chain", "--observation", "state", "--episodes", 128, "--id", "a-v0", "--quiet"),
+)
+
+
+@contextmanager
+def mounted(folder: Path) -> Iterator[None]:
+    """A read-only disk of its own at a folder; skips where this user may not mount one."""
+    folder.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", "ro,size=1m", "tmpfs", str(folder)]
+    if subprocess.run(words, capture_output=True).returncode:
+        pytest.skip("no disk can be mounted here")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def test_a_limit_on_files_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    try:
+        assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    (line,) = said(capfd)
+    assert line.startswith("knotgym: File too large") and not (tmp_path / "a-v0").exists()
+
+
+def test_a_read_only_target_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with mounted(tmp_path / "disk"):
+        assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path / "disk" / "b") == 2
+    (line,) = said(capfd)
+    assert "can't be written: Read-only file system" in line
+
+
+def test_a_second_run_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = staging_folder(tmp_path / "a-v0")
+    folder.mkdir()
+    with Journal(folder / "journal", {}):
+        assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path) == 2
+    (line,) = said(capfd)
+    assert line.startswith("knotgym: another run is writing to ")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
+def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(tmp_path: Path) -> None:
+    words = typed(*COLLECT, "--workers", 2, "--out", tmp_path)
+    broken = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while broken.poll() is None and not (below := descendants(broken.pid, "forkserver")):
+        time.sleep(0.01)
+    os.kill(below[-1], signal.SIGKILL)
+    error = broken.communicate(timeout=SECONDS)[1]
+    assert broken.returncode == 1 and error.startswith("knotgym: a worker died, perhaps out of mem")
+    assert error.count("\n") == 1
+    assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path, "--resume") == 0
+
+
+@pytest.mark.slow
+def test_asked_to_stop_twice_it_says_so_once(tmp_path: Path) -> None:
+    words = typed(*COLLECT, "--workers", 2, "--out", tmp_path)
+    stopped = subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    wait_for_file(stopped, tmp_path, "journal")
+    for _ in range(2):
+        os.killpg(stopped.pid, signal.SIGINT)
+        time.sleep(0.01)
+    error = stopped.communicate(timeout=SECONDS)[1]
+    assert stopped.returncode == 130
+    assert error.startswith("knotgym: interrupted; ") and error.count("\n") == 1
+
+
+def descendants(process: int, named: str) -> list[int]:
+    """The processes below one that descend from the one with this word in its command line."""
+    own = [
+        int(word) for word in Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    ]
+    found = []
+    for child in own:
+        below = Path(f"/proc/{child}/task/{child}/children").read_text().split()
+        if named in Path(f"/proc/{child}/cmdline").read_text():
+            found += [int(word) for word in below]
+    return found
