@@ -106,8 +106,8 @@ def merge(
 ) -> None:
     """Merge datasets of one kind. Data is copied, not encoded again.
 
-    Shards of a run are merged by running its command again, without --shard, where the journals of
-    all shards lie.
+    Shards of a run are merged by running its command again, without run.shard, where the journals
+    of all shards lie.
 
     Examples:
 
@@ -124,8 +124,8 @@ def merge(
         raise InvalidInput("name what to merge: two datasets at least")
     if any(source.endswith(".journal") for source in sources):
         raise InvalidInput(
-            "shards of a run are merged by running its command again, without --shard, where their"
-            " journals lie"
+            "shards of a run are merged by running its command again, without run.shard, where"
+            " their journals lie"
         )
     with Progress(quiet, lines=False) as progress:
         from knotgym.datasets.merging import merge as merge_datasets

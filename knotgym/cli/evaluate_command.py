@@ -10,7 +10,7 @@ from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 
 @command(
     {"": EvaluateConfig, "policy": PolicyConfig},
-    f"tasks=--task nx splits=--split episodes task.states task.observation task.engine {RUN}",
+    f"tasks=--task nx splits=--split episodes task.states task.engine {RUN}",
     extra("policy", list[str], f"{field_help(PolicyConfig, 'policy')} May be repeated.", "random"),
     extra("out", Path, "JSON file to write."),
     extra(

@@ -26,7 +26,6 @@ from knotgym.common.configuration import from_json, merged, read_json
 from knotgym.common.errors import InvalidInput
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
-from knotgym.runs.shards import Shard
 
 Config = TypeVar("Config")
 Sections = Mapping[str, type]  # of a command's settings; "" is the outermost
@@ -222,13 +221,7 @@ class Given:
     @property
     def run(self) -> RunOptions:
         """The options of the run."""
-        values = dict(self._settings.get("run", {}))
-        known = {one.name for one in dataclasses.fields(RunOptions)}
-        if unknown := values.keys() - known:
-            raise InvalidInput(f"a run has no setting {', '.join(sorted(unknown))!r}")
-        if "shard" in values:
-            values["shard"] = Shard.parse(values["shard"])
-        return RunOptions(**values, quiet=self.quiet)
+        return self.config(RunOptions, {"quiet": self.quiet}, section="run")
 
 
 class Field(NamedTuple):

@@ -17,7 +17,7 @@ from knotgym.datasets.manifest_check import read_manifest, run_report
 from knotgym.prompting.reading_scores import HEAD, reading_scores, score_rows
 from knotgym.prompting.summary import summarize
 from knotgym.prompting.transcripts import read_transcripts, transcripts_at
-from knotgym.runs.tables import narrow_table
+from knotgym.runs.narrow_tables import narrow_table
 from knotgym.states.state_file import read_states
 
 _LISTED = 24  # entries of a mapping that are printed, at most

@@ -139,7 +139,7 @@ class PlayPolicy(Demonstrator):
         if not task.endless:
             raise InvalidPolicy(
                 "policy play goes on after every goal, so the task must be endless; give --endless,"
-                " and a --horizon such as 500"
+                " and a task.horizon such as 500"
             )
         return super().suited(task)
 

@@ -81,7 +81,7 @@ def _side(config: TaskConfig, path: Path, own: States, nx: int) -> TaskSide:
         elif there := sorted(set(states.split[states.nx == nx].tolist())):
             advice = f"Use split {' or '.join(map(repr, there))}"
         else:
-            beads = "" if config.beads == RopeConfig().beads else f" --beads {config.beads}"
+            beads = "" if config.beads == RopeConfig().beads else f" --set beads={config.beads}"
             advice = f"Generate some: knotgym-generate --nx {nx}{beads}"
         raise InvalidInput(
             f"no states with nx = {nx} in split {config.split!r} of {path}, needed by task"

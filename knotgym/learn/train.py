@@ -68,7 +68,7 @@ def train(
         with Progress(options.quiet) as progress:
             return train(datasets, out, config, options, progress)
     if not options.shard.is_whole:
-        raise InvalidInput("a training can't be divided: leave out --shard")
+        raise InvalidInput("a training can't be divided: leave out run.shard")
     shown, opened = progress, [columns_of(one) for one in datasets]
     for one in opened:
         require_trainable(one.task, str(one.attributes.get("rope")), one.episodes, one.name)

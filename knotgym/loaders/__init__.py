@@ -14,7 +14,7 @@ train split). The other arguments are
     relabel         hindsight relabelling, "last" or "all": a code that was reached becomes the goal
                     (see `Transitions`)
     labels          True to use the expert's actions instead of those taken, if the dataset has them
-                    (`knotgym collect --labels expert`)
+                    (`knotgym collect --set labels=expert`)
     cache           a folder for uncompressed pictures. They are drawn once, on first use, and
                     mapped into memory, which makes random batches fast. The pictures are the same,
                     byte for byte

@@ -84,7 +84,7 @@ class Transitions:
             relabel: None for episodes as they are. "last": the goal becomes the last new code that
                 an episode reached, and the episode ends there. "all": one such segment for every
                 code that it reached. An episode that never leaves its first code gives none.
-            labels: use the actions that an expert would have taken (`collect --labels expert`)
+            labels: use the actions that an expert would have taken (`collect --set labels=expert`)
                 instead of those taken; they don't lead to the next observation.
             cache: a folder to keep uncompressed pictures in; see `knotgym.loaders`.
             window: steps, chunks, stacks, histories and sampled goals of `batch`; None for single
@@ -149,7 +149,7 @@ class Transitions:
             "the expert's actions lead to the episode's own goal: use labels without relabel": (
                 self._labels and self._relabelled
             ),
-            f"{path} has no expert actions: collect it with --labels expert": (
+            f"{path} has no expert actions: collect it with --set labels=expert": (
                 self._labels and "expert_action" not in steps
             ),
             "sampled goals replace the episodes': leave out relabel and labels": (

@@ -1,4 +1,4 @@
-"""Run work on a Dask cluster; imported only for `--executor dask`.
+"""Run work on a Dask cluster; imported only for run.executor=dask.
 
 Workers read the files of a run themselves, so they must see its folder under the same path: start
 them anywhere on one shared file system, with the same version of knotgym, and PYTHONSAFEPATH=1
@@ -48,7 +48,7 @@ def cluster(scheduler: str) -> Iterator[Executor]:
         from distributed.comm import CommClosedError
     except ModuleNotFoundError as error:
         raise MissingExtra(
-            "Dask distributed", install_command("dask"), "--executor dask"
+            "Dask distributed", install_command("dask"), "run.executor=dask"
         ) from error
     except AttributeError as error:
         # distributed takes any module `snappy` for the compressor of that name

@@ -12,8 +12,8 @@ calls. Which calls it makes depends on earlier results alone.
 journal there (`journal`); only a finished output gets the final name. To resume is to run again:
 what the journal holds isn't computed again. Shard i of n computes every n-th call and leaves
 `NAME-shard-i-of-n.journal` beside the output; to merge is to run the command once more, without
---shard, where the journals of the shards lie. The output is the same, byte for byte, however a run
-was interrupted, divided and merged, and whatever executed it.
+run.shard, where the journals of the shards lie. The output is the same, byte for byte, however a
+run was interrupted, divided and merged, and whatever executed it.
 """
 
 import shutil
@@ -124,7 +124,7 @@ def compute(
                 others = {calls.index(call) % shard.of + 1 for call in missing}
                 raise _SharesMissing(
                     f"{len(missing)} of {len(calls)} results of {_stage(calls[0])!r} are missing:"
-                    f" run --shard {', '.join(f'{one}/{shard.of}' for one in sorted(others))}"
+                    f" run shard {', '.join(f'{one}/{shard.of}' for one in sorted(others))}"
                 )
             results = [memo[call.key] for call in calls]
     finally:
@@ -215,8 +215,8 @@ def run(
         shutil.rmtree(folder)
     if not shard.is_whole:
         progress.say(
-            f"{journal.path}: to merge, run the same command without --shard where the journals of"
-            " all shards lie"
+            f"{journal.path}: to merge, run the same command without run.shard where the journals"
+            " of all shards lie"
         )
         return journal.path
     text = f": {summary}" if isinstance(summary, str) else ""

@@ -1,17 +1,24 @@
-"""Options of a run that don't change its content, and the errors of a run that can't finish.
+"""Options of a run that don't change its content.
 
 This module has no slow imports, because the command line reads options first.
 """
 
-from dataclasses import dataclass
+from typing import Annotated, Any
 
+from pydantic import BeforeValidator
+
+from knotgym.common.configuration import Whole, choice, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.runs.shards import Shard
 
 EXECUTORS = ("local", "dask")
 
 
-@dataclass(frozen=True, kw_only=True)
+def _shard(value: Any) -> Any:
+    return Shard.parse(value) if isinstance(value, str) else value
+
+
+@configuration
 class Existing:
     """What to do with the output of an earlier run; by default it is kept and the run refused.
 
@@ -36,41 +43,37 @@ class Existing:
 REFUSE_EXISTING = Existing()
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class RunOptions(Existing):
-    """Execution options; of these only the shard changes the output.
+    """Execution options; they don't change the output, but a shard makes a part of it.
 
     Attributes:
         workers: worker processes, 0 for one per core; doesn't change the result.
         executor: what runs the work: local processes, or dask for a Dask cluster whose workers
             share a file system (needs the extra dask).
         scheduler: address of the Dask scheduler, such as tcp://127.0.0.1:8786.
-        shard: 2/8 makes the second eighth of the run, in NAME-shard-2-of-8; `knotgym dataset merge`
-            joins all eight.
+        shard: 2/8 makes the second eighth of the run, and leaves its journal; the same run without
+            a shard, where all eight journals lie, makes the output.
         quiet: print errors only.
     """
 
-    workers: int = 0
-    executor: str = "local"
+    workers: Whole = 0
+    executor: Annotated[str, choice(*EXECUTORS)] = "local"
     scheduler: str = ""
-    shard: Shard = Shard()
+    shard: Annotated[Shard, BeforeValidator(_shard)] = Shard()
     quiet: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.workers < 0:
-            raise InvalidInput(f"workers must be at least 0, got {self.workers}")
-        if self.executor not in EXECUTORS:
-            raise InvalidInput(f"--executor takes {' or '.join(EXECUTORS)}, got {self.executor!r}")
         if self.executor == "local" and self.scheduler:
-            raise InvalidInput(f"--scheduler {self.scheduler} is for --executor dask")
+            raise InvalidInput("a scheduler is for Dask: --set run.executor=dask")
         if self.executor == "dask" and not self.scheduler:
             raise InvalidInput(
-                "--executor dask needs the address of a scheduler, such as --scheduler"
-                " tcp://127.0.0.1:8786"
+                "Dask needs the address of a scheduler, such as --set"
+                " run.scheduler=tcp://127.0.0.1:8786"
             )
         if self.executor == "dask" and self.workers:
             raise InvalidInput(
-                f"--workers {self.workers} is for --executor local; a Dask cluster uses all of its"
+                f"--workers {self.workers} is for local processes; a Dask cluster uses all of its"
                 " workers"
             )

@@ -1,4 +1,4 @@
-"""Shards of a run: `--shard 2/8` makes the second eighth of it, independently of the others.
+"""Shards of a run: `run.shard=2/8` makes the second eighth of it, independently of the others.
 
 The output of a shard depends only on the configuration, the seed and the shard's number. Counters
 that key random draws start at `first`, so that no two shards draw the same numbers. A whole run is

@@ -155,7 +155,7 @@ class Play:
         if not task.endless:
             raise InvalidPolicy(
                 "policy play goes on after every goal, so the task must be endless; give --endless,"
-                " and a --horizon such as 500"
+                " and a task.horizon such as 500"
             )
         return self.inner.compatible_task(task)
 

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from knotgym.envs.task_states import OWN, SHIPPED
 from knotgym.rope.engines import MUJOCO
-from knotgym.runs.tables import narrow_table
+from knotgym.runs.narrow_tables import narrow_table
 
 _SETUP = ("policy", "task", "split", "nx")  # columns
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
