@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 
-from .test_env import same
+from .test_env import goal_is_shown, same
 
 AutoresetMode: Any = getattr(gym.vector, "AutoresetMode", None)  # Gymnasium 1.0 has none
 MODES = ["NextStep", "SameStep", "Disabled"]
@@ -276,7 +276,7 @@ def test_no_ropes_are_refused(make: MakeVec, count: int) -> None:
 
 
 def test_settings_that_cannot_be_had_are_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidInput, match="nx must be a whole number from 1 to 11, got 12"):
+    with pytest.raises(InvalidInput, match="nx must be from 1 to 11 on 100 beads, got 12"):
         make(nx=12)
 
 
