@@ -12,7 +12,7 @@ import json
 import os
 import struct
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -102,33 +102,19 @@ def parquet(table: Any) -> bytes:
     return bytes(sink.getvalue())
 
 
-def write_shards(folder: Path, chosen: Mapping[Path, NDArray[np.bool_]], most: int) -> list[Path]:
-    """Write rows of other shards, split by split, as shards of `most` rows; return their paths.
+def write_shards(folder: Path, chosen: Mapping[Path, NDArray[np.bool_]]) -> list[Path]:
+    """Write some rows of other shards, those of each as a shard; return their paths.
 
     `chosen` says for each of the other shards which of its rows to write.
     """
     written: list[Path] = []
     for split in IMAGE_SPLITS:
         stem = f"{file_stem(split)}-"
-        own = {path: rows for path, rows in chosen.items() if path.name.startswith(stem)}
-        count = -(-sum(int(rows.sum()) for rows in own.values()) // most)
-        tables = (read_table(path).filter(arrow().array(rows)) for path, rows in own.items())
-        for index, table in enumerate(_regrouped(tables, most)):
-            written.append(folder / shard_name(split, index, count))
-            write_table(written[-1], table)
+        own = [path for path, rows in chosen.items() if path.name.startswith(stem) and rows.any()]
+        for index, path in enumerate(own):
+            written.append(folder / shard_name(split, index, len(own)))
+            write_table(written[-1], read_table(path).filter(arrow().array(chosen[path])))
     return written
-
-
-def _regrouped(tables: Iterable[Any], most: int) -> Iterator[Any]:
-    """Regroup the rows of tables into tables of `most` rows; the last may have fewer."""
-    rest: Any = None
-    for table in tables:
-        rest = table if rest is None else arrow().concat_tables([rest, table])
-        while len(rest) >= most:
-            yield rest.slice(0, most)
-            rest = rest.slice(most)
-    if rest is not None and len(rest):
-        yield rest
 
 
 def encode(image: NDArray[np.uint8]) -> bytes:

@@ -196,7 +196,7 @@ class _Pictures:
         manifest, files = _manifest(self.path), shards(self.path)
         ends = np.cumsum([len(read_table(one, columns=["nx"])) for one in files])[:-1]
         chosen = dict(zip(files, np.split(kept, ends), strict=True))
-        written = write_shards(path, chosen, int(manifest["config"]["rows_per_file"]))
+        written = write_shards(path, chosen)
         finish_images(path, written, manifest["report"], *_made(manifest, made))
 
 

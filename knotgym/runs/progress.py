@@ -13,7 +13,6 @@ from rich.table import Table
 from rich.text import Text
 
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
-_LONG = 3600.0  # seconds; a run that would take longer prints an estimate first
 
 
 @dataclass(frozen=True)
@@ -155,18 +154,3 @@ def duration(seconds: float) -> str:
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"
     return f"{seconds:.0f} s"
-
-
-def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
-    """Print an estimate of the time a run takes, if it is more than an hour.
-
-    `core_seconds` are for one core of the machine in docs/validation.md.
-    """
-    from knotgym.runs.executors import cores
-
-    count = workers or cores()
-    if core_seconds / count > _LONG:
-        progress.say(
-            f"this would take about {duration(core_seconds / count)} with {count} workers; Ctrl-C"
-            " stops it"
-        )

@@ -21,7 +21,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from glob import escape
 from itertools import islice
 from pathlib import Path
@@ -165,63 +166,46 @@ def run(
         InvalidFile: its journal, or that of a shard, isn't one.
         Failed: something could not be made.
     """
-    if progress is None:
-        with Progress(options.quiet) as progress:
-            return run(
-                recipe,
-                out,
-                identity,
-                options,
-                progress,
-                is_folder=is_folder,
-                prepare=prepare,
-                pool=pool,
-                count=count,
-                sources=sources,
-                made_by=made_by,
-            )
     began, shard = time.perf_counter(), options.shard
-    if shard.is_whole and is_finished(out, identity, options, made_by):
-        if staging_folder(out).exists():  # the run was killed after moving its output into place
-            with staged(out, identity, options):
-                shutil.rmtree(staging_folder(out))
-        progress.say(f"{out} is finished already")
-        return out
-    if shard.is_whole:
-        require_output(out, folder=is_folder, overwrite=options.overwrite)
-    with staged(out, identity, options, shard) as (folder, journal):
-        if options.resume and journal.is_empty:
-            progress.say(f"{out}: there is nothing to resume, starting from the beginning")
-        if prepare is not None:
-            prepare(progress)
-        place, show = folder / "made" / out.name, _shown_on(progress, count)
-        with (pool or (lambda: executor(options.workers, options.scheduler)))() as workers:
-            try:
-                summary = compute(recipe(place), journal, workers, shard, show)
-            except _SharesMissing as missing:
-                if shard.is_whole:
-                    raise
-                progress.say(
-                    f"{journal.path}: shard {shard} is done as far as it can be; {missing}"
-                )
-                summary = None
-        if not journal.is_held:
-            raise Occupied(f"{journal.path} was removed during the run; start the run again")
+    with Progress(options.quiet) if progress is None else nullcontext(progress) as shown:
+        if shard.is_whole and is_finished(out, identity, options, made_by):
+            if staging_folder(out).exists():  # it was killed after moving its output into place
+                with staged(out, identity, options):
+                    shutil.rmtree(staging_folder(out))
+            shown.say(f"{out} is finished already")
+            return out
         if shard.is_whole:
-            if sources is not None:
-                _require_unchanged(identity.get("source"), sources())
-            progress.stage("writing")
-            move_into_place(place, out, overwrite=options.overwrite)
-        shutil.rmtree(folder)
-    if not shard.is_whole:
-        progress.say(
-            f"{journal.path}: to merge, run the same command without run.shard where the journals"
-            " of all shards lie"
+            require_output(out, folder=is_folder, overwrite=options.overwrite)
+        with staged(out, identity, options, shard) as (folder, journal):
+            if options.resume and journal.is_empty and not (folder / CHECKPOINT).exists():
+                shown.say(f"{out}: there is nothing to resume, starting from the beginning")
+            if prepare is not None:
+                prepare(shown)
+            place, show = folder / "made" / out.name, _shown_on(shown, count)
+            with (pool or partial(executor, options.workers, options.scheduler))() as workers:
+                try:
+                    summary = compute(recipe(place), journal, workers, shard, show)
+                except _SharesMissing as missing:
+                    if shard.is_whole:
+                        raise
+                    summary = f"{shard} is done as far as it can be; {missing}"
+            if not journal.is_held:
+                raise Occupied(f"{journal.path} was removed during the run; start the run again")
+            if shard.is_whole:
+                if sources is not None:
+                    _require_unchanged(identity.get("source"), sources())
+                shown.stage("writing")
+                move_into_place(place, out, overwrite=options.overwrite)
+            shutil.rmtree(folder)
+        text = f": {summary}" if isinstance(summary, str) else ""
+        made, seconds = out if shard.is_whole else journal.path, time.perf_counter() - began
+        shown.say(f"{made}{text}; {seconds:.0f} s")
+        if shard.is_whole:
+            return out
+        shown.say(
+            "to merge, run the same command without a shard where the journals of all shards lie"
         )
         return journal.path
-    text = f": {summary}" if isinstance(summary, str) else ""
-    progress.say(f"{out}{text}; {time.perf_counter() - began:.0f} s")
-    return out
 
 
 @contextmanager
@@ -239,35 +223,31 @@ def staged(
         InvalidFile, InvalidInput: as `Journal` raises.
     """
     path = shard.journal(out)
-    partial = staging_folder(out if shard.is_whole else path)
+    folder = staging_folder(out if shard.is_whole else path)
     others = [other for other in shard_journals(out) if other != path]
-    path = partial / "journal" if shard.is_whole else path
-    require_own(partial)
-    new = not partial.exists()
-    partial.mkdir(parents=True, exist_ok=True)
+    path = folder / "journal" if shard.is_whole else path
+    require_own(folder)
+    new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
     try:
-        require_own_tree(partial)
+        require_own_tree(folder)
         require_own(path)
-        if _has_work(path) and not (existing.resume or existing.restart):
-            raise Occupied(
-                f"an interrupted run of {out if shard.is_whole else path} left its work: --resume"
-                " continues it, --restart deletes it"
-            )
+        require_no_interrupted_run(out, existing, shard)
         journal = Journal(path, identity, others, fresh=not existing.resume)
     except BaseException:
         if new:
-            shutil.rmtree(partial)
+            shutil.rmtree(folder)
         raise
     with journal:
         try:
-            for left in partial.iterdir():
+            for left in folder.iterdir():
                 if left != path and not (existing.resume and left.name == CHECKPOINT):
                     remove(left)
-            (partial / "made").mkdir()
-            yield partial, journal
+            (folder / "made").mkdir()
+            yield folder, journal
         except BaseException:
-            if journal.is_held and journal.is_empty and not (partial / CHECKPOINT).exists():
-                shutil.rmtree(partial, ignore_errors=True)
+            if journal.is_held and journal.is_empty and not (folder / CHECKPOINT).exists():
+                shutil.rmtree(folder, ignore_errors=True)
                 remove(path)
             raise
 

@@ -148,7 +148,9 @@ def _form(file: h5py.File) -> None:
 
 
 def _beads(file: h5py.File) -> None:
-    file.attrs["task"] = file.attrs["task"].replace('"beads": 50', '"beads": 60')
+    text = file.attrs["task"]
+    text = text.decode() if isinstance(text, bytes) else str(text)
+    file.attrs["task"] = np.bytes_(text.replace('"beads": 50', '"beads": 60'))
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,6 @@ SOUND: dict[str, Any] = {
         "attempts": 3,
         "existing_codes": {"1": 4, "5": None},
         "rejected": {"1": {"margin": 2}},
-        "growth": [{"steps": 1, "known": {"1": 1}, "accepted": {"1": 0}}],
     },
 }
 
@@ -55,8 +54,6 @@ def test_a_name_that_is_no_file_in_the_folder_is_a_fault(tmp_path: Path, name: s
         ("existing_codes", [4]),
         ("rejected", {"1": 2}),
         ("rejected", {"1": {"\x1b[2J": 2}}),
-        ("growth", [{"steps": 1}]),
-        ("growth", [{"steps": 1, "known": {"1": 1}, "accepted": {}}]),
     ],
 )
 def test_what_no_run_reports_is_a_fault_and_is_not_shown(

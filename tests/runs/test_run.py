@@ -103,7 +103,7 @@ def test_a_shard_computes_its_share_alone_and_names_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = made_toy(tmp_path / "a", RunOptions(workers=1, shard=Shard(2, 3)))
-    assert "run --shard 1/3, 3/3" in capsys.readouterr().out
+    assert "run shard 1/3, 3/3" in capsys.readouterr().out
     with Journal(path, {"config": {"toy": 0}}) as journal:
         assert list(journal) == [f"parts {number}" for number in range(1, 30, 3)]
 
@@ -134,7 +134,7 @@ def test_results_stay_in_memory_without_a_journal_and_threads_compute_too() -> N
     alone = compute(recipe())
     with ThreadPoolExecutor(2) as pool:
         assert compute(recipe(), pool=pool) == alone
-    with pytest.raises(Failed, match="run --shard 2/2"):
+    with pytest.raises(Failed, match="run shard 2/2"):
         compute(recipe(), shard=Shard(1, 2))
 
 

@@ -25,15 +25,13 @@ from knotgym.rope.model import RopeConfig
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.identity import identity
 from knotgym.runs.journal import Result
-from knotgym.runs.progress import Progress, tell_if_long
+from knotgym.runs.progress import Progress
 from knotgym.runs.run import Call, Recipe, run
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.near_duplicates import families
 from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped, states_at
 from knotgym.topology.knots import codes_of
-
-CORE_SECONDS = 0.13  # per picture: 20,000 took 22 minutes on two cores
 
 
 def make_images(
@@ -66,8 +64,6 @@ def make_images(
         return {"name": path.name, "sha256": sha256(path)}
 
     made = identity(config, source())
-    if progress is not None:
-        tell_if_long(progress, CORE_SECONDS * config.count, options.workers)
     return run(
         lambda place: _pictures(config, plan, made, place),
         out,
