@@ -5,7 +5,7 @@
     "macro"   int (3,): the bead to lead, the bead whose strand it passes, and 0 for under or 1 for
               over; as many pulls as it takes
 
-A macro-action is `macro_actions.pass_straight`, carried out by the `WaypointController` until the
+A macro-action is `macro_actions.pass_straight`, carried out by the `WaypointFollower` until the
 bead has reached its last waypoint, the episode has ended, or LONGEST pulls were made. A change of
 code doesn't end it: a crossing that has only just been made comes undone in the next one.
 """
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.actions import CHOICES, choices, chosen_forces
 from knotgym.rope.macro_action_config import MacroActionConfig
-from knotgym.rope.macro_actions import LONGEST, WaypointController, pass_straight
+from knotgym.rope.macro_actions import LONGEST, WaypointFollower
 from knotgym.rope.simulation import Simulation
 
 
@@ -36,7 +36,7 @@ class ActionView:
         self._counts = choices(view, beads) if view in CHOICES else None
         self._actions: NDArray[np.float64] = np.zeros((count, 6))
         self._config = MacroActionConfig()
-        self._controller = WaypointController(count, self._config)
+        self._controller = WaypointFollower(count, self._config)
         self.busy = np.zeros(count, dtype=bool)
         self.pulls = np.zeros(count, dtype=np.int64)
         self.macros = np.zeros((count, 3), dtype=np.int64)
@@ -81,10 +81,7 @@ class ActionView:
             return
         self.macros[ids] = chosen
         self.macros[ids, 2] = 2 * self.macros[ids, 2] - 1
-        for index in ids.tolist():
-            points, (bead, target, side) = self._simulation.points[index], self.macros[index]
-            macro_action = pass_straight(points, int(bead), int(target), int(side), self._config)
-            self._controller.begin(index, macro_action)
+        self._controller.begin_passes(ids, self.macros[ids], self._simulation.points)
 
     def pulls_of(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Return the next pull of each of the ropes `ids`, which are busy.
@@ -95,9 +92,8 @@ class ActionView:
         if self._view == "bead":
             forces = chosen_forces(self._actions[ids, 1:4])
             return self._actions[ids, 0].astype(np.int64), forces.astype(np.float32)
-        self._controller.advance(self._simulation.points)
-        forces = self._controller.forces(self._simulation.points)[ids]
-        return self._controller.beads[ids], forces.astype(np.float32)
+        self._controller.arrive(self._simulation.points, ids)
+        return self._controller.beads[ids], self._controller.forces(self._simulation.points, ids)
 
     def next_pulls(self, ids: NDArray[np.int64]) -> NDArray[np.floating]:
         """Return the next pull, (n, 6), of each of the ropes `ids`, which are busy."""
@@ -111,6 +107,6 @@ class ActionView:
         self.pulls[ids] += 1
         self.busy[ids] = False
         if self._view == "macro":
-            self._controller.advance(self._simulation.points)
-            spent = self._controller.idle[ids] | (self.pulls[ids] >= LONGEST)
+            arrived = self._controller.arrive(self._simulation.points, ids)
+            spent = arrived | (self.pulls[ids] >= LONGEST)
             self.busy[ids] = ~spent & ~ended

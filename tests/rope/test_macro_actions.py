@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidInput
-from knotgym.control.action_sequence import step_ropes
+from knotgym.rope.actions import quantized
 from knotgym.rope.macro_action_config import KINDS, MacroActionConfig
 from knotgym.rope.macro_actions import (
     MacroAction,
-    WaypointController,
+    WaypointFollower,
     cumulative_shares,
+    pass_straight,
     pass_strand,
     propose,
 )
@@ -74,44 +75,48 @@ def test_proposing_leaves_the_rope_alone(rope: Rope) -> None:
     assert np.array_equal(points, rope.loop())
 
 
-def test_a_new_controller_is_idle_and_uses_no_force(rope: Rope) -> None:
-    controller, points = WaypointController(3, CONFIG), np.repeat(rope.loop()[None], 3, axis=0)
-    assert controller.idle.all() and not controller.forces(points).any()
+def test_a_new_follower_is_idle_and_uses_no_force(rope: Rope) -> None:
+    follower, points = WaypointFollower(3, CONFIG), np.repeat(rope.loop()[None], 3, axis=0)
+    assert follower.idle.all() and not follower.forces(points, np.arange(3)).any()
 
 
-def test_a_controller_uses_at_most_the_largest_force(rope: Rope) -> None:
-    points = np.repeat(rope.loop()[None], 40, axis=0)
-    controller = WaypointController(40, CONFIG)
-    for row, macro_action in enumerate(drawn(rope, 40)):
-        controller.begin(row, macro_action)
-    assert np.linalg.norm(controller.forces(points), axis=1).max() <= 1 + 1e-12
+def test_forces_are_quantized_and_at_most_the_largest(rope: Rope) -> None:
+    points, ids = np.repeat(rope.loop()[None], 40, axis=0), np.arange(40)
+    follower = WaypointFollower(40, CONFIG)
+    follower.begin(ids, drawn(rope, 40))
+    forces = follower.forces(points, ids)
+    assert np.linalg.norm(forces, axis=1).max() <= 1.01
+    assert np.array_equal(forces, quantized(forces).astype(np.float32))
 
 
-def test_a_controller_leads_towards_the_waypoint(rope: Rope) -> None:
-    controller, points = WaypointController(1, CONFIG), rope.loop()
-    controller.begin(
-        0, MacroAction("shift", 7, points[7] + [[0.1, 0, 0], [0.1, 0.1, 0], [0, 0, 0]])
-    )
-    assert np.allclose(controller.forces(points[None]), [[1, 0, 0]])
+def test_a_bead_is_led_towards_its_waypoint(rope: Rope) -> None:
+    follower, points, ids = WaypointFollower(1, CONFIG), rope.loop(), np.zeros(1, np.int64)
+    waypoints = points[7] + [[0.1, 0, 0], [0.1, 0.1, 0], [0, 0, 0]]
+    follower.begin(ids, [MacroAction("shift", 7, waypoints)])
+    assert np.allclose(follower.forces(points[None], ids), [[1, 0, 0]])
 
 
-def test_a_controller_leads_its_bead_to_the_last_waypoint(rope: Rope) -> None:
-    simulation, controller, points = (
-        MujocoSimulation(1, rope),
-        WaypointController(1, CONFIG),
-        rope.loop(),
-    )
+def test_a_bead_is_led_to_its_last_waypoint(rope: Rope) -> None:
+    simulation, follower = MujocoSimulation(1, rope), WaypointFollower(1, CONFIG)
+    points, ids = rope.loop(), np.zeros(1, np.int64)
     waypoints = points[40] + np.array([[0.03, 0.0, 0.02], [0.08, 0.02, 0.02], [0.08, 0.02, 0.0]])
-    controller.begin(0, MacroAction("shift", 40, waypoints))
-    for _ in range(15):
-        controller.advance(simulation.points)
-        if controller.idle[0]:
-            break
-        step_ropes(simulation, controller.beads, controller.forces(simulation.points))
-    assert (
-        controller.idle[0]
-        and np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < CONFIG.arrived
-    )
+    follower.begin(ids, [MacroAction("shift", 40, waypoints)])
+    pulls = 0
+    while not follower.arrive(simulation.points, ids)[0]:
+        force = follower.forces(simulation.points, ids) * simulation.max_force
+        simulation.step(follower.beads, force)
+        pulls += 1
+    assert np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < CONFIG.arrived and pulls < 15
+
+
+def test_many_passes_are_laid_out_as_each_alone(rope: Rope) -> None:
+    points, ids = np.repeat(rope.loop()[None], 3, axis=0), np.array([0, 2])
+    passes = [(10, 40, 1), (70, 20, -1)]
+    many, alone = WaypointFollower(3, CONFIG), WaypointFollower(3, CONFIG)
+    many.begin_passes(ids, passes, points)
+    alone.begin(ids, [pass_straight(points[0], *one, CONFIG) for one in passes])
+    assert np.array_equal(many.forces(points, ids), alone.forces(points, ids))
+    assert many.idle.tolist() == [False, True, False]
 
 
 def test_shares_decide_what_is_drawn(rope: Rope) -> None:

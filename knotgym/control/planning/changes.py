@@ -24,12 +24,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knotgym.common.tables import Column, Schema
 from knotgym.control.planning.diagrams import REVERSE, SWITCH, Diagram, see
 from knotgym.control.planning.moves import Moves, Row
 from knotgym.control.planning.passes import DATA
-from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.rope.macro_actions import (
     MacroAction,
     cumulative_shares,
@@ -140,14 +141,16 @@ class Distances:
     def __init__(self, guide: Guide, goal: GaussCode, single_moves: bool) -> None:
         self._goal, self._strange, self._single_moves = goal, guide.strange, single_moves
         self._moves, self._examples = guide.moves, guide.examples
-        reached: set[GaussCode] = set()  # codes to which single moves lead
-        self._solve()
-        while single_moves and (codes := self._nearest(reached)):
-            for code in codes:
-                reached.update(images(code))
+        self._values = self._solve()
+        done, moved = set[GaussCode](), 0  # codes to which single moves lead; how many were nearest
+        while single_moves and (near := self._nearest(done)[: _MOST_MOVED - moved]):
+            moved += len(near)
+            # what leads to one of a code's images stands for what leads to all of them
+            codes = [*dict.fromkeys(map(canonical_form, near))]
+            done.update(image for code in codes for image in images(code))
             rows, examples = _single_moves(codes, _NEW + len(self._moves.rows))
             self._moves, self._examples = self._moves.extended(rows), self._examples | examples
-            self._solve()
+            self._values = self._solve()
         moves = self._moves
         # hops: the same values with a reward of -1 for the moves of shortest paths alone
         tight = [
@@ -157,8 +160,8 @@ class Distances:
         self._hops = -moves.values(self._shown, tight, np.ones(len(moves.rows)), 1000)
         known = np.isfinite(self._values)
         self._beyond = float(-self._values[known].min()) if known.any() else 0.0
-        for index in np.flatnonzero(~known).tolist():
-            self._values[index] = -self._far_away(moves.nodes[index].code)
+        nx = np.array([node.nx for node in moves.nodes])
+        self._values = np.where(known, self._values, -self._far_away(nx))
         self._down: dict[GaussCode, tuple[float, int | None]] = {}
 
     def __call__(self, code: GaussCode) -> float:
@@ -171,47 +174,44 @@ class Distances:
 
     def nearer(self, code: GaussCode) -> list[Change]:
         """List the changes of a code that lead nearer to the goal."""
-        first, moves = canonical_form(code), self._moves
-        own, outcomes = moves.of(Diagram(first))
-        found, here = list[Change](), -self(code)
-        # Changes are stored for the canonical form. Each symmetry that maps it to the code maps its
-        # changes to changes of the code; a code with symmetries of its own has several.
-        for k in [k for k, member in enumerate(images(code)) if member == first]:
+        found, here, moves = list[Change](), -self(code), self._moves
+        # Changes are stored for one of a code's images, single moves for others. The symmetry that
+        # maps that image to the code maps its changes to those of the code. A code with symmetries
+        # of its own has several.
+        for k, member in enumerate(images(code)):
+            own, outcomes = moves.of(Diagram(member))
             there = self._values[moves.after[k][outcomes]]
             # the tolerance keeps out changes between codes at the same distance
             for n in np.flatnonzero(there > here + 1e-9).tolist():
-                examples = self._examples.get((Diagram(first), int(moves.label[own.start + n])))
+                examples = self._examples.get((Diagram(member), int(moves.label[own.start + n])))
                 if examples:
                     promise = float(self._chance[outcomes.start + n] * (there[n] - here))
                     found.append(Change(promise, examples, k))
         return found
 
-    def _solve(self) -> None:
+    def _solve(self) -> Array:
+        """Distances by node, negative, with the moves so far."""
         moves = self._moves
         self._chance = moves.seen / (moves.tried + DOUBT)
         self._shown = moves.shown(self._goal, 0.0, -math.inf)
         sure = np.ones(len(self._chance))
-        self._values = moves.values(self._shown, -1 / self._chance, sure, 1000)
+        return moves.values(self._shown, -1 / self._chance, sure, 1000)
 
-    def _nearest(self, reached: set[GaussCode]) -> list[GaussCode]:
+    def _nearest(self, done: set[GaussCode]) -> list[GaussCode]:
         """The codes to which single moves should lead next: the goal's, then the nearest.
 
         All that are about as far as the nearest are taken at once: no single move from one of them
         can shorten the distance of another.
         """
-        if len(reached) >= _MOST_MOVED:
-            return []
         goals = [GaussCode(self._goal.visits, letters) for letters in chiralities(self._goal)]
         left = {
             node.code: -float(self._values[index])
-            for index, node in enumerate(self._moves.nodes)
-            if node.nx > _COUNTED_NX and node.code not in reached
+            for node, index in self._moves.index.items()
+            if node.nx > _COUNTED_NX and node.code not in done
         }
-        left |= {code: 0.0 for code in goals if code.nx > _COUNTED_NX and code not in reached}
-        near = min(left.values(), default=math.inf) + SIDEWAYS_COST
-        codes = [code for code, far in left.items() if far < near]
-        # one of a code's images stands for all
-        return [*dict.fromkeys(map(canonical_form, sorted(codes, key=lambda one: left[one])))]
+        left |= {code: 0.0 for code in goals if code.nx > _COUNTED_NX and code not in done}
+        most = min(left.values(), default=math.inf) + SIDEWAYS_COST
+        return sorted((code for code, far in left.items() if far < most), key=lambda one: left[one])
 
     def _look_up(self, code: GaussCode) -> tuple[float, int | None]:
         if code.matches(self._goal):
@@ -220,7 +220,7 @@ class Distances:
         if index is not None and math.isfinite(self._hops[index]):
             return -float(self._values[index]), int(self._hops[index])
         if code not in self._down:
-            found: tuple[float, int | None] = self._far_away(code), None
+            found: tuple[float, int | None] = float(self._far_away(np.array(code.nx))), None
             # every move lowers the number of crossings, so this ends
             if self._single_moves and code.nx <= max(self._goal.nx, _COUNTED_NX) + _FARTHEST_DOWN:
                 for lower in _below(code):
@@ -230,8 +230,8 @@ class Distances:
             self._down[code] = found
         return self._down[code]
 
-    def _far_away(self, code: GaussCode) -> float:
-        return self._beyond + self._strange * max(1, abs(code.nx - self._goal.nx))
+    def _far_away(self, nx: NDArray[np.int64]) -> Array:
+        return self._beyond + self._strange * np.maximum(1, np.abs(nx - self._goal.nx))
 
 
 class Proposals:
@@ -243,24 +243,18 @@ class Proposals:
         self._shares = cumulative_shares(weights) if changes else weights
 
     def draw(
-        self,
-        points: Array,
-        rng: np.random.Generator,
-        config: MacroActionConfig,
-        guided: float,
-        noise: float,
+        self, points: Array, rng: np.random.Generator, config: PullPlannerConfig
     ) -> MacroAction:
         """Draw a change by its promise, and a macro-action like one that made it.
 
         Args:
-            points: float64 (beads, 3), metres.
+            points: float64 (beads, 3), metres: where the rope lies.
             rng: source of all draws.
-            config: sizes of macro-actions.
-            guided: share of macro-actions that aren't purely random.
-            noise: standard deviation of positions, in arcs.
+            config: the share of macro-actions that are guided, and how they are drawn.
         """
-        if not self._changes or rng.random() >= guided:
-            return propose(points, rng, config)
+        sizes = config.macro_actions
+        if not self._changes or rng.random() >= config.guided:
+            return propose(points, rng, sizes)
         change = self._changes[int(self._shares.searchsorted(rng.random(), side="right"))]
         (sight,) = see(points[None])
         example = change.examples[int(rng.integers(len(change.examples)))]
@@ -268,13 +262,13 @@ class Proposals:
 
         def bead(position: float) -> int:
             # the noise keeps within the arc: another arc would be another change of the code
-            along = np.clip(position % 1.0 + rng.normal(0, noise), 0.0, 0.999)
+            along = np.clip(position % 1.0 + rng.normal(0, config.template_noise), 0.0, 0.999)
             return sight.bead(int(position) + float(along))
 
         led = bead(at)
         if past >= 0:
-            return pass_strand(points, "pass", led, bead(past), side, rng, config)
-        return move_aside(points, "shift" if past == -1 else "spread", led, side, rng, config)
+            return pass_strand(points, "pass", led, bead(past), side, rng, sizes)
+        return move_aside(points, "shift" if past == -1 else "spread", led, side, rng, sizes)
 
 
 @lru_cache(maxsize=4)
@@ -297,15 +291,10 @@ def _single_moves(codes: list[GaussCode], label: int) -> tuple[list[Row], Exampl
     """Rows of single moves that lead to codes, numbered from `label`, as if each was seen once."""
     rows, examples = list[Row](), Examples()
     for code in codes:
-        for before, cost, known in _leading_to(code):
-            first = canonical_form(before)
-            k = images(before).index(first)
+        for number, (before, cost, known) in enumerate(_leading_to(code), label + len(rows)):
             # in as many tries as give this cost
-            tried = round(cost - DOUBT)
-            start = Diagram(first)
-            rows.append(Row(start, label, Diagram(images(code)[k]), 1, tried))
-            examples[start, label] = [one.image(k, 2 * before.nx + 1) for one in known]
-            label += 1
+            rows.append(Row(Diagram(before), number, Diagram(code), 1, round(cost - DOUBT)))
+            examples[Diagram(before), number] = known
     return rows, examples
 
 

@@ -105,7 +105,6 @@ class Moves:
         reward: float | Sequence[Array] | Array,
         weight: Sequence[Array] | Array,
         sweeps: int,
-        begin: Array | None = None,
     ) -> Array:
         """Solve V(node) = max of `shown` and, over its moves, reward + sum of weight * V(after).
 
@@ -113,9 +112,8 @@ class Moves:
             shown: float64 by node, V without any move.
             reward, weight: by move and by outcome, or eight of them, one for each image.
             sweeps: how often the equation is applied, at most; fewer times if it holds before.
-            begin: values to begin with; `shown` if None.
         """
-        values = shown if begin is None else begin
+        values = shown
         for _ in range(sweeps if len(self.start) else 0):
             new = shown.copy()
             for k in range(IMAGES):

@@ -231,13 +231,7 @@ class PullPlayer(Player):
         codes, goals = self._batch.codes_of(idle), self._batch.goals_of(idle)
         for index, code, goal in zip(idle.tolist(), codes, goals, strict=True):
             proposals = Proposals(self._guide.to(goal, code).nearer(code))
-            move = proposals.draw(
-                points[index],
-                self._rngs[index],
-                config.macro_actions,
-                config.guided,
-                config.template_noise,
-            )
+            move = proposals.draw(points[index], self._rngs[index], config)
             follower.begin(np.array([index]), [move])
         follower.arrive(points, idle)
         return np.where(blind, follower.beads[ids], 0), follower.forces(points, ids)

@@ -34,9 +34,10 @@ from knotgym.topology.gauss import GaussCode
 HARD_NX = 7  # hauls are allowed from so many crossings on, where guidance knows very little
 _HAULED_NX = 3  # a hard rope is hauled only from states of at least this many crossings
 _HAULS = 0.6  # share of a hard rope's macro-actions that are hauls
-_RESTART = 20_000  # simulated pulls after which a plan begins again: other draws may do better
 _FAILURES = 2  # plans from one state that may lead no nearer to the goal, until it begins again
-_LOOK = 4000  # pulls of the first plan; twice as many after each from the root that finds none
+# Pulls simulated for the first plan; twice as many after each from the root that finds none. One
+# of more than so many begins again, as other draws may do better.
+_LOOK, _LONGEST_LOOK = 4000, 20_000
 
 
 @dataclass(eq=False)
@@ -198,7 +199,7 @@ class PullSearch:
             spent += made.spent
             if not made.solved and spent + most <= budget:
                 # too few pulls are left from here, or the goal is hard to find
-                look *= 1 if here.steps else 2
+                look = look if here.steps else min(2 * look, _LONGEST_LOOK)
                 here, failures = root, 0
                 continue
             nodes, solved = self._act_out(check, here, made, steps - here.steps)
@@ -218,94 +219,72 @@ class PullSearch:
 
         Args:
             state, points: of the chain engine: where the rope lies.
-            steps, budget: as of `checked`. The search begins again after every _RESTART pulls.
-        """
-        spent, best = 0, None
-        root = _Node(state, points, label(points))
-        far = self.guide.to(self.goal, root.code)
-        while best is None or spent + self.config.batch_size <= budget:
-            node, own = yield from self._grow(root, far, steps, min(_RESTART, budget - spent))
-            spent += own
-            if node.code.matches(self.goal) and node is not root:
-                return _plan_to(node, True, spent)
-            if best is None or (far(node.code), node.steps) < (far(best.code), best.steps):
-                best = node
-            if not own:
-                break
-        return _plan_to(best, False, spent)
-
-    def _grow(
-        self, root: _Node, far: Distances, steps: int, budget: int
-    ) -> Search[tuple[_Node, int]]:
-        """Grow a tree from its root until it reaches the goal or the budget is spent.
-
-        Returns the node at the goal, or else the nearest, and the pulls simulated.
+            steps, budget: as of `checked`.
         """
         config, goal, rng, count = self.config, self.goal, self.rng, self.config.batch_size
+        root = _Node(state, points, label(points))
+        far = self.guide.to(goal, root.code)
         # Hauls take crossings out. Where they are allowed few paths are known, and each crossing is
         # taken for a change of code to go.
         hauling = self.hauling and root.code.nx >= HARD_NX and root.code.nx > goal.nx
-        root.tries = 0
         pool, proposals = _Pool(far, config, hauling), dict[GaussCode, Proposals]()
         pool.add(root)
         # by slot: where its macro-action began, the code seen last
-        begun, shown = dict[int, _Node](), dict[int, GaussCode]()
-        hauls, spent = set[int](), 0
+        begun, shown, spent = dict[int, _Node](), dict[int, GaussCode](), 0
+        trials: dict[int, Trial] = {}
 
-        def propose(at: _Node, slot: int) -> MacroAction | Haul:
-            hauls.discard(slot)
+        def begin(slot: int) -> None:
+            """Choose a state and a macro-action."""
+            at = begun[slot] = pool.choose(rng)
+            move: MacroAction | Haul
             if hauling and at.code.nx >= _HAULED_NX and rng.random() < _HAULS:
-                hauls.add(slot)
-                return propose_haul(len(at.points), rng)
-            if at.code not in proposals:
-                proposals[at.code] = Proposals(far.nearer(at.code))
-            noise = config.template_noise
-            return proposals[at.code].draw(
-                at.points, rng, config.macro_actions, config.guided, noise
-            )
-
-        def arrived(slot: int, report: Report) -> tuple[_Node | None, bool]:
-            """The node that a report is worth keeping as; and whether the slot is free."""
-            at, code, before = begun[slot], report.code, shown[slot]
-            if report.lost:  # unstable, or out of bounds: nothing from here on is of use
-                return None, True
-            nearer, shown[slot] = far(code) < far(at.code), code
-            # States at which the code changes are kept, and so are the ends of macro-actions. But
-            # an end with the code that it began with is kept only if that code is stuck: then
-            # another configuration with the same code may be a better start. Along a haul, only
-            # states nearer to the goal than its start are kept.
-            if slot in hauls:
-                keep = report.over or nearer
+                move = propose_haul(len(at.points), rng)
+                longest = move.steps
             else:
-                stuck = pool.tries(at.code) > config.stuck
-                keep = code != before or (report.over and (stuck or code != at.code))
-            if not keep:
-                return None, report.over
-            pulls = at.steps + report.pulls
-            node = _Node(report.state, report.points, code, pulls, at, report.beads, report.forces)
-            # optimistic: every change of code that is left takes the fewest pulls it can
-            if pulls + config.least_stride * pool.hops(code) <= steps:
-                pool.add(node)
-            # progress is worth a fresh choice of macro-action rather than the rest of this one
-            return node, report.over or nearer
+                if at.code not in proposals:
+                    proposals[at.code] = Proposals(far.nearer(at.code))
+                move, longest = proposals[at.code].draw(at.points, rng, config), config.longest
+            pulls, shown[slot] = max(1, min(longest, steps - at.steps)), at.code
+            trials[slot] = Trial(at.state, move, pulls, goal, self.bound, watch=True)
+
+        def is_worth_keeping(slot: int, report: Report) -> bool:
+            """Tell whether a state should join the pool.
+
+            States at which the code changes do, and so do the ends of macro-actions. But an end
+            with the code that it began with is kept only if that code is stuck: then another
+            configuration with the same code may be a better start. Along a haul, only states nearer
+            to the goal than its start are kept.
+            """
+            at, code = begun[slot], report.code
+            if isinstance(trials[slot].move, Haul):
+                return report.over or far(code) < far(at.code)
+            if code != shown[slot]:
+                return True
+            return report.over and (pool.tries(at.code) > config.stuck or code != at.code)
 
         while spent + count <= budget and steps > 0:
-            trials = {}
-            for slot in [slot for slot in range(count) if slot not in begun]:
-                at = begun[slot] = pool.choose(rng)
-                shown[slot], move = at.code, propose(at, slot)
-                longest = move.steps if isinstance(move, Haul) else config.longest
-                pulls = max(1, min(longest, steps - at.steps))
-                trials[slot] = Trial(at.state, move, pulls, goal, self.bound, watch=True)
-            ticks, reports = yield Orders(trials, (budget - spent) // count)
+            free = [slot for slot in range(count) if slot not in begun]
+            for slot in free:
+                begin(slot)
+            orders = Orders({slot: trials[slot] for slot in free}, (budget - spent) // count)
+            ticks, reports = yield orders
             spent += ticks * count
             for slot, report in reports:
-                node, free = arrived(slot, report)
-                if node is not None and node.code.matches(goal):
-                    return node, spent
-                if free:
+                at, over = begun[slot], report.over
+                # lost: unstable, or out of bounds; nothing from there on is of use
+                if not report.lost and is_worth_keeping(slot, report):
+                    node = _Node(*report[:3], at.steps + report.pulls, at, *report[-2:])
+                    if node.code.matches(goal):
+                        return _plan_to(node, True, spent)
+                    # optimistic: every change of code that is left takes the fewest pulls it can
+                    if node.steps + config.least_stride * pool.hops(node.code) <= steps:
+                        pool.add(node)
+                    # progress is worth a fresh choice rather than the rest of this macro-action
+                    over |= far(node.code) < far(at.code)
+                shown[slot] = report.code
+                if over:
                     del begun[slot]
-        return pool.nearest(), spent
+        return _plan_to(pool.nearest(), False, spent)
 
     def _act_out(
         self, check: Simulation, here: _Node, made: PullPlan, steps: int

@@ -22,7 +22,7 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.generate_config import PlayConfig
 from knotgym.rope.actions import decode_actions, drawn_actions, quantized
 from knotgym.rope.macro_action_config import MacroActionConfig
-from knotgym.rope.macro_actions import WaypointController, propose
+from knotgym.rope.macro_actions import WaypointFollower, propose
 from knotgym.rope.model import Array, Rope
 
 # A spreading pull flees from strands nearer than _REACH in the picture, metres, and at least _APART
@@ -118,7 +118,7 @@ class _Living(Player):
         self._simulation, self._rngs = batch.simulation, dict[int, np.random.Generator]()
         self._drawn = np.zeros((batch.count, life.config.random, 6), dtype=np.float32)
         self._macro_actions = MacroActionConfig()
-        self._controller = WaypointController(batch.count, self._macro_actions)
+        self._controller = WaypointFollower(batch.count, self._macro_actions)
         config, phases = life.config, list[tuple[int, Callable[[Ids], BeadsAndForces]]]()
         phases += [(config.random, self._random), (config.opening, self._open)]
         for _ in range(config.rounds):
@@ -131,7 +131,7 @@ class _Living(Player):
             key = self._life.keys[self._batch.number[index]]
             self._drawn[index] = drawn_actions(key, self._life.config.random)
             self._rngs[index] = generator_of((*key[:-1], key[-1] + 1))  # actions have their own
-            self._controller.release(index)
+        self._controller.release(ids)
 
     def act(self, ids: Ids) -> Pulls:
         steps = self._batch.steps[ids]
@@ -197,12 +197,16 @@ class _Living(Player):
     def _script(self, ids: Ids) -> BeadsAndForces:
         """Make random macro-actions, one after another."""
         points, controller = self._simulation.points, self._controller
-        controller.advance(points)
-        for index in ids[controller.idle[ids]].tolist():
-            drawn = propose(points[index], self._rngs[index], self._macro_actions)
-            controller.begin(index, drawn)
-        controller.advance(points)
-        return controller.beads[ids], controller.forces(points)[ids].astype(np.float32)
+        idle = ids[controller.arrive(points, ids)]
+        rngs = [self._rngs[index] for index in idle.tolist()]
+        drawn = [
+            propose(points[index], rng, self._macro_actions)
+            for index, rng in zip(idle.tolist(), rngs, strict=True)
+        ]
+        if drawn:
+            controller.begin(idle, drawn)
+            controller.arrive(points, idle)
+        return controller.beads[ids], controller.forces(points, ids)
 
 
 def _rest(ids: Ids) -> BeadsAndForces:

@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+
+from knotgym.control.planning import BatchedSearch, Orders, Report, Search, Trial
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import Pass, pass_straight, propose_haul
+from knotgym.rope.towing import TowBound
+from knotgym.topology.gauss import GaussCode
+
+KINK = GaussCode.parse("1+c,1-c")
+CONFIG = MacroActionConfig()
+
+
+@pytest.fixture
+def ropes() -> BatchedSearch:
+    return BatchedSearch(3, CONFIG)
+
+
+def two_passes(ropes: BatchedSearch, bead: int) -> Search[Report]:
+    state = np.array(START[0])
+    _, ((_, landing),) = yield Orders({0: Trial(state, Pass(bead, bead + 14, 1), 10, KINK)})
+    _, ((_, landing),) = yield Orders({0: Trial(landing.state, Pass(70, 50, -1), 10, KINK)})
+    return landing
+
+
+START = [BatchedSearch(1, CONFIG).ropes.at_rest()[0]]
+
+
+def test_searches_find_the_same_in_any_company(ropes: BatchedSearch) -> None:
+    beads = (20, 30, 40, 50)
+    together = dict(ropes.run(two_passes(ropes, bead) for bead in beads))
+    assert sorted(together) == [0, 1, 2, 3]
+    for number, bead in enumerate(beads):
+        ((_, alone),) = ropes.run([two_passes(ropes, bead)])
+        assert np.array_equal(alone.points, together[number].points)
+        assert alone.pulls == together[number].pulls
+
+
+def one_trial(trial: Trial) -> Search[list[Report]]:
+    reports = [(yield Orders({0: trial}))[1][0][1]]
+    while not reports[-1].over:
+        reports.append((yield Orders({}))[1][0][1])
+    return reports
+
+
+def test_a_pass_that_tows_the_rope_too_far_is_lost(ropes: BatchedSearch) -> None:
+    centre = ropes.ropes.points[0].mean(axis=0)
+
+    def trial(limit: float) -> Trial:
+        return Trial(START[0], Pass(20, 70, 1), 10, KINK, TowBound(centre, limit))
+
+    found = dict(ropes.run([one_trial(trial(1.0)), one_trial(trial(0.01))]))
+    ((whole,), (short,)) = found[0], found[1]
+    assert not whole.lost and short.lost and 0 < short.pulls < whole.pulls
+
+
+def test_a_trial_ends_where_its_goal_is_shown(ropes: BatchedSearch) -> None:
+    ((_, (first,)),) = ropes.run([one_trial(Trial(START[0], Pass(20, 34, 1), 10, KINK))])
+    other = GaussCode.parse("1+,2-,2+,1-")
+    ((_, (second,)),) = ropes.run([one_trial(Trial(START[0], Pass(20, 34, 1), 10, other))])
+    assert first.code.matches(KINK) == (first.pulls < second.pulls)
+
+
+def test_a_watched_trial_reports_every_change_and_its_pulls(ropes: BatchedSearch) -> None:
+    move = pass_straight(ropes.ropes.points[0], 20, 34, 1, CONFIG)
+    ((_, reports),) = ropes.run([one_trial(Trial(START[0], move, 10, KINK, watch=True))])
+    assert [report.over for report in reports] == [False] * (len(reports) - 1) + [True]
+    last = reports[-1]
+    assert last.beads.tolist() == [20] * last.pulls and last.forces.shape == (last.pulls, 3)
+    # the pulls lead there again, bit for bit
+    ropes.ropes.restore(START[0][None], [0])
+    for bead, force in zip(last.beads, last.forces.astype(np.float64), strict=True):
+        ropes.ropes.step([bead], force[None] * ropes.ropes.max_force, [0])
+    assert np.array_equal(ropes.ropes.states([0])[0], last.state)
+
+
+def test_a_haul_pulls_two_beads_in_turn(ropes: BatchedSearch) -> None:
+    haul = propose_haul(100, np.random.default_rng(1))
+    trial = Trial(START[0], haul, haul.steps, KINK, watch=True)
+    ((_, reports),) = ropes.run([one_trial(trial)])
+    assert reports[-1].beads.tolist() == [haul.pull(step)[0] for step in range(haul.steps)]
+
+
+def test_a_search_is_woken_after_so_many_pulls(ropes: BatchedSearch) -> None:
+    def waits() -> Search[int]:
+        pulls, reports = yield Orders({0: Trial(START[0], Pass(20, 70, 1), 10, KINK)}, wake=2)
+        assert not reports
+        return pulls
+
+    assert dict(ropes.run([waits()])) == {0: 2}
+
+
+def test_a_search_that_is_dropped_frees_its_ropes(ropes: BatchedSearch) -> None:
+    ropes.add("dropped", two_passes(ropes, 20), slots=3)
+    assert ropes.tick() == []
+    ropes.drop("dropped")
+    assert [key for key, _ in ropes.run([two_passes(ropes, 30)], slots=3)] == [0]

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+
+from knotgym.control.planning import CHANGES, shipped_guide
+from knotgym.control.planning.changes import Example, Guide, Proposals
+from knotgym.control.planning.diagrams import Diagram
+from knotgym.control.planning.moves import Moves, Row
+from knotgym.control.policy_config import PullPlannerConfig
+from knotgym.rope.model import Rope
+from knotgym.topology.diagrams import with_chirality
+from knotgym.topology.gauss import GaussCode
+
+FLAT, KINK = GaussCode(), GaussCode.parse("1+a,1-a")
+TREFOIL = GaussCode.parse("1+a,2-a,3+a,1-a,2+a,3-a")
+
+
+@pytest.mark.parametrize(
+    ("goal", "far", "hops"),
+    [
+        ("1+,1-", 4.563417890520695, 1),
+        ("1-,2+,2-,1+", 44.66019208406908, 2),
+        ("1+,1-,2+,2-,3+,4-,4+,3-", 111.61841227884841, 5),
+        ("1+,2-,3+,1-,2+,3-", 90.0, None),  # another knot: three crossings too few
+    ],
+)
+def test_distances_from_the_plain_loop_are_those_counted(
+    goal: str, far: float, hops: int | None
+) -> None:
+    code = GaussCode.parse(goal)
+    distances = shipped_guide().to(code, FLAT)
+    assert distances(FLAT) == far and distances.hops(FLAT) == hops
+    assert distances(with_chirality(code)) == 0.0
+
+
+def test_changes_lead_nearer_and_have_examples() -> None:
+    changes = shipped_guide().to(KINK, FLAT).nearer(FLAT)
+    assert len(changes) > 1 and all(change.promise > 0 and change.examples for change in changes)
+
+
+def test_single_moves_lead_to_goals_beyond_the_table() -> None:
+    goal = GaussCode.parse("1+,1-,2+,2-,3+,3-,4+,4-,5+,5-,6+,6-")
+    distances = shipped_guide().to(goal, FLAT)
+    one_less = with_chirality(GaussCode.parse("1+,1-,2+,2-,3+,3-,4+,4-,5+,5-"))
+    assert distances.hops(one_less) == 1 and (distances.hops(FLAT) or 0) >= 6
+    assert distances(with_chirality(goal)) == 0.0 < distances(one_less) < distances(FLAT)
+    assert any(len(change.examples) > 1 for change in distances.nearer(one_less))
+
+
+def test_without_a_table_crossings_alone_guide() -> None:
+    distances = Guide(Moves(), {}, strange=7.0).to(FLAT, FLAT)
+    assert distances(KINK) == 7.0 and distances(TREFOIL) == 21.0
+    assert distances.hops(KINK) is None and distances.nearer(KINK) == []
+
+
+def test_an_image_of_an_example_is_undone_by_the_same_symmetry() -> None:
+    example = Example(1, 0.25, 2.5)
+    for image in range(8):
+        assert example.image(image, 3).image(image, 3) == example
+    assert example.image(0b110, 3) == Example(-1, 2.75, 0.5)
+    assert Example(0, 1.0, -2.0).image(4, 3) == Example(0, 2.0, -2.0)
+
+
+def test_proposals_imitate_what_made_a_change() -> None:
+    points, rng = Rope().loop(), np.random.default_rng(0)
+    examples = [Example(1, 0.3, 0.5)]
+    row = Row(Diagram(FLAT), 0, Diagram(KINK), 5, 10)
+    guide = Guide(Moves([row]), {(Diagram(FLAT), 0): examples})
+    changes = guide.to(KINK, FLAT).nearer(FLAT)
+    config = PullPlannerConfig(guided=1.0, template_noise=0.0)
+    moves = [Proposals(changes).draw(points, rng, config) for _ in range(40)]
+    assert {(move.bead, move.target) for move in moves} == {(30, 50), (70, 50)}
+    assert {move.kind for move in moves} == {"pass"}
+
+
+def test_the_table_that_ships_is_small() -> None:
+    assert CHANGES.stat().st_size < 400_000

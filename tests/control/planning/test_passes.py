@@ -1,0 +1,99 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from knotgym.control.planning import EVERY_CODE, PASSES, pass_values
+from knotgym.control.planning.diagrams import IMAGES, Diagram, see
+from knotgym.control.planning.moves import Moves, pooled
+from knotgym.control.planning.passes import PassValues, template_images, templates
+from knotgym.rope.macro_actions import Pass
+from knotgym.rope.model import Array
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import Symmetry, images
+
+FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
+LOOP, KINKED = Diagram(FLAT, (0,)), Diagram(KINK, (1, 2))
+GOAL = GaussCode.parse("1+c,1-c,2+a,2-a")
+
+
+def made_up() -> PassValues:
+    """One pass kinks the loop in 6 of 10, another in 9; a third undoes a kink."""
+    counts = [
+        (LOOP, 4, KINKED, 6),
+        (LOOP, 4, None, 4),
+        (LOOP, 7, KINKED, 9),
+        (LOOP, 7, None, 1),
+        (KINKED, 2, LOOP, 5),
+    ]
+    return PassValues(
+        Moves(pooled(counts, lambda nx, image, label: template_images(nx, image)[label]))
+    )
+
+
+def test_the_pass_that_succeeds_most_comes_first() -> None:
+    values = made_up()
+    order = list(values.order(KINK, LOOP))
+    best = [template_images(0, image)[template] for template, image, _ in order]
+    assert len(best) == 4 and 7 in best[:2] and 4 in best[2:]  # each with its mirror image
+    assert order[0][2] == order[1][2] > order[2][2] > 0
+    assert values.reach(KINK, KINKED) == 1.0
+    assert list(values.order(KINK, Diagram(FLAT, (1,))))  # the loop walked the other way
+    assert not list(values.order(GaussCode.parse("1+,1-,2+,2-"), LOOP))
+
+
+@pytest.mark.parametrize("image", range(IMAGES))
+def test_images_of_a_state_and_goal_have_the_same_order(image: int) -> None:
+    values, there = pass_values(), images(GOAL)[image]
+    first = [one[0] for one in values.order(GOAL, LOOP)]
+    assert len(first) > 20
+    assert first == [one[0] for one in values.order(there, LOOP.image(image))]
+    assert values.reach(GOAL, LOOP) == values.reach(there, LOOP.image(image))
+
+
+def test_a_template_on_an_image_is_the_image_of_the_pass(curve: Array) -> None:
+    turned = Symmetry(switch=True, reverse=True)
+    here, there = see(np.array([curve, turned.configuration(curve)]))
+    for template in templates(here.diagram.nx)[::37]:
+        before, after = template.on(here, 0), template.on(there, 0b110)
+        wanted = turned.beads(np.array(before[:2]), len(curve))
+        # rounding to beads may differ by one
+        assert (np.abs((wanted - after[:2] + 2) % len(curve) - 2) <= 1).all()
+        assert after.side == -before.side
+
+
+def test_every_pass_is_proposed_once_and_passes_another_bead(curve: Array) -> None:
+    (sight,) = see(curve[None])
+    proposed = [move for move, _ in pass_values().passes(FLAT, sight)]
+    assert len(proposed) == len({*proposed}) > 5
+    assert all(isinstance(move, Pass) and move.bead != move.target for move in proposed)
+
+
+# chance to reach a goal from the plain loop, the first template and its worth, by file
+KNOWN = {
+    ("train", False): ("1+,1-", 0.8765508115856057, 89, 0.722193),
+    ("test-code", False): ("1-,2+,2-,1+", 0.661160023764542, 69, 0.385871),
+    ("train", True): ("1+,1-,2+,2-,3+,4-,4+,3-", 0.04255226629880219, 138, 0.01877),
+}
+
+
+@pytest.mark.parametrize(("split", "every_code"), KNOWN)
+def test_the_tables_that_ship_say_what_was_counted(split: str, every_code: bool) -> None:
+    goal, reach, template, worth = KNOWN[split, every_code]
+    values = pass_values(split, every_code=every_code)
+    assert values.reach(GaussCode.parse(goal), LOOP) == pytest.approx(reach, rel=1e-14)
+    first, _, found = next(values.order(GaussCode.parse(goal), LOOP))
+    assert (first, found) == (template, worth)
+
+
+def test_splits_by_code_have_an_order_of_their_own() -> None:
+    assert pass_values("test") is pass_values("train")
+    assert pass_values("test-code") is pass_values("train-code")
+    assert pass_values("test-code", every_code=True) is pass_values("test-code")
+    one, other = (list(pass_values(split).order(GOAL, LOOP)) for split in ("train", "test-code"))
+    assert one and other and one != other
+
+
+@pytest.mark.parametrize("path", [*PASSES.values(), EVERY_CODE], ids=lambda path: path.stem)
+def test_the_tables_that_ship_are_small(path: Path) -> None:
+    assert path.stat().st_size < 300_000

@@ -1,0 +1,109 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from knotgym.common.errors import InvalidPolicy
+from knotgym.control.planning import Mixed, Noisy, PassPlanner, Play, PullPlanner, Scripted
+from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
+from knotgym.control.rollouts import Policy, rollouts
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
+
+TASK = TaskConfig(task="tie", nx=2, observation="state", engine="chain")
+SHORT = PullPlannerConfig(budget=400)
+POLICIES: dict[str, Policy] = {
+    "scripted": Scripted(),
+    "expert": PassPlanner(),
+    "hopeless": PassPlanner(PassPlannerConfig(candidates=1, budget=1, last_resort=200)),
+    "planner": PullPlanner(SHORT),
+    "noisy": Noisy(noise=0.3),
+    "play": Play(),
+    "mixed": Mixed((Scripted(), Noisy(), PassPlanner(), PullPlanner(SHORT)), (1, 1, 1, 1)),
+}
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_an_episode_depends_on_its_seed_alone(name: str) -> None:
+    task = replace(TASK, endless=name == "play", horizon=30)
+    together = rollouts(POLICIES[name], task, [3, 1, 2], lanes=3)
+    for number, seed in enumerate((3, 1, 2)):
+        alone = rollouts(POLICIES[name], task, [seed], lanes=1)
+        there = together.select([number])
+        for column in ("force", "bead"):
+            assert np.array_equal(alone.steps[column], there.steps[column])
+        assert alone.episodes["planned"] == there.episodes["planned"]
+
+
+def test_the_same_state_gets_the_same_pass() -> None:
+    batch = EpisodeBatch(TASK, 2)
+    batch.begin(np.arange(2), [3, 3])
+    player, ids = PassPlanner().player(batch), np.arange(2)
+    player.begin(ids, [np.random.default_rng(k) for k in range(2)])
+
+    def act() -> tuple[np.ndarray, np.ndarray]:
+        while True:
+            pulls = player.act(ids)
+            if len(pulls.ids) == 2:
+                assert pulls.macros is not None
+                batch.pull(ids, pulls.beads, pulls.forces)
+                return pulls.forces, pulls.macros
+
+    forces, macros = act()
+    assert np.array_equal(forces[0], forces[1]) and macros[:, 0].tolist() == [1, 1]
+    for _ in range(3):
+        act()
+    # a look in the middle of an episode is a look at its start
+    player.replan(ids[:1])
+    player.begin(ids[1:], [np.random.default_rng(9)])
+    forces, macros = act()
+    assert np.array_equal(forces[0], forces[1]) and macros[:, 0].tolist() == [1, 1]
+
+
+@pytest.mark.parametrize("policy", [PassPlanner(), PullPlanner()], ids=lambda one: one.name)
+def test_planners_reach_their_goals(policy: Policy) -> None:
+    found = rollouts(policy, TASK, range(6))
+    assert found.episodes["success"].all() and (found.episodes["planned"] > 0).all()
+
+
+def test_where_no_pass_is_found_pulls_are_planned() -> None:
+    hopeless = PassPlanner(PassPlannerConfig(candidates=1, budget=1))
+    found = rollouts(hopeless, TASK, range(4))
+    assert found.episodes["success"].all() and found.episodes["planned"].mean() > 50
+
+
+def test_plans_hold_in_the_engine_of_the_episode() -> None:
+    found = rollouts(PullPlanner(), replace(TASK, engine="mujoco"), [0])
+    assert found.episodes["success"].all()
+
+
+def test_without_a_budget_pulls_are_guided_alone() -> None:
+    blind = rollouts(PullPlanner(PullPlannerConfig(budget=0)), TASK, range(2))
+    assert (blind.episodes["planned"] == 0).all() and (blind.steps["force"] != 0).any()
+
+
+def test_ropes_are_not_towed_out_of_bounds() -> None:
+    found = rollouts(PassPlanner(), replace(TASK, tow_limit=0.2), range(4))
+    assert found.episodes["success"].mean() >= 0.75
+
+
+def test_a_goal_is_held_by_lying_still() -> None:
+    found = rollouts(PassPlanner(), replace(TASK, hold=3), range(3))
+    assert found.episodes["success"].all()
+
+
+def test_play_goes_on_to_another_goal() -> None:
+    task = replace(TASK, endless=True, horizon=80)
+    found = rollouts(Play(), task, range(3))
+    codes = {tuple(row) for row in found.steps["visits"].tolist()}
+    assert found.episodes["length"].tolist() == [80] * 3 and len(codes) > 4
+
+
+def test_play_in_a_task_that_ends_at_the_goal_is_refused() -> None:
+    with pytest.raises(InvalidPolicy, match="endless"):
+        Play().compatible_task(TASK)
+
+
+def test_planners_choose_pulls_alone() -> None:
+    with pytest.raises(InvalidPolicy, match="pulls"):
+        PassPlanner().compatible_task(replace(TASK, action="macro"))
