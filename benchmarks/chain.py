@@ -30,13 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.common.configuration import from_json
-from knotgym.control.rollouts import rollout
+from knotgym.control.recorded_policy import RecordedPolicy
+from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.evaluate import evaluate
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.episodes.recordings import PulledPolicy, read_recording, recorded_ids
+from knotgym.generate.episodes.recordings import recordings
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.chain.solver import SCHEDULE
 from knotgym.rope.engines import CHAIN, MUJOCO
@@ -153,30 +152,24 @@ def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, An
 
 def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     told: dict[str, Any] = {}
-    for name in recorded_ids():
-        recording = read_recording(name)
-        config = from_json(CollectConfig, recording.config)
+    for name, recording in recordings().items():
+        config = recording.config
         if config.policy.policy != "expert":
             continue
-        numbers = range(min(args.ropes, len(recording)))
-        recorded, ends = [recording.episode(number) for number in numbers], []
-        longest = int(recording.lengths.max())
+        own = recording.episodes.select(
+            np.arange(min(args.ropes, recording.episodes.episodes.rows))
+        )
+        seeds = [episode_seed(config.seed, number) for number in range(own.episodes.rows)]
+        longest, ends = int(own.episodes["length"].max()), []
         for engine in (MUJOCO, CHAIN):
             task = replace(config.seen_task, engine=engine, horizon=longest, hold=longest)
-            played = rollout(task, PulledPolicy("expert", recorded), numbers, config.seed)
-            ends.append(
-                label_many(
-                    np.stack(
-                        [
-                            # the last state, if the rope was towed too far in this engine
-                            one.episode.points[: len(own.pulls) + 1][-1]
-                            for one, own in zip(played, recorded, strict=True)
-                        ]
-                    )
-                )
-            )
+            played = rollouts(RecordedPolicy(own), task, seeds)
+            # the last state, if the rope was towed too far in this engine
+            lengths = np.minimum(own.episodes["length"], played.episodes["length"])
+            last = played.offsets[:-1] + lengths
+            ends.append(label_many(played.steps["observation"][last].astype(np.float64)))
         same = sum(one.matches(other) for one, other in zip(*ends, strict=True))
-        told[name] = {"episodes": len(numbers), "same code": same / len(numbers)}
+        told[name] = {"episodes": len(seeds), "same code": same / len(seeds)}
     return told
 
 

@@ -10,7 +10,7 @@ import importlib
 import re
 from pathlib import Path
 
-_MARK = re.compile(r"(<!-- columns of (\S+)\.(\w+) -->\n)\n(?:\|.*\n)*")
+_MARK = re.compile(r"(<!-- columns of (\S+)\.(\w+) -->\n)\n((?:\|.*\n)*)")
 
 
 def with_tables(text: str) -> str:
@@ -18,7 +18,7 @@ def with_tables(text: str) -> str:
 
     def table(mark: re.Match[str]) -> str:
         schema = getattr(importlib.import_module(mark[2]), mark[3])
-        return f"{mark[1]}\n{schema.page()}\n"
+        return f"{mark[1]}\n{schema.page()}\n" + ("" if mark[4] else "\n")
 
     return _MARK.sub(table, text)
 

@@ -33,7 +33,7 @@ def train(given: Given) -> None:
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
             raise MissingExtra(library, install_command("learn"), "knotgym train")
-    from knotgym.learn.train import train as train_learner
+    from knotgym.learn.train_recipe import train as train_learner
 
     learner, out = given["learner"], given["out"]
     if out is None:

@@ -1,1 +1,16 @@
-"""The learner from pictures, trained on what `knotgym collect` writes. Needs torch."""
+"""Learners: one from pictures, which plans, and a clone of macro-actions. They need torch."""
+
+from knotgym.common.lazy_exports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "CloneConfig": "knotgym.learn.train_config",
+        "ClonePolicy": "knotgym.learn.clone_policy",
+        "PicturePolicy": "knotgym.learn.picture_policy",
+        "ReaderConfig": "knotgym.learn.train_config",
+        "load_clone": "knotgym.learn.clone_policy",
+        "load_picture_policy": "knotgym.learn.picture_policy",
+        "train": "knotgym.learn.train_recipe",
+    },
+)

@@ -29,7 +29,7 @@ def published(root: Path, episodes: Episodes, task: TaskConfig = TASK, name: str
 
 
 def train(data: Sequence[Path], out: Path, config: Any, *, resume: bool = False) -> Path:
-    from knotgym.learn.train import train
+    from knotgym.learn.train_recipe import train
 
     return train(data, out, config, RunOptions(workers=1, quiet=True, resume=resume))
 

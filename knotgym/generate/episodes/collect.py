@@ -5,7 +5,7 @@ the seed and its number, so the dataset's bytes don't depend on blocks, lanes or
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,8 @@ from knotgym.runs.progress import Progress
 from knotgym.runs.run import Call, Recipe, require_no_interrupted_run, run
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import minari_root, read_states, ships, states_file
+
+PlayBlock = Callable[[CollectConfig, range], Result]  # of episodes with these numbers
 
 
 def distinct_id(config: CollectConfig) -> str:
@@ -86,6 +88,8 @@ def collect(
     options: RunOptions,
     *,
     progress: Progress | None = None,
+    block: PlayBlock | None = None,
+    files: Sequence[Path] = (),
 ) -> Path:
     """Collect a dataset and return its folder; a shard returns its journal.
 
@@ -94,6 +98,8 @@ def collect(
         out: Minari root to write to; None for Minari's own.
         options: how to execute the run.
         progress: where progress is shown.
+        block: a function of a module that makes a block of episodes, instead of `play`.
+        files: what it reads.
 
     Raises:
         InvalidPolicy, InvalidInput: the policy doesn't fit the task, or no episode is left to keep.
@@ -103,16 +109,20 @@ def collect(
     _metadata(config, Tally())  # refuses a bad id
     if not ships(config.task.states):
         read_states(states_file(config.task.states), images=False)
-    source = sources_of(config)
+
+    def read() -> dict[str, Any]:
+        return {**sources_of(config), **{file.name: sha256(file) for file in files}}
+
+    source = read()
     return run(
-        lambda place: episodes_of(config, source, place),
+        lambda place: episodes_of(config, source, place, block or play),
         dataset_folder(config, out),
         identity(config, source),
         options,
         progress,
         prepare=lambda shown: compile_first(shown, config.task.engine, options.workers),
         count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},
-        sources=lambda: sources_of(config),
+        sources=read,
         made_by=_identity_of,
     )
 
@@ -140,10 +150,12 @@ def sources_of(config: CollectConfig) -> dict[str, Any]:
     return sources([config.policy, *adviser], [config.task])
 
 
-def episodes_of(config: CollectConfig, source: dict[str, Any], place: Path) -> Recipe[str]:
+def episodes_of(
+    config: CollectConfig, source: dict[str, Any], place: Path, block: PlayBlock
+) -> Recipe[str]:
     """Play a collection's episodes and publish them as the folder `place`; return a summary."""
     parts = yield [
-        Call(f"episodes {few.start}-{few.stop - 1}", play, (config, few))
+        Call(f"episodes {few.start}-{few.stop - 1}", block, (config, few))
         for few in blocks(config.episodes, config.task)
     ]
     return publish_episodes(config, [from_result(part) for part in parts], source, place)

@@ -209,7 +209,7 @@ def report(
 ) -> dict[str, Any]:
     """Return the content of the result file; `source` is `sources_of(config)` before playing."""
     learners = {
-        one.policy: {name: card[name] for name in _TRAINING}
+        one.policy: {name: card[name] for name in _TRAINING if name in card}
         for one in config.policies
         if (card := training_card(one.policy)) is not None
     }

@@ -5,9 +5,9 @@
     {out}/knotgym/{task}-nx{nx}/{policy}-train-code[-...]-v0        split by code
     {out}/knotgym/suite.json, README.md                             what is known of each; the card
 
-Every dataset is an ordinary collection, see `collect`, or rebuilt from a recording, see `rebuild`.
-This module defines which ones there are, their order, the estimate of the time they take, and one
-card for all.
+Every dataset is an ordinary collection, see `collect`, or one whose pulls come from a recording,
+see `recordings`. This module defines which ones there are, their order, the estimate of the time they
+take, and one card for all.
 """
 
 import json
@@ -22,29 +22,21 @@ from typing import Any
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.configuration import Seed, configuration, read_json
-from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
+from knotgym.common.errors import Failed, InvalidFile, InvalidInput
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes.collect import collect, dataset_folder, require_collectable
 from knotgym.generate.episodes.collect_config import CollectConfig, plain_id
-from knotgym.generate.episodes.old_collect import EpisodeRecipe
-from knotgym.generate.episodes.rebuild import RebuildRecipe
-from knotgym.generate.episodes.recordings import RECORDINGS, read_recording, recorded_ids
+from knotgym.generate.episodes.recordings import RECORDINGS, recordings, replay
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_facts import describe_set
-from knotgym.generate.episodes.suite_scores import (
-    SUITE,
-    best_learner,
-    read_scores,
-    score_tables,
-)
+from knotgym.generate.episodes.suite_scores import SUITE, read_scores, score_tables
 from knotgym.rope.engines import ENGINES, MUJOCO
-from knotgym.runs.engine import is_finished, request_of, require_resumable, run, whole_request
 from knotgym.runs.executors import cores
 from knotgym.runs.progress import Progress, duration
 from knotgym.runs.run_options import RunOptions
-from knotgym.runs.staging import has_work, require_no_interrupted_run, staging_folder
 from knotgym.states.state_file import minari_root
 
 POLICIES, STATES, SPLITS = (tuple(SUITE[name]) for name in ("policies", "states", "splits"))
@@ -52,8 +44,8 @@ SETUPS = tuple(product(SUITE["tasks"], SUITE["nx"]))
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
 _PLAY = (
-    *("id", "reached the goal, %", "first choices, %", "planner, %", "bead predicted, %", "R2"),
-    *("goal codes, train", "test", "in both", "classes in both", "best learner, %"),
+    *("id", "reached the goal, %", "planned pull by pull, %"),
+    *("goal codes, train", "test", "in both", "classes in both"),
 )
 
 
@@ -153,63 +145,52 @@ def make_suite(
     options: RunOptions,
     *,
     scores: Sequence[Path] = (),
-    recordings: Path = RECORDINGS,
     progress: Progress | None = None,
 ) -> Path:
     """Make the missing datasets and a card for all existing ones; return the card's folder.
 
     Args:
+        config: which datasets.
         out: Minari root to write to; None for Minari's own.
         options: how to execute the runs. With `resume`, finished datasets are kept and interrupted
             ones continued; with `overwrite`, each is replaced once the new one is complete.
         scores: files of `knotgym evaluate --out` for the card's table of results, besides those in
             the folder `evaluations` next to the card.
-        recordings: file of recordings; the one that is included by default.
+        progress: where to show progress.
 
     Raises:
         Occupied: a dataset, a card or an interrupted run is in the way.
-        InvalidInput: an existing dataset was made by another request.
-        InvalidInput, InvalidFile: an existing dataset or an evaluation can't be read.
-        InvalidFile: nothing that is asked for is recorded, or with other settings.
-        Failed: this machine gets other episodes than recorded. The datasets and the
-            card are finished.
+        InvalidInput, InvalidFile: an existing dataset was made by another run, or it or an
+            evaluation can't be read; or nothing that is asked for is recorded.
+        Failed: this machine gets other episodes than recorded. The datasets and the card are
+            finished.
     """
     if progress is None:
         with Progress(options.quiet) as progress:
-            return make_suite(
-                config, out, options, scores=scores, recordings=recordings, progress=progress
-            )
+            return make_suite(config, out, options, scores=scores, progress=progress)
     root = Path(out) if out is not None else minari_root()
-    folder = root / "knotgym"
-    wanted, known = list(config.sets()), list[str]()
-    if config.recorded:
-        known = recorded_ids(recordings)
-        wanted = _recorded(config, known)
-    recipes = {
-        one.dataset_id: (
-            RebuildRecipe(one, options, read_recording(one.dataset_id, recordings))
-            if one.dataset_id in known
-            else EpisodeRecipe(one, options)
-        )
-        for one in wanted
-    }
+    folder, known = root / "knotgym", recordings() if config.recorded else {}
+    wanted = _recorded(config, [*known]) if config.recorded else [*config.sets()]
     results = read_scores([*scores, *sorted((folder / "evaluations").glob("*.json"))])
-    left = [one for one in wanted if not _is_made(recipes[one.dataset_id], root, options)]
+    for one in wanted:  # before anything is made
+        require_collectable(one, root, options)
     _require_own_card(folder, options)
+    left = [one for one in wanted if options.overwrite or not _exists(one, root)]
     seconds = sum(core_seconds(one, one.dataset_id in known) for one in left)
     progress.say(_forecast(wanted, left, seconds, options))
-    descriptions = _described(config, root, recordings)
+    descriptions = _described(config, root)
     _write_card(descriptions, results, config.seed, folder)
-    for number, one in enumerate(left, 1):
-        made = root / one.dataset_id
-        progress.say(f"set {number} of {len(left)}: {one.dataset_id}, {one.episodes} episodes")
-        begun = options.resume and has_work(staging_folder(made))
-        run(recipes[one.dataset_id], made, replace(options, resume=begun), progress)
-        descriptions[one.dataset_id] = describe_set(made, recordings)
+    for number, one in enumerate(wanted, 1):
+        progress.say(f"set {number} of {len(wanted)}: {one.dataset_id}, {one.episodes} episodes")
+        if one.dataset_id in known:
+            made = collect(one, root, options, progress=progress, block=replay, files=[RECORDINGS])
+        else:
+            made = collect(one, root, options, progress=progress)
+        descriptions[one.dataset_id] = describe_set(made)
         _write_card(descriptions, results, config.seed, folder)  # current during the run
     progress.say(f"{folder}: {len(wanted)} sets, README.md, suite.json")
-    rebuilt = {one.dataset_id: descriptions[one.dataset_id]["recorded"] for one in wanted}
-    differing = [f"{name} {how}" for name, how in rebuilt.items() if how.startswith("differs")]
+    agreement = {one.dataset_id: descriptions[one.dataset_id]["recorded"] for one in wanted}
+    differing = [f"{name} {how}" for name, how in agreement.items() if how.startswith("differs")]
     if config.recorded and differing:
         raise Failed(
             f"this machine gets other episodes than recorded: {'; '.join(differing)}; the sets are"
@@ -234,25 +215,8 @@ def _recorded(config: SuiteConfig, known: Sequence[str]) -> list[CollectConfig]:
     return wanted
 
 
-def _is_made(recipe: EpisodeRecipe, root: Path, options: RunOptions) -> bool:
-    """Whether a dataset of the same request is finished; raises as `make_suite` does."""
-    made = root / recipe.config.dataset_id
-    request = whole_request(recipe.request(), options.shard)
-    require_no_interrupted_run(made, options)
-    if has_work(staging_folder(made)):
-        if options.resume:
-            left = request_of(staging_folder(made))
-            require_resumable(staging_folder(made), left, request, ())
-        return False
-    if is_finished(made, request, options):
-        return True
-    if os.path.lexists(made) and not options.overwrite:
-        raise Occupied(
-            f"{made} exists already; --resume keeps finished datasets and makes the rest,"
-            " --overwrite makes all of them again"
-        )
-    require_output(made, folder=True, overwrite=options.overwrite)
-    return False
+def _exists(config: CollectConfig, root: Path) -> bool:
+    return os.path.lexists(dataset_folder(config, root))
 
 
 def _require_own_card(folder: Path, options: RunOptions) -> None:
@@ -276,18 +240,18 @@ def _forecast(
 ) -> str:
     workers = options.workers or cores()
     episodes = sum(one.episodes for one in left)
-    finished = f", {len(wanted) - len(left)} finished already" if len(left) < len(wanted) else ""
+    finished = f", {len(wanted) - len(left)} there already" if len(left) < len(wanted) else ""
     return (
         f"{len(wanted)} sets{finished}; {episodes} episodes to play, about"
         f" {duration(math.ceil(seconds / workers))} with {workers} workers, each a core of its own"
     )
 
 
-def _described(config: SuiteConfig, root: Path, recordings: Path) -> dict[str, Any]:
+def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
     """Describe every existing dataset of the benchmark, of this run or earlier ones, by id."""
     whole = SuiteConfig(observation=config.observation, seed=config.seed)
     ids = [one.dataset_id for engine in ENGINES for one in replace(whole, engine=engine).sets()]
-    return {name: describe_set(root / name, recordings) for name in ids if (root / name).exists()}
+    return {name: describe_set(root / name) for name in ids if (root / name).exists()}
 
 
 def _write_card(
@@ -312,34 +276,17 @@ def suite_card(report: Mapping[str, Any]) -> str:
     """Return the card of the benchmark as Markdown; `report` is the content of suite.json."""
     sets = report["sets"]
     columns = "id states split engine policy seed episodes steps".split()
-    head = (*columns, "MB", "as recorded", "SHA-256 of main_data.hdf5")
-    rows, play = [], []
+    head = (*columns, "MB", "as recorded", "SHA-256 of starts and pulls")
+    rows, played = [], []
     for name, one in sorted(sets.items()):
-        rows.append(
-            (
-                code_span(name),
-                *(plain(one[key]) for key in columns[1:]),
-                f"{one['bytes'] / 1e6:.1f}",
-                plain(one["recorded"]),
-                f"`{one['sha256']['main_data.hdf5'][:16]}...`",
-            )
-        )
-        codes, guessed = one["codes"] or {}, one["predictability"]
-        learner = best_learner(name, report["results"]) or one["learner"]
-        play.append(
-            (
-                code_span(name),
-                "" if one["endless"] else _percent(one["succeeded"] / max(one["episodes"], 1)),
-                _percent(one["first_choices"]),
-                _percent(one["planner"]),
-                f"{_percent(guessed['bead_top1'])} of {guessed['decisions']}" if guessed else "",
-                " ".join(f"{share:.2f}" for share in guessed["r2"]) if guessed else "",
-                *(codes.get(key, "") for key in ("train", "test", "shared", "shared_classes")),
-                f"{_percent(learner['success_rate'])}, {plain(learner['policy'])}"
-                if learner
-                else "",
-            )
-        )
+        size, digest = f"{one['bytes'] / 1e6:.1f}", f"`{one['sha256'][:16]}...`"
+        own = (plain(one[key]) for key in columns[1:])
+        rows.append((code_span(name), *own, size, plain(one["recorded"]), digest))
+        reached = None if one["endless"] else one["succeeded"] / max(one["episodes"], 1)
+        shares = (_percent(share) for share in (reached, one["planner"]))
+        codes = one["codes"] or {}
+        counts = (codes.get(key, "") for key in ("train", "test", "shared", "shared_classes"))
+        played.append((code_span(name), *shares, *counts))
     references = [
         (setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
         for setup, one in reference_scores().items()
@@ -353,7 +300,7 @@ def suite_card(report: Mapping[str, Any]) -> str:
         version=report["knotgym"],
         seed=report["seed"],
         sets=table(head, rows),
-        play=table(_PLAY, play),
+        play=table(_PLAY, played),
         references=table(("set-up", "random", "expert", "episodes"), references),
         results=score_tables(report["results"], "###") or none,
     )

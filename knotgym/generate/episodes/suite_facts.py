@@ -1,7 +1,5 @@
-"""What the benchmark's card says of a dataset: its size, its policy's play, and how it was made."""
+"""What the benchmark's card says of a dataset; all of it is computed from its episodes."""
 
-import json
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -9,83 +7,78 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.atomic_files import sha256
-from knotgym.common.configuration import from_json, read_json
-from knotgym.common.errors import InvalidInput, one_line
-from knotgym.control.demonstrator import PLANNER
-from knotgym.control.pass_counts import first_goal
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.common.errors import InvalidInput, KnotgymError, one_line
+from knotgym.control.planning import first_goal
+from knotgym.datasets.episode_dataset import content_digest, open_episodes
+from knotgym.datasets.episodes import Episodes
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.old_collect import REPORT
-from knotgym.generate.episodes.recordings import RECORDINGS, read_recording, recorded_ids
+from knotgym.generate.episodes.collect import run_facts
+from knotgym.generate.episodes.recordings import RECORDINGS, first_difference, recordings
 from knotgym.states.state_file import ships
 from knotgym.topology.gauss import GaussCode
 
-_CHOICE = "choice"  # first word of the reason for a pass of the demonstrator's; its rank follows
-_STATES = "readable"  # name of the states that need none
 
+def describe_set(made: Path, path: Path = RECORDINGS) -> dict[str, Any]:
+    """Describe a finished dataset that `collect` or the suite made.
 
-def describe_set(made: Path, recordings: Path = RECORDINGS) -> dict[str, Any]:
-    """Describe a finished dataset that `collect` or `rebuild` made.
+    Args:
+        made: folder of the dataset.
+        path: file of recordings to compare it with.
 
     Returns:
-        Size, seed, checksums and versions; `first_choices`, the share of macro-actions that were
-        the first of the demonstrator's order, and `planner`, the share of episodes in which the
-        planner acted, None for policies without macro-actions; `codes`, see `goal_overlap`;
-        `recorded`, see `agreement`; `predictability`, and `learner`, the best that was trained on
-        it, see `measured`.
+        Its settings and size; `sha256`, of its starts and pulls; `planner`, the share of episodes
+        in which pulls were planned one by one, None for policies without macro-actions; `codes`,
+        see `goal_overlap`; `recorded`: "no" recording, "same", or "differs from episode k".
 
     Raises:
         InvalidInput: it isn't such a dataset.
     """
     try:
-        report = read_json(made / "data" / REPORT)
-        config, tally = report["config"], report["tally"]
-        files = {name: made / "data" / name for name in ("main_data.hdf5", "metadata.json")}
-        task = from_json(TaskConfig, config["task"])
-        facts = {
-            **{name: config["task"][name] for name in ("task", "nx", "split", "tow_limit")},
-            **{name: config["task"][name] for name in ("endless", "engine", "observation")},
-            "states": config["task"]["states"] or _STATES,
-            "policy": config["policy"]["policy"],
-            "seed": config["seed"],
-            "episodes": tally["kept"],
-            "succeeded": tally["succeeded"],
-            "steps": tally["steps"],
-            "bytes": sum(file.stat().st_size for file in files.values()),
-            "sha256": {name: sha256(file) for name, file in files.items()},
-            "versions": report["versions"],
-        }
-        name = str(config["dataset_id"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        dataset = open_episodes(made)
+        config, versions = run_facts(made)["config"], run_facts(made)["versions"]
+        policy, seed = config["policy"]["policy"], config["seed"]
+    except (KnotgymError, KeyError, TypeError) as error:
         raise InvalidInput(
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
+    task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
+    recording = recordings(path).get(dataset.name)
+    agreement = "no"
+    if recording is not None:
+        first = first_difference(episodes, recording)
+        agreement = "same" if first is None else f"differs from episode {first}"
+    files = [file for file in (made / "data").iterdir() if file.is_file()]
     return {
-        **facts,
-        **_choices(made),
+        **{name: getattr(task, name) for name in ("task", "nx", "split", "endless", "engine")},
+        "states": task.states or "readable",
+        "policy": policy,
+        "seed": seed,
+        "episodes": rows.rows,
+        "succeeded": int(rows["success"].sum()),
+        "steps": int(rows["length"].sum()),
+        "bytes": sum(file.stat().st_size for file in files),
+        "sha256": content_digest(episodes),
+        "versions": versions,
+        "planner": planned_share(episodes) if policy in ("expert", "noisy", "play") else None,
         "codes": goal_overlap(task) if ships(task.states) else None,
-        "recorded": agreement(name, made, recordings),
-        **measured(name, made, recordings),
+        "recorded": agreement,
     }
 
 
-def _choices(made: Path) -> dict[str, float | None]:
-    reader = EpisodeReader(made)
-    if not reader.has("macro_start"):
-        return {"first_choices": None, "planner": None}
-    ranks, planned = list[str](), 0
-    for index in range(len(reader)):
-        moves = reader.column(index, "move").tolist()
-        starts = np.flatnonzero(reader.column(index, "macro_start")).tolist()
-        words = [moves[step].split() for step in starts]
-        ranks += [why[1] for why in words if why[:1] == [_CHOICE]]
-        planned += any(why.startswith(PLANNER) for why in moves)
-    return {
-        "first_choices": ranks.count("1") / max(1, len(ranks)),
-        "planner": planned / len(reader),
-    }
+def planned_share(episodes: Episodes) -> float | None:
+    """Return the share of episodes with two pulls one after the other that are part of no pass.
+
+    A single one is a random pull of policy `noisy`. None if macro-actions aren't recorded.
+    """
+    steps = episodes.steps
+    if "macro_side" not in steps:
+        return None
+    alone = (steps["macro_side"] == 0) & steps["force"].any(axis=1)
+    follows = alone & np.roll(alone, 1)
+    follows[episodes.offsets[:-1]] = False
+    found = np.unique(episodes.episode_of()[follows])
+    return len(found) / max(1, episodes.episodes.rows)
 
 
 @lru_cache
@@ -108,38 +101,3 @@ def goal_overlap(task: TaskConfig) -> dict[str, int]:
         "shared": len(sides[0] & sides[1]),
         "shared_classes": len(classes[0] & classes[1]),
     }
-
-
-def agreement(name: str, made: Path, recordings: Path = RECORDINGS) -> str:
-    """Compare a dataset with its recording: "no" recording, "same", or "differs from episode k"."""
-    if name not in recorded_ids(recordings):
-        return "no"
-    recording = read_recording(name, recordings)
-    first = recording.first_difference(made)
-    if first is None:
-        return "same"
-    states = read_json(made / "data" / REPORT)["source"]["states"]
-    reason = "" if recording.source["states"] == states else " (its states are others)"
-    return f"differs from episode {first}{reason}"
-
-
-def measured(
-    name: str, made: Path, recordings: Path = RECORDINGS
-) -> dict[str, Mapping[str, Any] | None]:
-    """Return what was measured once, on the whole dataset as recorded.
-
-    Returns:
-        `predictability`: `bead_top1`, the share of the held-out `decisions` whose bead was the
-        first guess of a clone, and `r2`, see `learn.clone_training.Predictability`; and `learner`,
-        see `suite_scores.best_learner`. Each is None if unknown.
-    """
-    unknown = dict.fromkeys(("predictability", "learner"))
-    figures = Path(recordings).with_suffix(".json")
-    if agreement(name, made, recordings) != "same" or not figures.is_file():
-        return unknown
-    recording = read_recording(name, recordings)
-    own = json.loads(figures.read_text(encoding="utf-8")).get(name, {})
-    whole = len(EpisodeReader(made)) == len(recording)
-    if not whole or own.get("recording_sha256") != recording.digest:
-        return unknown
-    return {key: own.get(key) for key in unknown}

@@ -63,37 +63,6 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     return [_together(found[key]) for key in sorted(found, key=str)]
 
 
-def best_learner(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-    """Return the most successful of the learners that were trained on a dataset; None if none was.
-
-    Scores count if they are of the dataset's own setup, on the test split, in pulls.
-
-    Args:
-        name: id of the dataset.
-        rows: of `read_scores`.
-
-    Returns:
-        `policy`, `success_rate`, `interval` and `episodes`.
-    """
-    setup, policy = name.split("/")[1:]
-    of_codes = "-train-code" in policy
-    wanted = {
-        "states": "random-walk" if "-random-walk" in policy else "readable",
-        "split": "test-code" if of_codes else "test",
-    }
-    own = [
-        row
-        for row in rows
-        if name in row["training"].get("datasets", ())
-        and f"{row['task']}-nx{row['nx']}" == setup
-        and all(row[key] == value for key, value in wanted.items())
-        and not _in_macros(row)
-    ]
-    best = max(own, key=lambda row: float(row["success_rate"]), default=None)
-    fields = ("policy", "success_rate", "interval", "episodes")
-    return None if best is None else {key: best[key] for key in fields}
-
-
 def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list[str]:
     """Return Markdown tables, one per set of states and split, with a row per policy.
 
