@@ -30,7 +30,6 @@ from typing import Any
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidPolicy, one_line
 from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
-from knotgym.control.old_policies import Adapted
 from knotgym.control.own_policies import load_own, module_files
 from knotgym.control.planning import (
     CHANGES,
@@ -102,8 +101,7 @@ def make_policy(config: PolicyConfig) -> Policy:
     Raises:
         InvalidPolicy: the function or file doesn't exist, or its library isn't installed.
     """
-    made = _family(config.policy).make(config)
-    return made if hasattr(made, "player") else Adapted(made, config.policy)
+    return _family(config.policy).make(config)
 
 
 def policy_digests(config: PolicyConfig) -> dict[str, str]:

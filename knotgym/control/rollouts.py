@@ -397,12 +397,3 @@ def _padded(array: NDArray[Any], width: int) -> NDArray[Any]:
     """Lengthen the last axis with zeros."""
     more = width - array.shape[-1]
     return np.pad(array, [(0, 0)] * (array.ndim - 1) + [(0, more)]) if more else array
-
-
-from knotgym.control.old_rollouts import (  # noqa: E402, F401
-    DATASET,
-    EVALUATION,
-    EpisodeStreams,
-    Rollout,
-    rollout,
-)
