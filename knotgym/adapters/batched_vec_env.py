@@ -56,7 +56,7 @@ class BatchedVecEnv(VecEnv):
         for i, info in enumerate(infos):
             info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
             if dones[i]:
-                info["terminal_observation"] = self._observation(i)
+                info["terminal_observation"] = (self.goals or self.episodes).observation(i)
         self._begin(np.flatnonzero(dones))
         return self._observations(), rewards.astype(np.float32), dones, infos
 
@@ -96,21 +96,13 @@ class BatchedVecEnv(VecEnv):
 
     def _begin(self, ids: NDArray[np.int64], options: dict[str, Any] | None = None) -> None:
         self.episodes.begin(ids, [self._rngs[i] for i in ids], options)
+        if self.goals is not None:
+            self.goals.begin(ids)
         for index, info in zip(ids.tolist(), self.episodes.info_rows(ids), strict=True):
-            if self.goals is not None:
-                self.goals.begin(index)
             self.reset_infos[index] = info
 
     def _observations(self) -> Any:
-        if self.goals is None:
-            return self.episodes.observations(np.arange(self.num_envs))
-        each = [self.goals.observation(i) for i in range(self.num_envs)]
-        return {name: np.stack([one[name] for one in each]) for name in each[0]}
-
-    def _observation(self, index: int) -> Any:
-        if self.goals is not None:
-            return self.goals.observation(index)
-        return self.episodes.observation(index)
+        return (self.goals or self.episodes).observations(np.arange(self.num_envs))
 
     def _which(self, indices: Indices) -> Sequence[int]:
         return list(self._get_indices(indices))

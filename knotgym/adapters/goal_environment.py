@@ -16,10 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv, observation_space
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.observations import SYMBOLS, numbers
+from knotgym.envs.observations import SYMBOLS, cut
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.towing import distances_towed
-from knotgym.topology.gauss import GaussCode
 
 
 class GoalEnv(KnotEnv):
@@ -36,7 +34,7 @@ class GoalEnv(KnotEnv):
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode, as `KnotEnv.reset`."""
         info = super().reset(seed=seed, options=options)[1]
-        self.goals.begin(0)
+        self.goals.begin(np.array([0]))
         return self.goals.observation(0), info
 
     def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -77,49 +75,56 @@ class Goals:
     """Achieved and desired goals of a batch; call `begin` after `EpisodeBatch.begin`."""
 
     def __init__(self, episodes: EpisodeBatch) -> None:
-        config = episodes.config
-        require_one_side(config)
-        if config.hold != 1 or config.failure_reward:
+        task = episodes.task
+        require_one_side(task)
+        if task.hold != 1 or task.failure_reward:
             raise InvalidInput(
                 "with goals that may be relabelled, hold must be 1 and failure_reward 0, got"
-                f" {config.hold} and {config.failure_reward}"
+                f" {task.hold} and {task.failure_reward}"
             )
         self.episodes = episodes
-        self._began: list[GaussCode] = [GaussCode(())] * episodes.count
+        self._began = np.zeros_like(episodes.visits)
         goal = spaces.Box(-SYMBOLS, SYMBOLS, (1 + SYMBOLS,), np.int16)
         self.space = spaces.Dict(
-            {"observation": rope_space(config), "achieved_goal": goal, "desired_goal": goal}
+            {"observation": rope_space(task), "achieved_goal": goal, "desired_goal": goal}
         )
 
-    def begin(self, index: int) -> None:
-        """Store the first code of episode `index`, which has just begun."""
-        self._began[index] = self.episodes.codes[index]
+    def begin(self, ids: NDArray[np.int64]) -> None:
+        """Store the first codes of the episodes `ids`, which have just begun."""
+        visits = self.episodes.visits
+        if self._began.shape != visits.shape:  # a code has more crossings than any before
+            more = visits.shape[1] - self._began.shape[1]
+            self._began = np.pad(self._began, ((0, 0), (0, more)))
+        self._began[ids] = visits[ids]
+
+    def observations(self, ids: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Return the observations of the episodes `ids`: arrays (n, ...)."""
+        episodes = self.episodes
+        return {
+            "observation": halves(episodes.observations(ids), batched=True)[0],
+            "achieved_goal": _encoded(episodes.visits[ids], self._count(ids)),
+            "desired_goal": _encoded(episodes.wanted[ids], np.ones(len(ids), dtype=bool)),
+        }
 
     def observation(self, index: int) -> dict[str, NDArray[Any]]:
         """Return the observation of episode `index`."""
-        code = self.episodes.codes[index]
-        return {
-            "observation": halves(self.episodes.observation(index))[0],
-            "achieved_goal": _encoded(code, self._counts(index)),
-            "desired_goal": _encoded(self.episodes.goals[index], True),
-        }
+        return {name: each[0] for name, each in self.observations(np.array([index])).items()}
 
     def reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
         """Return `success_reward` where goals (..., 1 + SYMBOLS) are equal and count, else 0."""
         achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
         reached = (achieved == desired).all(axis=-1) & (desired[..., 0] == 1)
-        rewards = np.where(reached, self.episodes.config.success_reward, 0.0)
+        rewards = np.where(reached, self.episodes.task.success_reward, 0.0)
         return rewards if rewards.ndim else float(rewards)
 
-    def _counts(self, index: int) -> bool:
-        """Return whether the code that rope `index` shows may count as a success."""
-        episodes, code = self.episodes, self.episodes.codes[index]
-        limit = episodes.config.tow_limit
-        if code.matches(self._began[index]) or len(code.visits) > SYMBOLS:
-            return False
-        points, origins = episodes.simulation.points[[index]], episodes.origins[[index]]
-        towed = limit is not None and distances_towed(points, origins)[0] > limit
-        return not (towed or episodes.failed[index])
+    def _count(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which codes that ropes show may count as a success."""
+        episodes, width = self.episodes, self._began.shape[1]
+        # codes that are wider than any first one differ from it
+        same = (episodes.visits[ids, :width] == self._began[ids]).all(axis=1)
+        same &= 2 * episodes.crossings[ids] <= width
+        fits = 2 * episodes.crossings[ids] <= SYMBOLS
+        return ~same & fits & ~episodes.towed[ids] & ~episodes.failed[ids]
 
 
 def rope_space(config: TaskConfig) -> spaces.Box:
@@ -128,10 +133,16 @@ def rope_space(config: TaskConfig) -> spaces.Box:
     return spaces.Box(halves(whole.low)[0], halves(whole.high)[0], dtype=whole.dtype)
 
 
-def halves(observation: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Split an observation (picture, state or symbols) into the rope's and the goal's half."""
-    rope, goal = np.split(observation, 2, axis=1 if observation.ndim == 3 else 0)
-    return (rope[0], goal[0]) if observation.ndim == 2 else (rope, goal)
+def halves(observation: NDArray[Any], batched: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Split an observation (picture, state or symbols) into the rope's and the goal's half.
+
+    Several observations (n, ...) are split if they are `batched`.
+    """
+    many = observation if batched else observation[None]
+    rope, goal = np.split(many, 2, axis=2 if many.ndim == 4 else 1)
+    if many.ndim == 3:  # symbols: two rows
+        rope, goal = rope[:, 0], goal[:, 0]
+    return (rope, goal) if batched else (rope[0], goal[0])
 
 
 def require_one_side(config: TaskConfig) -> None:
@@ -144,5 +155,5 @@ def require_one_side(config: TaskConfig) -> None:
         )
 
 
-def _encoded(code: GaussCode, counts: bool) -> NDArray[np.int16]:
-    return np.concatenate([np.array([counts], np.int16), numbers(code.visits)])
+def _encoded(visits: NDArray[np.int16], count: NDArray[np.bool_]) -> NDArray[np.int16]:
+    return np.concatenate([count[:, None].astype(np.int16), cut(visits)], axis=1)

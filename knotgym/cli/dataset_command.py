@@ -237,7 +237,7 @@ def select(
 
     Examples:
 
-        knotgym dataset select runs/nx3 --where "nx > 2 and split = 'train'" --out runs/hard
+        knotgym dataset select runs/nx3 --where "nx > 2 and split = 'train'" --out hard.h5
 
         knotgym dataset select knotgym/tie-nx3/a-v0 --where "length < 30" --id knotgym/short-v0
 

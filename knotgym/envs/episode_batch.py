@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.marked import join, mark
 from knotgym.envs.observations import SYMBOLS, cut, picture_config, pixels, stacked, state
-from knotgym.envs.old_names import OldNames
 from knotgym.envs.reward import Outcome
 from knotgym.envs.task_states import SHIPPED, task_sides
 from knotgym.envs.tasks import TaskConfig
@@ -39,7 +38,7 @@ _STATE = (
 )
 
 
-class EpisodeBatch(OldNames):
+class EpisodeBatch:
     """A batch of `count` independent episodes; the arrays have one row per rope.
 
     Attributes:
@@ -72,8 +71,7 @@ class EpisodeBatch(OldNames):
         self._view: ActionView | None = None
         self._picture = picture_config(task)
         starts, goals = task_sides(task)
-        self.starts: Any = starts.states
-        self.goals: Any = self.old_goals(goals.states)
+        self.starts, self.goals = starts.states, goals.states
         self._start_nx = starts.nx
         self._rows = {
             "start": starts.states.rows(starts.nx, task.split),
@@ -136,8 +134,6 @@ class EpisodeBatch(OldNames):
         Raises:
             InvalidInput: an option is unknown, or a row doesn't belong to the task.
         """
-        if isinstance(ids, int):
-            ids, seeds = np.array([ids]), [seeds]
         if not len(ids):
             return
         given = dict(options or {})

@@ -95,13 +95,6 @@ class ActionView:
         self._controller.arrive(self._simulation.points, ids)
         return self._controller.beads[ids], self._controller.forces(self._simulation.points, ids)
 
-    def next_pulls(self, ids: NDArray[np.int64]) -> NDArray[np.floating]:
-        """Return the next pull, (n, 6), of each of the ropes `ids`, which are busy."""
-        if self._view == "pull":
-            return self._actions[ids]
-        beads, forces = self.pulls_of(ids)
-        return self._simulation.actions(beads, self._simulation.max_force * forces, ids)
-
     def pulled(self, ids: NDArray[np.int64], ended: NDArray[np.bool_]) -> None:
         """Record that the ropes `ids` made a pull, and whether it `ended` their episodes."""
         self.pulls[ids] += 1

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidInput, InvalidPolicy
-from knotgym.control.old_policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import rollout
-from knotgym.datasets.episode_writer import EpisodeWriter
+from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
+from knotgym.control.rollouts import rollouts
+from knotgym.datasets.episode_dataset import write_episodes
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
-from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions, arrays
 from knotgym.rope.actions import FORCE_CHOICES, chosen_forces, force_choices, quantized
@@ -34,9 +32,7 @@ def task(states_path: str) -> TaskConfig:
 def played(task: TaskConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Episodes of random macro-actions."""
     path = tmp_path_factory.mktemp("macro") / "episodes.h5"
-    with EpisodeWriter(path, task) as writer:
-        for one in rollout(task, make_policy(PolicyConfig()), range(4), 0):
-            writer.add(one.episode, one.number)
+    write_episodes(path, [rollouts(RandomPolicy(), task, range(4))], task)
     return path
 
 
@@ -61,7 +57,7 @@ def test_a_view_has_its_space_and_survives_in_a_spec(
 
 
 def test_an_unknown_view_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="no action 'force'; there is pull, bead, macro"):
+    with pytest.raises(InvalidInput, match="action must be one of pull, bead, macro, got 'force'"):
         TaskConfig(task="tie", action="force")
 
 
@@ -152,21 +148,18 @@ def test_an_invalid_action_leaves_the_rope_alone(
     before, _ = env.reset(seed=0)
     with pytest.raises(InvalidInput, match=told):
         env.step(np.array(action))
-    assert np.array_equal(env.episodes.state(0), before) and env.episodes.steps[0] == 0
+    assert np.array_equal(env.episodes.observation(0), before) and env.episodes.steps[0] == 0
 
 
 def test_an_episode_of_macro_actions_is_its_pulls(task: TaskConfig) -> None:
-    (one,) = rollout(task, make_policy(PolicyConfig()), [3], 0)
-    episode = one.episode
-    pulls = EpisodeBatch(replace(task, action="pull"))
-    pulls.begin(0, np.random.default_rng(episode.seed))
-    for step, action in enumerate(episode.actions):
-        rewards, *_ = pulls.step(action[None], np.array([0]))
-        assert np.array_equal(pulls.simulation.points[0], episode.points[step + 1])
-        assert rewards[0] == episode.rewards[step]
-    assert episode.macro_start is not None and episode.macro_bead is not None
-    assert not episode.macro_start[0] and episode.macro_start[1]
-    assert np.array_equal(episode.macro_bead[1:], episode.bead[1:])
+    made = rollouts(RandomPolicy(), task, [3]).steps
+    env = KnotEnv("tie", **settings(task, action="pull", horizon=24))
+    env.reset(seed=3)
+    for row, action in enumerate(made["action"][:-1]):
+        seen, reward, *_ = env.step(action)
+        assert np.array_equal(seen[:300], made["observation"][row + 1].ravel())
+        assert reward == made["reward"][row]
+    assert made["macro_start"][0] and np.array_equal(made["macro_bead"], made["bead"])
 
 
 def test_one_dataset_has_the_transitions_of_every_view(played: Path) -> None:
@@ -207,30 +200,11 @@ def test_hindsight_cuts_macro_actions_where_the_goal_is_reached(played: Path) ->
     ]
 
 
-def test_pulls_before_the_first_macro_action_and_after_the_last_are_accounted_for(
-    task: TaskConfig, tmp_path: Path
-) -> None:
-    (one,) = rollout(task, make_policy(PolicyConfig()), [0], 0)
-    start = np.zeros(len(one.episode) + 1, dtype=bool)
-    start[[3, 8]] = True  # begun in states 2 and 7
-    with EpisodeWriter(tmp_path / "noisy.h5", task) as writer:
-        writer.add(replace(one.episode, macro_start=start))
-        writer.add(replace(one.episode, macro_start=np.zeros_like(start)))  # none at all
-    noisy = Transitions(tmp_path / "noisy.h5", action="macro")
-    assert noisy.segments == 1 and noisy.pulls.tolist() == [5, len(one.episode) - 7]
-    assert np.array_equal(
-        noisy.observations(0)[:, :300],
-        one.episode.points[[2, 7, -1]].reshape(3, 300).astype(np.float32),
-    )
-    assert (noisy.terminals | noisy.timeouts).tolist() == [False, True]
-
-
 def test_a_dataset_without_macro_actions_is_refused(
     task: TaskConfig, played: Path, tmp_path: Path
 ) -> None:
     pulls = replace(task, action="pull", horizon=2)
-    with EpisodeWriter(tmp_path / "pulls.h5", pulls) as writer:
-        writer.add(rollout(pulls, make_policy(PolicyConfig()), [0], 0)[0].episode)
+    write_episodes(tmp_path / "pulls.h5", [rollouts(RandomPolicy(), pulls, [0])], pulls)
     with pytest.raises(InvalidInput, match="doesn't record macro-actions: use action 'pull'"):
         arrays(tmp_path / "pulls.h5", action="macro")
     with pytest.raises(InvalidInput, match="the expert's actions are pulls"):
@@ -240,6 +214,6 @@ def test_a_dataset_without_macro_actions_is_refused(
 
 
 def test_a_policy_that_chooses_pulls_refuses_other_views(task: TaskConfig) -> None:
-    assert make_policy(PolicyConfig(policy="random")).suited(task) == task
+    assert RandomPolicy().compatible_task(task) == task
     with pytest.raises(InvalidPolicy, match="its action must be 'pull', got 'macro'"):
-        make_policy(PolicyConfig(policy="constant")).suited(task)
+        ConstantPolicy().compatible_task(task)

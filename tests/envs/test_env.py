@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import Failed, InvalidFile, InvalidInput, MissingFile
 from knotgym.envs.environment import KnotEnv
+from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS, symbols
 from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
@@ -72,6 +73,12 @@ def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 4) -> list[Any]:
         env.reset(seed=seed),
         *(env.step(rng.uniform(-1, 1, 6).astype(np.float32)) for _ in range(steps)),
     ]
+
+
+def goal_is_shown(episodes: EpisodeBatch, index: int) -> None:
+    """Make the code that a rope shows its goal."""
+    ids = np.array([index])
+    episodes.seek(ids, episodes.codes_of(ids))
 
 
 def blow_up(env: KnotEnv) -> None:
@@ -268,7 +275,7 @@ def test_everything_an_agent_gets_is_finite(make: Make) -> None:
 def test_success_ends_the_episode_with_5(make: Make) -> None:
     env = make("tie")
     env.reset(seed=0)
-    env.episodes.goals[0] = env.episodes.codes[0]
+    goal_is_shown(env.episodes, 0)
     _, reward, terminated, truncated, info = env.step(IDLE)
     assert (reward, terminated, truncated, info["is_success"]) == (5.0, True, False, True)
 
@@ -300,7 +307,7 @@ def test_the_horizon_ends_the_episode_with_minus_5(make: Make) -> None:
 def test_success_at_the_horizon_is_success(make: Make) -> None:
     env = make("tie", horizon=1)
     env.reset(seed=0)
-    env.episodes.goals[0] = env.episodes.codes[0]
+    goal_is_shown(env.episodes, 0)
     assert env.step(IDLE)[1:4] == (5.0, True, False)
 
 
@@ -313,10 +320,11 @@ def test_rewards_are_settings(make: Make) -> None:
 def test_holding_means_consecutive_steps(make: Make) -> None:
     env = make("tie", hold=3)
     env.reset(seed=0)
-    reached, away = env.episodes.codes[0], env.episodes.goals[0]
+    ids = np.array([0])
+    reached, away = env.episodes.codes_of(ids), env.episodes.goals_of(ids)
     ends = []
     for goal in (reached, reached, away, reached, reached, reached):
-        env.episodes.goals[0] = goal
+        env.episodes.seek(ids, goal)
         ends.append(env.step(IDLE)[1:4])
     assert ends == [(0.0, False, False)] * 5 + [(5.0, True, False)]
 
@@ -325,16 +333,16 @@ def test_a_reset_forgets_steps_held(make: Make) -> None:
     env = make("tie", hold=2, horizon=2)
     for _ in range(2):
         env.reset(seed=0)
-        env.episodes.goals[0] = env.episodes.codes[0]
+        goal_is_shown(env.episodes, 0)
         assert env.step(IDLE)[1:4] == (0.0, False, False)
 
 
 def test_chirality_does_not_count(make: Make) -> None:
     env = make("unknot", nx=3)
     env.reset(seed=0)
-    env.episodes.goals[0] = env.episodes.codes[
-        0
-    ].reflected()  # the same visits, every letter the other
+    ids = np.array([0])
+    (code,) = env.episodes.codes_of(ids)
+    env.episodes.seek(ids, [code.reflected()])  # the same visits, every letter the other
     assert env.step(IDLE)[1:4] == (5.0, True, False)
 
 
@@ -601,7 +609,7 @@ def test_a_split_that_the_file_lacks_is_refused_plain_loops_too(
 
 
 def test_a_missing_state_file_is_named(make: Make, tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="no state file at .*absent.h5"):
+    with pytest.raises(FileNotFoundError, match="no .* file at .*absent.h5"):
         make(states=str(tmp_path / "absent.h5"))
 
 
@@ -610,7 +618,7 @@ def test_the_folder_of_a_run_names_its_states(make: Make, states_path: str, tmp_
     _, told = make(states=str(tmp_path)).reset(seed=0)
     assert told["start_states"] == "own"
     (tmp_path / "empty").mkdir()
-    with pytest.raises(MissingFile, match="no state file at .*empty"):
+    with pytest.raises(MissingFile, match="no .* file at .*empty"):
         make(states=str(tmp_path / "empty"))
 
 
@@ -618,7 +626,7 @@ def test_a_truncated_state_file_is_refused_in_one_line(
     make: Make, states_path: str, tmp_path: Path
 ) -> None:
     (tmp_path / "half.h5").write_bytes(Path(states_path).read_bytes()[:50_000])
-    with pytest.raises(InvalidFile, match="half.h5 isn't a whole state file") as caught:
+    with pytest.raises(InvalidFile, match="half.h5 isn't a whole .* file") as caught:
         make(states=str(tmp_path / "half.h5"))
     assert "\n" not in str(caught.value)
 
@@ -717,7 +725,7 @@ def test_a_blown_up_simulation_ends_the_episode_and_is_never_seen(
 def test_a_blown_up_simulation_is_no_success(make: Make) -> None:
     env = make("tie", horizon=1)
     env.reset(seed=0)
-    env.episodes.goals[0] = env.episodes.codes[0]
+    goal_is_shown(env.episodes, 0)
     blow_up(env)
     _, reward, terminated, truncated, info = env.step(IDLE)
     assert (reward, terminated, truncated, info["is_success"]) == (0.0, False, True, False)

@@ -1,6 +1,5 @@
 """Tasks connect states of one knot type; errors list the tasks that fit."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +8,7 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidInput
-from knotgym.control.old_policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import rollout
-from knotgym.datasets.episode_verification import episode_faults
 from knotgym.envs.environment import KnotEnv
-from knotgym.rope.model import Rope
 from knotgym.states.state_file import States, merge_states, read_states, shipped, write_states
 from knotgym.topology.gauss import GaussCode
 
@@ -87,23 +81,6 @@ def test_a_file_of_two_knots_is_refused(trefoils: States, tmp_path: Path) -> Non
     write_states(tmp_path / "both.h5", both)
     with pytest.raises(InvalidInput, match="keep one type, with knotgym dataset select"):
         made("unknot", str(tmp_path / "both.h5"), nx=3)
-
-
-def test_verification_finds_an_episode_between_knots_and_one_that_starts_reached(
-    path: str, trefoils: States
-) -> None:
-    env = made("tie", path, nx=4, horizon=2)
-    policy = make_policy(PolicyConfig(policy="random"))
-    episode = rollout(env.config, policy, [0], 0)[0].episode
-    assert episode_faults(episode, env.config, Rope()) == []
-    loop = replace(episode, goal_points=Rope().loop(), goal_gauss_code="")
-    assert "starts as 3_1, and its goal is 0_1: no pull changes the knot type" in episode_faults(
-        loop, env.config, Rope()
-    )
-    reached = replace(
-        episode, goal_points=episode.points[0], goal_gauss_code=str(episode.gauss_code[0])
-    )
-    assert "starts in its goal's code" in episode_faults(reached, env.config, Rope())
 
 
 @pytest.mark.parametrize("task", ["unknot", "tie", "convert"])

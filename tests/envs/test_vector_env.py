@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 
-from .test_env import same
+from .test_env import goal_is_shown, same
 
 AutoresetMode: Any = getattr(gym.vector, "AutoresetMode", None)  # Gymnasium 1.0 has none
 MODES = ["NextStep", "SameStep", "Disabled"]
@@ -156,8 +156,8 @@ def test_ropes_end_and_start_over_at_steps_of_their_own(
     envs.reset(seed=0), singles.reset(seed=0)
     for step, each in enumerate(actions(3, 10)):
         if step in (0, 4):  # rope 1 succeeds out of turn
-            envs.episodes.goals[1] = envs.episodes.codes[1]
-            second.episodes.goals[0] = second.episodes.codes[0]
+            goal_is_shown(envs.episodes, 1)
+            goal_is_shown(second.episodes, 0)
             each[1] = 0.0
         ours = envs.step(each)
         assert same(ours, singles.step(each))
@@ -276,7 +276,7 @@ def test_no_ropes_are_refused(make: MakeVec, count: int) -> None:
 
 
 def test_settings_that_cannot_be_had_are_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidInput, match="nx must be a whole number from 1 to 11, got 12"):
+    with pytest.raises(InvalidInput, match="nx must be from 1 to 11 on 100 beads, got 12"):
         make(nx=12)
 
 
@@ -341,7 +341,7 @@ def test_episode_statistics_are_right(make: MakeVec, mode: str) -> None:
         if step == 1:  # rope 2 succeeds with its second action
             core: Any = envs.unwrapped
             episodes = core.episodes
-            episodes.goals[2] = episodes.codes[2]
+            goal_is_shown(episodes, 2)
             each[2] = 0.0
         infos = envs.step(each)[4]
         if "episode" in infos:

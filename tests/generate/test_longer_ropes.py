@@ -10,7 +10,7 @@ import knotgym
 from knotgym.cli import generate_command
 from knotgym.cli.generate_command import code_list
 from knotgym.common.errors import InvalidFile, InvalidInput, InvalidPolicy
-from knotgym.control.old_policies import make_policy
+from knotgym.control.policies import make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
@@ -81,7 +81,7 @@ def test_a_learner_of_the_usual_rope_refuses_another() -> None:
     pytest.importorskip("torch")
     policy = make_policy(PolicyConfig(policy="pretrained-clone"))
     with pytest.raises(InvalidPolicy, match="needs a rope of 100 beads, got 60"):
-        policy.suited(TaskConfig(task="tie", action="macro", beads=BEADS))
+        policy.compatible_task(TaskConfig(task="tie", action="macro", beads=BEADS))
 
 
 def test_a_list_of_codes_may_be_sampled_and_filtered(
