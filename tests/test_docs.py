@@ -20,10 +20,10 @@ import gymnasium as gym
 import h5py
 import numpy as np
 import pytest
+from knotgym.control.learned_policies import load_model
 from synthetic_episodes import TINY
 
 import knotgym
-from knotgym.control.learned_policies import load_model
 from knotgym.control.planning import moves
 from knotgym.control.verification import OVERLAPS
 from knotgym.datasets import episode_dataset, image_table
