@@ -18,9 +18,6 @@ with the same result. A round takes half a minute of a core.
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-
-from knotgym.common.streams import Stream, generator
 from knotgym.control.macro_lanes import MacroLanes
 from knotgym.control.pass_counts import EVERY_CODE, PASSES, PassCounts, first_goal
 from knotgym.control.pass_play import (
@@ -30,6 +27,9 @@ from knotgym.control.pass_play import (
     goals_not_held_out,
     searches,
 )
+from rich.console import Console
+
+from knotgym.common.streams import Stream, generator
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.states.split_names import CODE_SPLITS

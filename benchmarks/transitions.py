@@ -11,11 +11,11 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+from knotgym.control.transition_counts import TransitionCounts
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.search import SearchConfig, new_archive, search_round
 from rich.console import Console
 
-from knotgym.control.transition_counts import TransitionCounts
 from knotgym.runs.executors import executor
 
 
