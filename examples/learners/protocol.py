@@ -12,12 +12,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from knotgym.cli.options import numbers
 from knotgym.control.policy import Policy
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.minari_dataset import metadata_of
-from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
+
+from knotgym.cli.options import numbers
+from knotgym.envs.tasks import TaskConfig
 
 
 def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:
