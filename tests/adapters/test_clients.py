@@ -97,10 +97,8 @@ def run_lines(client: str, room: Path) -> None:
         "python examples": f"{ROOT}/examples",
     }
     lines = re.findall(rf"^    ((?:{'|'.join(programs)})(?:.+\\\n)*.+)$", SECTIONS[client], re.M)
-    for name, program in programs.items():
-        lines = [
-            line.replace(name, program, 1) if line.startswith(name) else line for line in lines
-        ]
+    for name, run in programs.items():
+        lines = [line.replace(name, run, 1) if line.startswith(name) else line for line in lines]
     commands = [
         [sys.executable, *shlex.split(line.replace("~", str(room)).replace("\\\n", " "))]
         for line in lines
