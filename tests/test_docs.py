@@ -20,7 +20,6 @@ import gymnasium as gym
 import h5py
 import numpy as np
 import pytest
-from knotgym.control.learned_policies import load_model
 from synthetic_episodes import TINY
 
 import knotgym
