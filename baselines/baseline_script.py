@@ -72,7 +72,7 @@ def evaluation_settings(given: argparse.Namespace, task: TaskConfig) -> dict[str
     settings: dict[str, Any] = {
         "tasks": (task.task,),
         "nx": (task.nx,),
-        "splits": given.split.split(","),
+        "splits": tuple(given.split.split(",")),
         "episodes": given.episodes,
         "task": task,
     }

@@ -2,12 +2,12 @@
 
     python baselines/ppo.py --task unknot --nx 2 --observation pixels --out ppo-unknot-nx2
     python baselines/ppo.py --task unknot --nx 2 --observation pixels --out ppo-unknot-nx2 --resume
-    knotgym evaluate --policy ppo-unknot-nx2/model.zip --task unknot --nx 2 --observation pixels
+    cd ppo-unknot-nx2; knotgym evaluate --policy model:act --task unknot --nx 2 --observation pixels
 
 Needs stable-baselines3, and tensorboard for its log. Trains the unmodified `CnnPolicy` or
 `MlpPolicy` on the train split, in `knotgym.adapters.sb3_vec_env`. Writes to --out:
 
-    model.zip         the trained model, for `knotgym evaluate`
+    model.zip, .py    the trained model, and its policy for `knotgym evaluate`
     evaluation.json   results of its deterministic policy, for `benchmarks/results.py`
     curve.json, .png  learning curve
     checkpoints/      models saved every --every steps, between rollouts
@@ -29,7 +29,6 @@ import argparse
 import importlib.util
 import platform
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,18 +39,31 @@ from rich.console import Console
 import knotgym
 from knotgym.adapters import sb3_vec_env
 from knotgym.common.atomic_files import atomic_write
-from knotgym.common.configuration import as_json, check_numbers
+from knotgym.common.configuration import Count, Positive, Seed, Share, as_json, configuration
 from knotgym.common.errors import InvalidInput, MissingExtra, one_line
-from knotgym.control.learned_policies import ModelPolicy
+from knotgym.control.basic_policies import NetworkPolicy
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
 from knotgym.rope.engines import ENGINES, MUJOCO
 
 REQUEST, MODEL = "ppo.json", "model.zip"
+MODULE = '''"""The policy of model.zip: knotgym evaluate --policy model:act, in this folder."""
+
+import torch
+from stable_baselines3 import PPO
+
+FILES = [__file__[:-3] + ".zip"]
+torch.set_num_threads(1)
+model = PPO.load(FILES[0], device="cpu")
+
+
+def act(observation):
+    return model.predict(observation, deterministic=True)[0]
+'''
 POLICIES = {"pixels": "CnnPolicy", "state": "MlpPolicy"}
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class PpoConfig:
     """The paper's settings; where it gives none (`rollout`), Stable-Baselines3's default.
 
@@ -66,26 +78,18 @@ class PpoConfig:
         seed: seed of all random draws.
     """
 
-    learning_rate: float = 1e-5
-    features: int = 768
-    envs: int = 32
-    rollout: int = 2048
-    batch: int = 64
-    epochs: int = 10
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
-    clip: float = 0.2
-    seed: int = 0
+    learning_rate: Positive = 1e-5
+    features: Count = 768
+    envs: Count = 32
+    rollout: Count = 2048
+    batch: Count = 64
+    epochs: Count = 10
+    gamma: Share = 0.99
+    gae_lambda: Share = 0.95
+    clip: Positive = 0.2
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("features", "envs", "rollout", "batch", "epochs"),
-            whole=("seed",),
-            positive=("learning_rate", "clip"),
-            shares=("gamma", "gae_lambda"),
-            error=InvalidInput,
-        )
         steps = self.envs * self.rollout
         if self.batch < 2 or steps % self.batch:
             raise InvalidInput(
@@ -127,7 +131,9 @@ def train(given: argparse.Namespace) -> None:
         tow_limit=given.tow_limit,
     )
     evaluation = evaluation_settings(given, task)
-    check_numbers(given, counts=("steps", "every"), whole=("threads",), error=InvalidInput)
+    for name, least in {"steps": 1, "every": 1, "threads": 0}.items():
+        if getattr(given, name) < least:
+            raise InvalidInput(f"{name} must be at least {least}, got {getattr(given, name)}")
     _require_device(given.device)
     request = {"ppo": as_json(config), "task": as_json(task)}
     require_folder(given.out, REQUEST, request, given.resume)
@@ -143,7 +149,7 @@ def train(given: argparse.Namespace) -> None:
     if evaluation is not None:
         evaluate_learner(
             f"sb3-ppo-{task.observation}",
-            ModelPolicy(lambda seen: model.predict(seen, deterministic=True)[0], "ppo"),
+            NetworkPolicy(lambda seen: model.predict(seen, deterministic=True)[0], "ppo"),
             given.out,
             _report(model, training_log, config),
             files=[given.out / MODEL],
@@ -229,6 +235,7 @@ def _copy_last(out: Path) -> None:
 
     with atomic_write(out / MODEL) as part:
         shutil.copyfile(checkpoints(out)[-1], part)
+    (out / MODEL).with_suffix(".py").write_text(MODULE, encoding="utf-8")
 
 
 def _report(model: Any, training_log: Any, config: PpoConfig) -> dict[str, Any]:

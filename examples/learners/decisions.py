@@ -22,12 +22,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from knotgym.control.demonstrator import RANDOM
-from knotgym.control.policy import Choice, UnplannedPolicy
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.trajectory import Episode
+from knotgym.control.basic_policies import Generators, pull_task
+from knotgym.control.rollouts import Ids, Pulls
+from knotgym.datasets.episode_dataset import columns_of
+from knotgym.datasets.episodes import Episodes, gauss_code
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.marked import Frames, mark
+from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_network import CloneNetwork, Inputs, MarkedInputs, inputs
 from knotgym.rope.actions import quantized
 from knotgym.rope.model import RopeConfig
@@ -42,6 +43,7 @@ HINDSIGHT = 2  # decisions whose outcome may be taken for their goal
 MOST_CROSSINGS = 4  # of such a goal
 REACH = 3.0  # scales positions to [-1, 1]
 Floats = NDArray[np.float32]
+Memory = dict[str, Any]
 
 
 class Decisions(NamedTuple):
@@ -54,8 +56,7 @@ class Decisions(NamedTuple):
             each pull 1, or -1 from the macro-action's end on.
         rewards: float32 (N,), sum until the next decision.
         terminals, ends: bool (N,), whether the episode terminated there; whether it ended.
-        chosen: bool (N,), whether it is worth imitating: chosen by the demonstrator, on a way that
-            led to the goal.
+        chosen: bool (N,), whether it is worth imitating: on a way that led to the goal.
         whole: bool (N,), whether the macro-action was carried out to its end.
         hindsight: bool (N,), whether its goal is a code that was reached instead, or on the way.
     """
@@ -104,16 +105,16 @@ def read(datasets: list[str], chunk: int, copies: int, seed: int) -> Decisions:
     """Read the decisions of datasets; with `chunk` 1, each pull of a macro-action is one."""
     rng, rows = np.random.default_rng(seed), list[_Row]()
     for dataset in datasets:
-        reader = EpisodeReader(dataset)
-        if not reader.has("macro_start"):
+        episodes = columns_of(dataset).episodes
+        if "macro_start" not in episodes.steps:
             raise SystemExit(f"{dataset} records no macro-actions; use a demonstrator's set")
-        for episode in reader:
-            count = copies * bool(episode.terminations[-1])
+        for number in range(episodes.episodes.rows):
+            episode = episodes.select([number])
+            count = copies * bool(episode.episodes["success"][0])
             others = rng.choice(np.arange(1, BEADS), count, replace=False)
             for base in (0, *others.tolist()):
                 own = _decided(episode, base, chunk)
                 rows += own + _in_hindsight(own)
-        reader.close()
     columns = _Row(*zip(*rows, strict=True))
     points = np.stack(columns.points)
     observations, frames = observe(points, list(columns.goal))
@@ -150,14 +151,15 @@ class _Row(NamedTuple):
     hindsight: Any
 
 
-def _decided(episode: Episode, base: int, chunk: int) -> list[_Row]:
-    """Return the decisions of an episode whose beads are numbered from bead `base`."""
-    assert episode.macro_start is not None and episode.macro_bead is not None
-    start, led = episode.macro_start[1:], episode.macro_bead[1:] >= 0
-    count, won = len(episode), bool(episode.terminations[-1])
+def _decided(episode: Episodes, base: int, chunk: int) -> list[_Row]:
+    """Return the decisions of one episode whose beads are numbered from bead `base`."""
+    steps, count = episode.steps, int(episode.episodes["length"][0])
+    won = bool(episode.episodes["success"][0])
+    points = steps["observation"].astype(np.float64)
+    start, led = steps["macro_start"][:count], steps["macro_side"][:count] != 0
     begun = np.flatnonzero(led if chunk == 1 else start).tolist()
-    shown = [shifted_base(find_crossings(episode.points[at]), base).plain for at in (*begun, count)]
-    goal = shown[-1] if base else GaussCode.parse(episode.goal_gauss_code)
+    shown = [shifted_base(find_crossings(points[at]), base).plain for at in (*begun, count)]
+    goal = shown[-1] if base else gauss_code(episode.episodes["goal_visits"][0])
     ends = [*begun[1:], count][: len(begun)]  # none if the planner led from the start
     rows = []
     for number, (at, after) in enumerate(zip(begun, ends, strict=True)):
@@ -165,20 +167,20 @@ def _decided(episode: Episode, base: int, chunk: int) -> list[_Row]:
         stop = at + int(np.append(~led[at:after], True).argmax())
         pulls = min(stop - at, chunk)
         forces = np.zeros((chunk, 3))
-        forces[:pulls] = episode.force[1 + at : 1 + at + pulls] / RopeConfig().max_force
+        forces[:pulls] = steps["share"][at : at + pulls, None] * steps["force"][at : at + pulls]
         rows.append(
             _Row(
-                points=np.roll(episode.points[at], -base, axis=0),
+                points=np.roll(points[at], -base, axis=0),
                 goal=goal,
-                bead=(episode.bead[1 + at] - base) % BEADS,
+                bead=(int(steps["bead"][at]) - base) % BEADS,
                 forces=forces,
                 going=np.where(np.arange(chunk) < pulls, 1.0, -1.0),
                 before=shown[number],
                 after=shown[number + 1],
-                reward=episode.rewards[at:after].sum(),
+                reward=steps["reward"][at:after].sum(),
                 terminal=won and after == count,
                 end=after == count,
-                chosen=won and (episode.move is None or episode.move[1 + at] != RANDOM),
+                chosen=won,
                 whole=stop == after or pulls == chunk,
                 hindsight=False,
             )
@@ -227,45 +229,64 @@ class Eyes(nn.Module):
         return torch.cat([seen.whole, (weights[:, None] @ beads)[:, 0]], dim=1)
 
 
-class ChunkPolicy(UnplannedPolicy, ABC):
+class ChunkPolicy(ABC):
     """Decides, pulls the bead as decided, and decides anew when the chunk is over."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(name)
-        self._left: dict[int, list[tuple[int, Any]]] = {}
+        self.name = name
 
     @abstractmethod
-    def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
-        """Decide for episodes, given their observations and ropes (n, beads, 3) in the frame.
+    def choose(self, memory: Memory, seen: Floats, points: Floats) -> tuple[Any, Floats]:
+        """Decide for one episode; the sums of a network depend on how many it sees at once.
+
+        Args:
+            memory: what the policy keeps of the episode; "rng" is its generator.
+            seen: observation, (1, size).
+            points: the rope in the frame, (1, beads, 3).
 
         Returns:
-            beads (n,), and the forces and signs of `Decisions.chunks`, (n, 4 chunk).
+            beads (1,), and the forces and signs of `Decisions.chunks`, (1, 4 chunk).
         """
 
-    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
-        super().begin(episodes, index, rng)
-        self._left[index] = []
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        return pull_task(task)
 
-    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        simulation, indices = episodes.simulation, ids.tolist()
-        if deciding := [index for index in indices if not self._left[index]]:
-            self._decide(episodes, deciding)
-        beads, forces = zip(*(self._left[index].pop(0) for index in indices), strict=True)
-        newtons = quantized(np.clip(forces, -1, 1)) * simulation.max_force
-        return Choice(simulation.actions(beads, newtons, ids), [""] * len(ids))
+    def player(self, batch: EpisodeBatch) -> ChunkPlayer:
+        return ChunkPlayer(self, batch)
 
-    def _decide(self, episodes: EpisodeBatch, indices: list[int]) -> None:
-        points = episodes.simulation.points[indices]
-        observations, frames = observe(points, [episodes.goals[index] for index in indices])
+
+class ChunkPlayer:
+    """A `ChunkPolicy` at work, see `control.rollouts.Player`."""
+
+    def __init__(self, policy: ChunkPolicy, batch: EpisodeBatch) -> None:
+        self._policy, self._batch = policy, batch
+        self.planned = np.zeros(batch.count, dtype=np.int64)
+        self._memory: dict[int, Memory] = {}
+        self._left: dict[int, list[tuple[int, Any]]] = {}
+
+    def begin(self, ids: Ids, rngs: Generators) -> None:
+        for index, rng in zip(ids.tolist(), rngs, strict=True):
+            self._memory[index], self._left[index] = {"rng": rng}, []
+
+    def act(self, ids: Ids) -> Pulls:
+        for index in ids.tolist():
+            if not self._left[index]:
+                self._decide(index)
+        beads, forces = zip(*(self._left[index].pop(0) for index in ids.tolist()), strict=True)
+        pulls = quantized(np.clip(forces, -1, 1)).astype(np.float32)
+        return Pulls(ids, np.array(beads, dtype=np.int64), pulls)
+
+    def _decide(self, index: int) -> None:
+        points = self._batch.simulation.points[[index]]
+        observations, frames = observe(points, self._batch.goals_of(np.array([index])))
         seen = frames.points(points).astype(np.float32)
-        beads, chunks = self.choose(indices, observations, seen)
-        count, pulls = len(indices), chunks.shape[1] // 4
-        forces = chunks[:, : 3 * pulls].reshape(count, pulls, 3)
+        beads, chunks = self._policy.choose(self._memory[index], observations, seen)
+        pulls = chunks.shape[1] // 4
+        forces = chunks[:, : 3 * pulls].reshape(1, pulls, 3)
         # at least one pull, and those before the first that isn't to be made any more
-        length = 1 + (chunks[:, 3 * pulls + 1 :] > 0).cumprod(1).sum(1)
-        own, pulled = frames.renumber(beads), frames.world_vectors(forces)
-        for row, index in enumerate(indices):
-            self._left[index] = [(own[row], pulled[row, step]) for step in range(length[row])]
+        length = 1 + int((chunks[0, 3 * pulls + 1 :] > 0).cumprod().sum())
+        (own,), (pulled,) = frames.renumber(beads), frames.world_vectors(forces)
+        self._left[index] = [(own, pulled[step]) for step in range(length)]
 
 
 def nearest(chunks: Floats, points: Floats) -> tuple[NDArray[np.int64], Floats]:

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.cli.options import numbers
-from knotgym.control.policy import Policy
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.minari_dataset import metadata_of
+from knotgym.control.rollouts import Policy
+from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
 
@@ -46,12 +45,12 @@ class Training:
     def __init__(self, library: str, given: argparse.Namespace, datasets: list[str]) -> None:
         self._began, self._spent = time.perf_counter(), time.process_time()
         given.out.mkdir(parents=True, exist_ok=True)
-        readers = [EpisodeReader(source) for source in datasets]
+        opened = [open_episodes(source) for source in datasets]
         self._report: dict[str, Any] = {
             "library": library,
-            "datasets": [_dataset_id(source) for source in datasets],
-            "episodes": sum(len(reader) for reader in readers),
-            "transitions": int(sum(reader.lengths.sum() for reader in readers)),
+            "datasets": [one.name for one in opened],
+            "episodes": sum(one.episodes.episodes.rows for one in opened),
+            "transitions": int(sum(one.episodes.episodes["length"].sum() for one in opened)),
             "steps": given.steps,
             "batch": given.batch,
             "seed": given.seed,
@@ -59,8 +58,6 @@ class Training:
                 ["python", f"examples/learners/{Path(sys.argv[0]).name}", *sys.argv[1:]]
             ),
         }
-        for reader in readers:
-            reader.close()
 
     def ended(self) -> dict[str, Any]:
         """Return the report, with the time spent."""
@@ -69,12 +66,6 @@ class Training:
             "seconds": round(time.perf_counter() - self._began, 1),
             "cpu_seconds": round(time.process_time() - self._spent, 1),
         }
-
-
-def _dataset_id(source: str) -> str:
-    """Return the id of a dataset, or the name of an episode file without one."""
-    metadata = metadata_of(source)
-    return Path(source).name if metadata is None else metadata.dataset_id
 
 
 def measure(
@@ -98,9 +89,9 @@ def measure(
         given.out,
         training,
         files=[given.out / model for model in models],
-        tasks=given.task.split(","),
+        tasks=tuple(given.task.split(",")),
         nx=numbers(given.nx),
-        splits=given.split.split(","),
+        splits=tuple(given.split.split(",")),
         episodes=given.episodes,
         task=TaskConfig(task="tie", states=given.states, observation="state", engine=given.engine),
     )

@@ -77,7 +77,9 @@ def test_what_cannot_be_had_is_refused_in_a_line(
 
 @pytest.mark.clients
 @no_sb3
-def test_it_trains_on_pictures_and_evaluate_takes_the_zip(tmp_path: Path) -> None:
+def test_it_trains_on_pictures_and_evaluate_takes_its_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "out"
     words = ("--image-size", 36, "--steps", 64, "--episodes", 1, "--split", "test")
     run_script(SCRIPT, *SMALL, *words, "--out", out)
@@ -87,9 +89,10 @@ def test_it_trains_on_pictures_and_evaluate_takes_the_zip(tmp_path: Path) -> Non
     training = row["training"]
     assert (training["steps"], training["policy"]) == (64, "ActorCriticCnnPolicy")
     assert training["settings"]["learning_rate"] == 1e-5 and training["resumed_at"] == []
-    task = ("--task", "unknot", "--nx", 2, "--observation", "pixels", "--image-size", 36)
+    task = ("--task", "unknot", "--nx", 2, "--observation", "pixels", "--set", "task.image_size=36")
     again = tmp_path / "again.json"
-    model = ("--policy", out / "model.zip", "--episodes", 1, "--quiet", "--workers", 1)
+    monkeypatch.chdir(out)
+    model = ("--policy", "model:act", "--episodes", 1, "--quiet", "--workers", 1)
     assert knotgym("evaluate", *task, *model, "--out", again) == 0
     (other,) = json.loads(again.read_text(encoding="utf-8"))["results"]
     assert (other["successes"], other["mean_return"]) == (

@@ -6,8 +6,8 @@
     {out}/knotgym/suite.json, README.md                             what is known of each; the card
 
 Every dataset is an ordinary collection, see `collect`, or one whose pulls come from a recording,
-see `recordings`. This module defines which ones there are, their order, the estimate of the time they
-take, and one card for all.
+see `recordings`. This module defines which ones there are, their order, the estimate of the time
+they take, and one card for all.
 """
 
 import json
