@@ -369,15 +369,6 @@ def test_the_table_of_pictures_is_as_its_page_says(pictures: Path) -> None:
     assert {code_words(row[0])[0]: row[1] for row in rows} == found
 
 
-def test_the_recordings_are_as_their_page_says() -> None:
-    said = tables(DOCS / "formats/recordings.md")
-    with h5py.File(recordings.RECORDINGS) as file:
-        group = file[recordings.recorded_ids()[0]]
-        assert names(said["Attributes of a group"]) == {*group.attrs}
-        kinds = {code_words(row[0])[0]: row[1] for row in said["Datasets of a group"]}
-        assert kinds == {name: kind_of(data.dtype) for name, data in group.items()}
-
-
 def test_formats_and_versions_are_those_of_the_overview() -> None:
     said = {
         code_words(row[2])[0]: int(re.findall(r"\d+", row[2])[0])

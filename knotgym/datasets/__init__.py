@@ -17,19 +17,11 @@ if TYPE_CHECKING:
     from knotgym.datasets.episode_dataset import open_episodes as open_episodes
     from knotgym.datasets.episode_dataset import write_episodes as write_episodes
     from knotgym.datasets.episode_verification import show_episodes as show_episodes
-    from knotgym.datasets.episode_verification import verify_episodes as verify_episodes
-    from knotgym.datasets.episodes import EPISODES as EPISODES
-    from knotgym.datasets.episodes import STEPS as STEPS
     from knotgym.datasets.episodes import Episodes as Episodes
-    from knotgym.datasets.episodes import differences as differences
-    from knotgym.datasets.episodes import gauss_codes as gauss_codes
     from knotgym.datasets.episodes import goals_reached as goals_reached
-    from knotgym.datasets.episodes import merged as merged
     from knotgym.datasets.episodes import relabelled as relabelled
-    from knotgym.datasets.image_table import read_rows as read_rows
     from knotgym.datasets.image_table import read_table as read_table
     from knotgym.datasets.minari_form import MinariMetadata as MinariMetadata
-    from knotgym.datasets.minari_form import metadata_of as metadata_of
     from knotgym.datasets.minari_form import publish as publish
     from knotgym.datasets.subsets import delete as delete
     from knotgym.datasets.subsets import select as select
@@ -45,22 +37,15 @@ else:
     __getattr__, __dir__, __all__ = lazy_exports(
         __name__,
         {
-            "EPISODES": "knotgym.datasets.episodes",
             "EpisodeDataset": "knotgym.datasets.episode_dataset",
             "Episodes": "knotgym.datasets.episodes",
             "MinariMetadata": "knotgym.datasets.minari_form",
-            "STEPS": "knotgym.datasets.episodes",
             "States": "knotgym.states.state_file",
             "delete": "knotgym.datasets.subsets",
-            "differences": "knotgym.datasets.episodes",
-            "gauss_codes": "knotgym.datasets.episodes",
             "goals_reached": "knotgym.datasets.episodes",
             "merge_states": "knotgym.states.state_file",
-            "merged": "knotgym.datasets.episodes",
-            "metadata_of": "knotgym.datasets.minari_form",
             "open_episodes": "knotgym.datasets.episode_dataset",
             "publish": "knotgym.datasets.minari_form",
-            "read_rows": "knotgym.datasets.image_table",
             "read_states": "knotgym.states.state_file",
             "read_table": "knotgym.datasets.image_table",
             "relabelled": "knotgym.datasets.episodes",
@@ -68,7 +53,6 @@ else:
             "shipped": "knotgym.states.state_file",
             "show_episodes": "knotgym.datasets.episode_verification",
             "split": "knotgym.datasets.subsets",
-            "verify_episodes": "knotgym.datasets.episode_verification",
             "write_episodes": "knotgym.datasets.episode_dataset",
             "write_states": "knotgym.states.state_file",
         },

@@ -16,6 +16,7 @@ zeros) and a row of `signs` (of label k + 1, then zeros). Both are as wide as th
 set needs, so a code of any number of crossings fits; sets of different widths are `fitted` first.
 """
 
+import hashlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -184,6 +185,21 @@ def differences(one: Episodes, other: Episodes) -> list[str]:
     return [text for *_, text in sorted(found)]
 
 
+def episode_digests(episodes: Episodes) -> list[bytes]:
+    """Hash the start, goal and pulls of each episode; equal episodes have equal digests."""
+    (own, steps), offsets = episodes, episodes.offsets
+    return [
+        hashlib.sha256(
+            own["start_qpos"][row].tobytes()
+            + own["goal"][row].tobytes()
+            + np.trim_zeros(own["goal_visits"][row], "b").tobytes()
+            + steps["bead"][offsets[row] : offsets[row + 1]].tobytes()
+            + steps["force"][offsets[row] : offsets[row + 1]].tobytes()
+        ).digest()
+        for row in range(own.rows)
+    ]
+
+
 def ranges(first: ArrayLike, lengths: ArrayLike) -> NDArray[np.int64]:
     """Concatenate the ranges of so many whole numbers from each first one on.
 
@@ -229,27 +245,6 @@ def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None)
         return GaussCode(numbers)
     letters = [POSITIVE if sign > 0 else NEGATIVE for sign in signs[: len(numbers) // 2].tolist()]
     return GaussCode(numbers, "".join(letters))
-
-
-def code_rows(codes: Sequence[GaussCode], width: int = 0) -> NDArray[np.int16]:
-    """Return the visits of codes as rows, padded with zeros: int16 (n, width).
-
-    `width` is that of the longest code by default.
-    """
-    width = width or code_sizes(max((code.nx for code in codes), default=0))["visits"]
-    rows = np.zeros((len(codes), width), dtype=np.int16)
-    for row, code in zip(rows, codes, strict=True):
-        row[: len(code.visits)] = code.visits
-    return rows
-
-
-def sign_rows(codes: Sequence[GaussCode], width: int = 0) -> NDArray[np.int8]:
-    """Return the crossing signs of codes as rows, padded with zeros: int8 (n, width)."""
-    width = width or code_sizes(max((code.nx for code in codes), default=0))["labels"]
-    rows = np.zeros((len(codes), width), dtype=np.int8)
-    for row, code in zip(rows, codes, strict=True):
-        row[: code.nx] = code.signs
-    return rows
 
 
 def held_for(shown: NDArray[np.bool_], episodes: Episodes) -> NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """Finish the folder of a run: what goes beside its rows, the card, and last the manifest."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ def finish_states(
     report: Mapping[str, Any],
     request: Mapping[str, Any],
     machines: Sequence[dict[str, str]] | None = None,
-    edit_card: Callable[[str], str] = str,
 ) -> None:
     """Write gallery, card and manifest into a folder that has the states and demonstrations.
 
@@ -25,10 +24,9 @@ def finish_states(
         report: the run's counts.
         request: what was asked for: configuration, sources, versions.
         machines: made the data; this one by default.
-        edit_card: changes the card.
     """
     write_gallery(folder / "gallery.png", states)
-    _write_card(folder, edit_card(state_card.card(states, report, request["config"])))
+    _write_card(folder, state_card.card(states, report, request["config"]))
     facts = {"summary": state_card.summary(states), "splits": states.split.tolist()}
     write_manifest(folder, "knotgym-manifest", request, machines, report=report, **facts)
 
@@ -39,14 +37,13 @@ def finish_images(
     report: Mapping[str, Any],
     request: Mapping[str, Any],
     machines: Sequence[dict[str, str]] | None = None,
-    edit_card: Callable[[str], str] = str,
 ) -> None:
     """Write card and manifest into a folder that has its Parquet files.
 
     Arguments are those of `finish_states`; for `report` see `image_card.card`.
     """
     facts, size = image_card.summary(folder), sum(path.stat().st_size for path in shards)
-    _write_card(folder, edit_card(image_card.card(facts, request["config"], report, size)))
+    _write_card(folder, image_card.card(facts, request["config"], report, size))
     name = "knotgym-images-manifest"
     write_manifest(folder, name, request, machines, report=report, summary=facts)
 

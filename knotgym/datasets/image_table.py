@@ -102,21 +102,6 @@ def parquet(table: Any) -> bytes:
     return bytes(sink.getvalue())
 
 
-def write_shards(folder: Path, chosen: Mapping[Path, NDArray[np.bool_]]) -> list[Path]:
-    """Write some rows of other shards, those of each as a shard; return their paths.
-
-    `chosen` says for each of the other shards which of its rows to write.
-    """
-    written: list[Path] = []
-    for split in IMAGE_SPLITS:
-        stem = f"{file_stem(split)}-"
-        own = [path for path, rows in chosen.items() if path.name.startswith(stem) and rows.any()]
-        for index, path in enumerate(own):
-            written.append(folder / shard_name(split, index, len(own)))
-            write_table(written[-1], read_table(path).filter(arrow().array(chosen[path])))
-    return written
-
-
 def encode(image: NDArray[np.uint8]) -> bytes:
     """Encode a picture, uint8 (size, size, 3), RGB, as PNG."""
     done, data = cv2.imencode(

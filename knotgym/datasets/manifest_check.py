@@ -2,9 +2,10 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter, ValidationError
 
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import read_json
@@ -12,16 +13,15 @@ from knotgym.common.errors import InvalidFile, one_line, printable
 from knotgym.datasets.machine import machine
 from knotgym.states.state_file import leads_out
 
-_NUMBER = (Real,)
-_COUNTS = {str: _NUMBER}
-# entries of a run's report, all optional: {str: shape} is an object with any keys, [shape] a list
-# and (type, ...) a value
-_REPORT: dict[str, Any] = {
-    "attempts": _NUMBER,
-    "demonstrations": _NUMBER,
-    "existing_codes": {str: (Real, type(None))},
-    "rejected": {str: _COUNTS},
-    "undemonstrated": [str],
+_Count = Annotated[int, Field(strict=True)]
+_Name = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]*$", strict=True)]  # a terminal may show it
+# entries of a run's report, all optional
+_REPORT: dict[str, TypeAdapter[Any]] = {
+    "attempts": TypeAdapter(_Count),
+    "demonstrations": TypeAdapter(_Count),
+    "existing_codes": TypeAdapter(dict[_Name, _Count | None]),
+    "rejected": TypeAdapter(dict[_Name, dict[_Name, _Count]]),
+    "undemonstrated": TypeAdapter(list[_Name]),
 }
 
 
@@ -84,11 +84,12 @@ def report_faults(manifest: Mapping[str, Any]) -> list[str]:
     report = manifest.get("report", {})
     if not isinstance(report, dict):
         return ["manifest.json: report should be an object"]
-    faults = [
-        f"manifest.json: report.{name} has the wrong type"
-        for name, shape in _REPORT.items()
-        if name in report and not _fits(report[name], shape)
-    ]
+    faults = []
+    for name in _REPORT.keys() & report.keys():
+        try:
+            _REPORT[name].validate_python(report[name])
+        except ValidationError:
+            faults.append(f"manifest.json: report.{name} has the wrong type")
     if "rejected" in report and "attempts" not in report:
         faults.append("manifest.json: report.rejected needs report.attempts")
     return faults
@@ -106,16 +107,3 @@ def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
             yield f"{name} is missing"
         elif sha256(folder / name) != digest:
             yield f"{name} is not the file the manifest lists (SHA-256 differs)"
-
-
-def _fits(value: Any, shape: Any) -> bool:
-    """Whether a JSON value has a shape, written as in _REPORT."""
-    if isinstance(shape, tuple):
-        return isinstance(value, shape) and not isinstance(value, bool)
-    if isinstance(shape, list):
-        return isinstance(value, list) and all(_fits(one, shape[0]) for one in value)
-    if not isinstance(value, dict):
-        return False
-    if str in shape:
-        return all(name.isprintable() and _fits(one, shape[str]) for name, one in value.items())
-    return all(name in value and _fits(value[name], inner) for name, inner in shape.items())

@@ -11,6 +11,7 @@ from typing import Any
 from knotgym.common.atomic_files import atomic_write, require_output, sha256
 from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
+from knotgym.datasets.episodes import episode_digests
 from knotgym.datasets.located import (
     refuse_minaris_folder,
     require_apart_from,
@@ -122,21 +123,9 @@ def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
     """Refuse two episodes with the same start, goal and pulls."""
     seen: dict[bytes, str] = {}
     for dataset in datasets:
-        (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
-        for row in range(own.rows):
-            pulls = slice(offsets[row], offsets[row + 1])
-            key = b"".join(
-                array.tobytes()
-                for array in (
-                    own["start_qpos"][row],
-                    own["goal"][row],
-                    own["goal_visits"][row][own["goal_visits"][row] != 0],
-                    steps["bead"][pulls],
-                    steps["force"][pulls],
-                )
-            )
+        for row, digest in enumerate(episode_digests(dataset.episodes)):
             here = f"episode {row} of {dataset.path}"
-            earlier = seen.setdefault(key, here)
+            earlier = seen.setdefault(digest, here)
             if earlier is not here:
                 raise InvalidInput(
                     f"{earlier} and {here} are the same; merge datasets that share no episode"

@@ -6,7 +6,6 @@ default scale stays below 6 mm, and nothing is that close to two states of a cur
 loop, where action sequences begin, belongs to no split.
 """
 
-import hashlib
 from collections.abc import Iterable
 from typing import Any
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_dataset import EpisodeDataset
+from knotgym.datasets.episodes import episode_digests
 from knotgym.envs.knot_tasks import start_nx
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import Rope
@@ -58,15 +58,9 @@ def duplicate_faults(dataset: EpisodeDataset) -> list[str]:
     Without reset noise two seeds may give the same episode; then only a repeated seed is a fault.
     """
     faults: list[str] = []
-    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
-    first: dict[Any, int] = {}
-    for row in range(own.rows):
-        content = own["start_qpos"][row].tobytes() + own["goal_visits"][row].tobytes()
-        pulls = slice(offsets[row], offsets[row + 1])
-        content += steps["bead"][pulls].tobytes() + steps["force"][pulls].tobytes()
-        seed = None if dataset.task.reset_noise else int(own["seed"][row])
-        key = hashlib.sha256(content).digest(), int(own["goal"][row]), seed
-        earlier = first.setdefault(key, row)
+    seeds, first = dataset.episodes.episodes["seed"].tolist(), dict[Any, int]()
+    for row, digest in enumerate(episode_digests(dataset.episodes)):
+        earlier = first.setdefault((digest, not dataset.task.reset_noise and seeds[row]), row)
         if earlier != row:
             faults.append(
                 f"{dataset.path}, episode {row}: the same as episode {earlier}, start, goal and"

@@ -1,9 +1,8 @@
 """Select, split and delete rows of a dataset: states, episodes or pictures.
 
-The result is a dataset of the same kind, as complete as its source: a file for a file; for a folder
-of states with the demonstrations that end in them, for a folder of pictures with what they were
-rendered from, each with a new card and new checksums. Manifests, state files and episode files have
-under "selection" the sources and the conditions. Pictures and pulls are copied, not made again.
+The result is a file of rows: a state file, an episode file or a Parquet file; or, of episodes, a
+Minari dataset. It has under "selection" the sources and the conditions. Pictures and pulls are
+copied, not made again.
 """
 
 import re
@@ -43,11 +42,11 @@ def select(
         split: keep the rows of this split only.
         sample: keep this many of them, drawn at random; their order stays.
         seed: of the draw.
-        out: the new file or folder, whichever the source is; with `dataset_id` the Minari root.
+        out: the new file; with `dataset_id` the Minari root.
         dataset_id: for episodes, the id of the new Minari dataset.
 
     Returns:
-        The new file or folder.
+        The new file, or the dataset's folder.
 
     Raises:
         InvalidInput: `where` isn't a condition on these columns.
@@ -94,7 +93,7 @@ def split(
         dataset_id: as for `select`; "-NAME" is inserted before the version.
 
     Returns:
-        The new files or folders, in the order of the parts.
+        The new files, or datasets' folders, in the order of the parts.
 
     Raises:
         InvalidInput: the parts aren't fractions of 1, or the rows can't be dealt to so many.
@@ -154,7 +153,7 @@ def delete(
 
 def kept(path: Path) -> str:
     """Say how many rows of its source a selected dataset has."""
-    last = opened(path).earlier()[-1]
+    last = opened(path).earlier[-1]
     return f"{last['kept']} of {last['rows']} rows"
 
 

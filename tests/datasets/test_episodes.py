@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic_episodes import episodes
+from synthetic_episodes import code_rows, episodes, sign_rows
 
 from knotgym.common.errors import InvalidInput
 from knotgym.common.tables import Table
@@ -12,7 +12,6 @@ from knotgym.datasets import episodes as module
 from knotgym.datasets.episodes import (
     RECORDED,
     Episodes,
-    code_rows,
     code_sizes,
     differences,
     fitted,
@@ -20,7 +19,6 @@ from knotgym.datasets.episodes import (
     goals_reached,
     merged,
     relabelled,
-    sign_rows,
 )
 from knotgym.topology.gauss import GaussCode
 

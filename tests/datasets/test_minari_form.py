@@ -13,8 +13,8 @@ import pytest
 from synthetic_episodes import TASK, TINY, episodes
 
 from knotgym.common.errors import InvalidInput, Occupied
-from knotgym.datasets import gauss_codes
 from knotgym.datasets.episode_dataset import open_episodes
+from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.minari_form import (
     MinariMetadata,
     metadata_of,

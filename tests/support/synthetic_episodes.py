@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knotgym.common.tables import Table
 from knotgym.datasets.episode_dataset import write_episodes
-from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, code_rows, code_sizes, sign_rows
+from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, code_sizes
 from knotgym.envs.tasks import TaskConfig
 from knotgym.topology.gauss import GaussCode
 
@@ -74,6 +75,27 @@ def episodes(
     steps["truncated"][last - 1] = True
     schemas = EPISODES.sized(**sizes), STEPS.sized(**sizes)
     return Episodes(Table(schemas[0], own), Table(schemas[1], steps))
+
+
+def code_rows(codes: Sequence[GaussCode], width: int = 0) -> NDArray[np.int16]:
+    """Return the visits of codes as rows, padded with zeros: int16 (n, width).
+
+    `width` is that of the longest code by default.
+    """
+    width = width or code_sizes(max((code.nx for code in codes), default=0))["visits"]
+    rows = np.zeros((len(codes), width), dtype=np.int16)
+    for row, code in zip(rows, codes, strict=True):
+        row[: len(code.visits)] = code.visits
+    return rows
+
+
+def sign_rows(codes: Sequence[GaussCode], width: int = 0) -> NDArray[np.int8]:
+    """Return the crossing signs of codes as rows, padded with zeros: int8 (n, width)."""
+    width = width or code_sizes(max((code.nx for code in codes), default=0))["labels"]
+    rows = np.zeros((len(codes), width), dtype=np.int8)
+    for row, code in zip(rows, codes, strict=True):
+        row[: code.nx] = code.signs
+    return rows
 
 
 def written(path: Path, made: Episodes, task: TaskConfig = TASK) -> Path:

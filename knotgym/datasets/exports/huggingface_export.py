@@ -13,9 +13,8 @@ dataset (`--to minari`) has everything that is needed to replay an episode.
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -129,15 +128,13 @@ def _steps(paths: Sequence[Path], folder: Path) -> Iterator[FileObject]:
 
 
 def _card(title: str, description: str, folder: Path, files: Sequence[FileObject]) -> str:
-    total = sum(file.rows for file in files)
-    by_config = _grouped(files, lambda file: file.config)
-    configs, info, tables = list[str](), list[str](), list[str]()
-    for config, own in by_config.items():
+    total, configs, tables = sum(file.rows for file in files), list[str](), list[str]()
+    for config in dict.fromkeys(file.config for file in files):
+        own = [file for file in files if file.config == config]
         configs += [f"- config_name: {config}", *([] if configs else ["  default: true"])]
         configs += ["  data_files:"]
-        for split in _by_split(own):
+        for split in dict.fromkeys(file_stem(file.split) for file in own):
             configs.append(f"  - split: {split}\n    path: data/{config}/{split}-*.parquet")
-        info += _info(folder, config, own)
         columns = [(code_span(c.name), _kind(c), plain(c.unit), c.doc) for c in own[0].columns]
         tables += ["", f"## {config}", ""]
         tables += [*table(("split", "rows"), [(file.split, file.rows) for file in own]), ""]
@@ -148,61 +145,12 @@ def _card(title: str, description: str, folder: Path, files: Sequence[FileObject
         pretty_name=yaml_string(title),
         size=next((name for most, name in _SIZES if total < most), "1M<n<10M"),
         configs=configs,
-        info=info,
         title=plain(title),
         description=description,
         gallery="![pictures of the rope](gallery.png)" if gallery else "",
-        first=next(iter(by_config)),
+        first=files[0].config,
         tables=tables[1:],
     )
-
-
-def _grouped(
-    files: Sequence[FileObject], of: Callable[[FileObject], str]
-) -> dict[str, list[FileObject]]:
-    groups: dict[str, list[FileObject]] = {}
-    for file in files:
-        groups.setdefault(of(file), []).append(file)
-    return groups
-
-
-def _by_split(files: Sequence[FileObject]) -> dict[str, list[FileObject]]:
-    return _grouped(files, lambda file: file_stem(file.split))
-
-
-def _info(folder: Path, config: str, files: Sequence[FileObject]) -> Iterator[str]:
-    """YAML lines of a DatasetInfo of `datasets`: features, rows and bytes. JSON is valid YAML."""
-    sizes = {file.path: (folder / file.path).stat().st_size for file in files}
-    splits = [
-        {
-            "name": split,
-            "num_bytes": sum(sizes[file.path] for file in own),
-            "num_examples": sum(file.rows for file in own),
-        }
-        for split, own in _by_split(files).items()
-    ]
-    yield f"- config_name: {config}"
-    yield "  features:"
-    for column in files[0].columns:
-        yield f"  - {json.dumps({'name': column.name, **_yaml_feature(column)})}"
-    yield f"  splits: {json.dumps(splits)}"
-    yield f"  download_size: {sum(sizes.values())}"
-    yield f"  dataset_size: {sum(sizes.values())}"
-
-
-def _yaml_feature(column: TableColumn) -> dict[str, Any]:
-    """Convert a type to a card's notation: {"dtype": "int64"}, {"list": "float64", "length": 6}."""
-
-    def converted(kind: Any) -> dict[str, Any]:
-        if isinstance(kind, dict):
-            return {"struct": [{"name": name, **converted(inner)} for name, inner in kind.items()]}
-        if isinstance(kind, list):
-            inner = converted(kind[0])
-            listed = inner.get("dtype", inner.get("struct"))
-            return {"list": listed, **({"length": kind[1]} if kind[1] else {})}
-        return {"dtype": kind}
-
-    return converted(column.kind)
 
 
 def _kind(column: TableColumn) -> str:

@@ -15,7 +15,7 @@ from knotgym.common.tables import Column, Schema, Table
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episode_outcomes import outcomes
 from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
-from knotgym.datasets.image_table import TABLES, arrow, arrow_type, encode
+from knotgym.datasets.image_table import TABLES, arrow, encode, schema
 
 _AT_ONCE = 256  # episodes converted at once
 _TEXTS = (
@@ -137,16 +137,18 @@ def write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, list[TableC
 
 
 def _arrow_table(table: Table) -> Any:
-    pa = arrow()
-    arrays = {}
-    for column, values in zip(columns_of_table(table), table.values(), strict=True):
-        kind = arrow_type(pa, column.kind)
+    """Convert a table; its schema holds the features by which Hugging Face reads pictures."""
+    pa, columns = arrow(), columns_of_table(table)
+    kinds = schema({column.name: column.kind for column in columns})
+    arrays = []
+    for column, values in zip(columns, table.values(), strict=True):
         if column.kind == "image":
             pictures = [{"bytes": encode(image), "path": None} for image in values]
-            arrays[column.name] = pa.array(pictures, kind)
+            arrays.append(pa.array(pictures, kinds.field(column.name).type))
         elif values.ndim > 1:
             flat = pa.array(np.ascontiguousarray(values).ravel())
-            arrays[column.name] = pa.FixedSizeListArray.from_arrays(flat, type=kind)
+            kind = kinds.field(column.name).type
+            arrays.append(pa.FixedSizeListArray.from_arrays(flat, type=kind))
         else:
-            arrays[column.name] = pa.array(values.tolist() if column.kind == "string" else values)
-    return pa.table(arrays)
+            arrays.append(pa.array(values.tolist() if column.kind == "string" else values))
+    return pa.Table.from_arrays(arrays, schema=kinds)

@@ -36,7 +36,7 @@ from knotgym.runs.journal import Result
 RECORDINGS = Path(str(files("knotgym.generate.episodes") / "data" / "recordings.h5"))  # that ships
 FORMAT = "knotgym-recordings"
 _DIGEST = 8  # bytes of an episode's SHA-256
-_EPISODES = Schema(
+EPISODES = Schema(
     "episodes",
     (
         Column("length", "uint16", (), "pulls", "T, the number of pulls", least=1),
@@ -44,7 +44,7 @@ _EPISODES = Schema(
     ),
     "an episode, set after set",
 )
-_STEPS = Schema(
+STEPS = Schema(
     "steps",
     (
         Column("bead", "uint8", (), "", "that is pulled, at its centre"),
@@ -129,7 +129,7 @@ def recordings(path: Path = RECORDINGS) -> Mapping[str, Recording]:
         MissingFile: the file doesn't exist.
         InvalidFile: it is corrupted or in another format.
     """
-    (rows, steps), attributes = tables.read(path, _EPISODES, _STEPS, format=FORMAT)
+    (rows, steps), attributes = tables.read(path, EPISODES, STEPS, format=FORMAT)
     lengths = rows["length"].astype(np.int64)
     sets = attributes.get("sets")
     if not isinstance(sets, dict) or lengths.sum() != steps.rows:
@@ -184,10 +184,10 @@ def write_recordings(path: Path, all_sets: Sequence[Recording]) -> None:
         length, pulls = one.episodes.episodes["length"], one.episodes.steps
         taken = np.ones(pulls.rows, dtype=bool)
         taken[one.episodes.last()] = False
-        columns = {c.name: pulls[c.name][taken].astype(c.dtype) for c in _STEPS.columns[2:]}
+        columns = {c.name: pulls[c.name][taken].astype(c.dtype) for c in STEPS.columns[2:]}
         columns["bead"] = pulls["bead"][taken].astype(np.uint8)
         columns["force"] = np.rint(pulls["force"][taken] * FORCE_BINS).astype(np.int8)
-        steps.append(Table(_STEPS, columns))
-        rows.append(Table(_EPISODES, {"length": length.astype(np.uint16), "digest": one.digests}))
+        steps.append(Table(STEPS, columns))
+        rows.append(Table(EPISODES, {"length": length.astype(np.uint16), "digest": one.digests}))
         sets[one.config.dataset_id] = {"config": as_json(one.config), "episodes": len(length)}
     tables.write(path, [rows, steps], {"sets": sets}, format=FORMAT, pack=True)

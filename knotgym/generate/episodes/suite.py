@@ -5,9 +5,9 @@
     {out}/knotgym/{task}-nx{nx}/{policy}-train-code[-...]-v0        split by code
     {out}/knotgym/suite.json, README.md                             what is known of each; the card
 
-Every dataset is an ordinary collection, see `collect`, or one whose pulls come from a recording,
-see `recordings`. This module defines which ones there are, their order, the estimate of the time
-they take, and one card for all.
+Every dataset is an ordinary collection, see `collect`, or its pulls come from a recording, see
+`recordings`. This module defines which ones there are, their order, the estimate of the time they
+take, and one card for all.
 """
 
 import json
