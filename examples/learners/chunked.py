@@ -18,17 +18,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
-from decisions import (
-    ChunkPolicy,
-    Decisions,
-    Eyes,
-    Floats,
-    Memory,
-    decision_options,
-    nearest,
-    read,
-)
+from decisions import ChunkPolicy, Decisions, Eyes, Floats, decision_options, nearest, read
 from protocol import Training, measure, parser
 from torch import Tensor, nn
 
@@ -111,7 +103,7 @@ def values(critic: Network, seen: Tensor, chunks: Tensor) -> Tensor:
 def trained_critic(rows: Decisions, flow: Network, given: Any) -> Network:
     """Learn the values of chunks; the flow's proposals in each state are drawn once."""
     seen, chunks = torch.from_numpy(rows.observations), torch.from_numpy(rows.chunks)
-    with torch.no_grad():
+    with torch.inference_mode():
         offered = torch.cat(
             [
                 proposals(flow, part, torch.randn(len(part), PROPOSALS, flow.chunk))
@@ -148,11 +140,12 @@ class FlowPolicy(ChunkPolicy):
         super().__init__(name)
         self._flow, self._critic = flow.eval(), critic
 
-    def choose(self, memory: Memory, seen: Floats, points: Floats) -> tuple[Any, Floats]:
+    def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
         many = 1 if self._critic is None else PROPOSALS
-        noise = memory["rng"].standard_normal((1, many, self._flow.chunk))
+        shape = many, self._flow.chunk
+        noise = np.stack([self.rngs[index].standard_normal(shape) for index in indices])
         observations = torch.from_numpy(seen)
-        with torch.no_grad():
+        with torch.inference_mode():
             chunks = proposals(self._flow, observations, torch.from_numpy(noise).float())
             if self._critic is not None:
                 best = values(self._critic, observations, chunks).argmax(1)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from knotgym.control.basic_policies import Generators, pull_task
 from knotgym.control.rollouts import Ids, Pulls
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import Episodes, gauss_code
@@ -43,7 +43,6 @@ HINDSIGHT = 2  # decisions whose outcome may be taken for their goal
 MOST_CROSSINGS = 4  # of such a goal
 REACH = 3.0  # scales positions to [-1, 1]
 Floats = NDArray[np.float32]
-Memory = dict[str, Any]
 
 
 class Decisions(NamedTuple):
@@ -56,7 +55,8 @@ class Decisions(NamedTuple):
             each pull 1, or -1 from the macro-action's end on.
         rewards: float32 (N,), sum until the next decision.
         terminals, ends: bool (N,), whether the episode terminated there; whether it ended.
-        chosen: bool (N,), whether it is worth imitating: on a way that led to the goal.
+        chosen: bool (N,), whether it is worth imitating: chosen by the demonstrator, on a way that
+            led to the goal.
         whole: bool (N,), whether the macro-action was carried out to its end.
         hindsight: bool (N,), whether its goal is a code that was reached instead, or on the way.
     """
@@ -109,11 +109,10 @@ def read(datasets: list[str], chunk: int, copies: int, seed: int) -> Decisions:
         if "macro_start" not in episodes.steps:
             raise SystemExit(f"{dataset} records no macro-actions; use a demonstrator's set")
         for number in range(episodes.episodes.rows):
-            episode = episodes.select([number])
-            count = copies * bool(episode.episodes["success"][0])
+            count = copies * bool(episodes.episodes["success"][number])
             others = rng.choice(np.arange(1, BEADS), count, replace=False)
             for base in (0, *others.tolist()):
-                own = _decided(episode, base, chunk)
+                own = _decided(episodes, number, base, chunk)
                 rows += own + _in_hindsight(own)
     columns = _Row(*zip(*rows, strict=True))
     points = np.stack(columns.points)
@@ -151,23 +150,25 @@ class _Row(NamedTuple):
     hindsight: Any
 
 
-def _decided(episode: Episodes, base: int, chunk: int) -> list[_Row]:
-    """Return the decisions of one episode whose beads are numbered from bead `base`."""
-    steps, count = episode.steps, int(episode.episodes["length"][0])
-    won = bool(episode.episodes["success"][0])
+def _decided(episodes: Episodes, number: int, base: int, chunk: int) -> list[_Row]:
+    """Return the decisions of an episode whose beads are numbered from bead `base`."""
+    first, count = int(episodes.offsets[number]), int(episodes.episodes["length"][number])
+    steps = episodes.steps.take(slice(first, first + count + 1))
     points = steps["observation"].astype(np.float64)
+    # a pull is part of a macro-action where one has a side
     start, led = steps["macro_start"][:count], steps["macro_side"][:count] != 0
+    won = bool(steps["terminated"][count - 1])
     begun = np.flatnonzero(led if chunk == 1 else start).tolist()
     shown = [shifted_base(find_crossings(points[at]), base).plain for at in (*begun, count)]
-    goal = shown[-1] if base else gauss_code(episode.episodes["goal_visits"][0])
+    goal = shown[-1] if base else gauss_code(episodes.episodes["goal_visits"][number]).plain
     ends = [*begun[1:], count][: len(begun)]  # none if the planner led from the start
     rows = []
-    for number, (at, after) in enumerate(zip(begun, ends, strict=True)):
+    for row, (at, after) in enumerate(zip(begun, ends, strict=True)):
         # the macro-action ends where the next begins, or before a pull that is part of none
         stop = at + int(np.append(~led[at:after], True).argmax())
         pulls = min(stop - at, chunk)
         forces = np.zeros((chunk, 3))
-        forces[:pulls] = steps["share"][at : at + pulls, None] * steps["force"][at : at + pulls]
+        forces[:pulls] = steps["force"][at : at + pulls]
         rows.append(
             _Row(
                 points=np.roll(points[at], -base, axis=0),
@@ -175,8 +176,8 @@ def _decided(episode: Episodes, base: int, chunk: int) -> list[_Row]:
                 bead=(int(steps["bead"][at]) - base) % BEADS,
                 forces=forces,
                 going=np.where(np.arange(chunk) < pulls, 1.0, -1.0),
-                before=shown[number],
-                after=shown[number + 1],
+                before=shown[row],
+                after=shown[row + 1],
                 reward=steps["reward"][at:after].sum(),
                 terminal=won and after == count,
                 end=after == count,
@@ -230,63 +231,71 @@ class Eyes(nn.Module):
 
 
 class ChunkPolicy(ABC):
-    """Decides, pulls the bead as decided, and decides anew when the chunk is over."""
+    """Decides, pulls the bead as decided, and decides anew when the chunk is over.
+
+    Attributes:
+        name: in the results.
+        rngs: the generator of each lane's episode.
+    """
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.rngs: dict[int, np.random.Generator] = {}
 
     @abstractmethod
-    def choose(self, memory: Memory, seen: Floats, points: Floats) -> tuple[Any, Floats]:
-        """Decide for one episode; the sums of a network depend on how many it sees at once.
-
-        Args:
-            memory: what the policy keeps of the episode; "rng" is its generator.
-            seen: observation, (1, size).
-            points: the rope in the frame, (1, beads, 3).
+    def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
+        """Decide for lanes, given their observations and ropes (n, beads, 3) in the frame.
 
         Returns:
-            beads (1,), and the forces and signs of `Decisions.chunks`, (1, 4 chunk).
+            beads (n,), and the forces and signs of `Decisions.chunks`, (n, 4 chunk).
         """
 
+    def begin(self, index: int, rng: np.random.Generator) -> None:
+        """Start an episode in a lane."""
+        self.rngs[index] = rng
+
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        return pull_task(task)
+        """Any task of pulls."""
+        return task
 
     def player(self, batch: EpisodeBatch) -> ChunkPlayer:
+        """Return a player for the lanes of a batch."""
         return ChunkPlayer(self, batch)
 
 
 class ChunkPlayer:
-    """A `ChunkPolicy` at work, see `control.rollouts.Player`."""
+    """Carries out what a `ChunkPolicy` decides."""
 
     def __init__(self, policy: ChunkPolicy, batch: EpisodeBatch) -> None:
         self._policy, self._batch = policy, batch
         self.planned = np.zeros(batch.count, dtype=np.int64)
-        self._memory: dict[int, Memory] = {}
         self._left: dict[int, list[tuple[int, Any]]] = {}
 
-    def begin(self, ids: Ids, rngs: Generators) -> None:
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
+        """Start new episodes in lanes."""
         for index, rng in zip(ids.tolist(), rngs, strict=True):
-            self._memory[index], self._left[index] = {"rng": rng}, []
+            self._left[index] = []
+            self._policy.begin(index, rng)
 
     def act(self, ids: Ids) -> Pulls:
-        for index in ids.tolist():
-            if not self._left[index]:
-                self._decide(index)
+        """Choose pulls in lanes."""
+        if deciding := [index for index in ids.tolist() if not self._left[index]]:
+            self._decide(np.array(deciding))
         beads, forces = zip(*(self._left[index].pop(0) for index in ids.tolist()), strict=True)
-        pulls = quantized(np.clip(forces, -1, 1)).astype(np.float32)
-        return Pulls(ids, np.array(beads, dtype=np.int64), pulls)
+        return Pulls(ids, np.array(beads), quantized(np.clip(forces, -1, 1)).astype(np.float32))
 
-    def _decide(self, index: int) -> None:
-        points = self._batch.simulation.points[[index]]
-        observations, frames = observe(points, self._batch.goals_of(np.array([index])))
+    def _decide(self, ids: Ids) -> None:
+        points = self._batch.simulation.points[ids]
+        observations, frames = observe(points, self._batch.goals_of(ids))
         seen = frames.points(points).astype(np.float32)
-        beads, chunks = self._policy.choose(self._memory[index], observations, seen)
-        pulls = chunks.shape[1] // 4
-        forces = chunks[:, : 3 * pulls].reshape(1, pulls, 3)
+        beads, chunks = self._policy.choose(ids.tolist(), observations, seen)
+        count, pulls = len(ids), chunks.shape[1] // 4
+        forces = chunks[:, : 3 * pulls].reshape(count, pulls, 3)
         # at least one pull, and those before the first that isn't to be made any more
-        length = 1 + int((chunks[0, 3 * pulls + 1 :] > 0).cumprod().sum())
-        (own,), (pulled,) = frames.renumber(beads), frames.world_vectors(forces)
-        self._left[index] = [(own, pulled[step]) for step in range(length)]
+        length = 1 + (chunks[:, 3 * pulls + 1 :] > 0).cumprod(1).sum(1)
+        own, pulled = frames.renumber(beads), frames.world_vectors(forces)
+        for row, index in enumerate(ids.tolist()):
+            self._left[index] = [(own[row], pulled[row, step]) for step in range(length[row])]
 
 
 def nearest(chunks: Floats, points: Floats) -> tuple[NDArray[np.int64], Floats]:

@@ -34,7 +34,6 @@ from decisions import (
     Decisions,
     Eyes,
     Floats,
-    Memory,
     decision_options,
     nearest,
     read,
@@ -168,16 +167,22 @@ class LearnedPolicy(ChunkPolicy):
         """Take a learner of whole decisions, or one of beads, and one that says how to pull."""
         super().__init__(name)
         self._learner, self._puller = learner, puller
+        self._contexts: dict[int, Any] = {}  # of a transformer, by episode
 
-    def choose(self, memory: Memory, seen: Floats, points: Floats) -> tuple[Any, Floats]:
+    def begin(self, index: int, rng: np.random.Generator) -> None:
+        super().begin(index, rng)
+        if hasattr(self._learner, "as_stateful_wrapper"):
+            self._contexts[index] = self._learner.as_stateful_wrapper(target_return=RETURN)
+
+    def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
         if self._puller is not None:
             beads = self._learner.predict(seen)
             return beads, self._puller.predict(with_bead(seen, beads))
-        if hasattr(self._learner, "as_stateful_wrapper"):  # a transformer
-            if "context" not in memory:
-                memory["context"] = self._learner.as_stateful_wrapper(target_return=RETURN)
-            # rewards before the end are 0
-            return nearest(memory["context"].predict(seen[0], 0.0)[None], points)
+        if self._contexts:  # rewards before the end are 0
+            pairs = zip(indices, seen, strict=True)
+            return nearest(
+                np.stack([self._contexts[index].predict(one, 0.0) for index, one in pairs]), points
+            )
         return nearest(self._learner.predict(seen), points)
 
 

@@ -6,6 +6,7 @@ Results are written in its format, which `benchmarks/results.py` reads.
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 import sys
 import time
@@ -13,10 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.cli.options import numbers
+from knotgym.control.policies import register_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import Policy
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.learner_evaluation import evaluate_learner
+from knotgym.generate.episodes.evaluate import run
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+from knotgym.runs.run_options import RunOptions
 
 
 def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:
@@ -83,15 +88,20 @@ def measure(
     Returns:
         The content of `evaluation.json`: as from `knotgym evaluate --out`, and `training`.
     """
-    return evaluate_learner(
-        name,
-        policy,
-        given.out,
-        training,
-        files=[given.out / model for model in models],
+    files = [given.out / model for model in models]
+    register_policy(name, lambda config: policy, files)
+    config = EvaluateConfig(
+        policies=(PolicyConfig(policy=name),),
         tasks=tuple(given.task.split(",")),
         nx=numbers(given.nx),
         splits=tuple(given.split.split(",")),
         episodes=given.episodes,
         task=TaskConfig(task="tie", states=given.states, observation="state", engine=given.engine),
     )
+    out = given.out / "evaluation.json"
+    # one process: the policy is known here alone
+    run(config, RunOptions(workers=1, overwrite=True), out=out)
+    written = json.loads(out.read_text(encoding="utf-8")) | {"training": training}
+    out.write_text(json.dumps(written, indent=1), encoding="utf-8")
+    found: dict[str, Any] = written
+    return found

@@ -93,7 +93,7 @@ def test_decisions_read_from_an_expert_and_acted_out_are_its_pulls(
     rows = read([str(dataset)], CHUNK, copies=0, seed=0)
 
     class Remembering(ChunkPolicy):
-        def choose(self, memory: Any, seen: Any, points: Any) -> tuple[Any, Any]:
+        def choose(self, indices: list[int], seen: Any, points: Any) -> tuple[Any, Any]:
             offsets = np.abs(seen[:, None] - rows.observations).max(axis=2)
             return nearest(rows.chunks[offsets.argmin(axis=1)], points)
 
