@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidPolicy
-from knotgym.control.basic_policies import pull_task
 from knotgym.control.planning.batched_search import Orders, Search, Trial
 from knotgym.control.planning.passes import PassPlan, random_pass
-from knotgym.control.planning.planners import SLOTS, Ids, PassPlanner, PassPlayer
+from knotgym.control.planning.planners import SLOTS, ChoosesPulls, Ids, PassPlanner, PassPlayer
 from knotgym.control.rollouts import Player, Policy, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
@@ -27,7 +26,7 @@ _WANDERING = 0.5  # share of noisy episodes that begin with a random pass
 
 
 @dataclass(frozen=True)
-class Scripted:
+class Scripted(ChoosesPulls):
     """Random macro-actions, one after another.
 
     Attributes:
@@ -36,10 +35,6 @@ class Scripted:
 
     config: MacroActionConfig = MacroActionConfig()
     name: str = "scripted"
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task; its actions must be pulls."""
-        return pull_task(task)
 
     def player(self, batch: EpisodeBatch) -> ScriptedPlayer:
         """Return a player for the lanes of a batch."""
@@ -79,7 +74,7 @@ class ScriptedPlayer(Player):
 
 
 @dataclass(frozen=True)
-class Noisy:
+class Noisy(ChoosesPulls):
     """A `PassPlanner` with some pulls replaced by random ones, after which it looks again.
 
     Half of the episodes begin with a random pass, so that learners see more than tidy ropes.
@@ -92,10 +87,6 @@ class Noisy:
     inner: PassPlanner = PassPlanner()
     noise: float = 0.3
     name: str = "noisy"
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task; its actions must be pulls."""
-        return self.inner.compatible_task(task)
 
     def player(self, batch: EpisodeBatch) -> Player:
         """Return a player for the lanes of a batch."""
@@ -143,7 +134,7 @@ class _NoisyPlayer(Player):
 
 
 @dataclass(frozen=True)
-class Play:
+class Play(ChoosesPulls):
     """A `PassPlanner` on its way to one goal after another, in endless tasks.
 
     The first goal is the episode's. Whenever one is reached, another is drawn: half the time a code
@@ -165,7 +156,7 @@ class Play:
                 "policy play goes on after every goal, so the task must be endless; give --endless,"
                 " and a task.horizon such as 500"
             )
-        return self.inner.compatible_task(task)
+        return super().compatible_task(task)
 
     def player(self, batch: EpisodeBatch) -> Player:
         """Return a player for the lanes of a batch."""
