@@ -13,7 +13,6 @@ IMPORTS = {
     "common/lazy_exports.py": "modules that a package lists",
     "control/learned_policies.py": "libraries of MODEL_FILES, names in the code",
     "control/own_policies.py": "module:name, which the user types; never from a file",
-    "datasets/exports/forms.py": "FORMS, names in the code",
     "datasets/image_table.py": "parts of pyarrow, names in the code",
     "loaders/converters.py": "libraries, names in the code",
     "rendering/mujoco_renderer.py": "backends of MuJoCo, names in the code",
