@@ -2,16 +2,24 @@
 
     python examples/learners/clone.py --data knotgym/unknot-nx2/expert-v0 --out cloned.pt
 
-The policy chooses the bead by classification and the force by regression. Evaluate it by
-`knotgym evaluate --policy cloned.pt`.
+The policy chooses the bead by classification and the force by regression. Evaluate it, from the
+folder in which cloned.pt lies, by
+
+    PYTHONPATH=examples/learners knotgym evaluate --policy clone:act --set task.observation=state
 """
 
 import argparse
+from functools import cache
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from knotgym.loaders import arrays
+
+WEIGHTS = "cloned.pt"
 
 
 class Policy(nn.Module):
@@ -30,13 +38,26 @@ class Policy(nn.Module):
         return torch.cat([position, self.force(hidden).tanh()], 1)
 
 
+@cache
+def trained() -> Policy:
+    policy = Policy()
+    policy.load_state_dict(torch.load(WEIGHTS, weights_only=True))
+    return policy.eval()
+
+
+def act(observation: NDArray[np.float32]) -> Any:
+    """Return the action in a state: a policy for `knotgym evaluate`."""
+    with torch.inference_mode():
+        return trained()(torch.as_tensor(observation)[None])[0].numpy()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--data", default="knotgym/unknot-nx2/expert-v0", help="Minari id or folder"
     )
     parser.add_argument("--epochs", type=int, default=60)
-    parser.add_argument("--out", default="cloned.pt", help="TorchScript file to write")
+    parser.add_argument("--out", default=WEIGHTS, help="file of weights to write")
     options = parser.parse_args()
     data = arrays(options.data, observation="state")
     states, actions = torch.tensor(data["observations"]), torch.tensor(data["actions"])
@@ -54,7 +75,7 @@ def main() -> None:
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
-    torch.jit.script(policy).save(options.out)
+    torch.save(policy.state_dict(), options.out)
 
 
 if __name__ == "__main__":

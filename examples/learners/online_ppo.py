@@ -1,26 +1,31 @@
 """PPO in one file, on vertices: many ropes of the chain engine in arrays, no other library.
 
     python examples/learners/online_ppo.py --task unknot --nx 2 --tow-limit 0.04 --out ppo.pt
-    knotgym evaluate --policy ppo.pt --task unknot --nx 2 --tow-limit 0.04 --engine chain
+    PYTHONPATH=examples/learners knotgym evaluate --policy online_ppo:act --task unknot --nx 2 \\
+        --set task.tow_limit=0.04 --set task.observation=state --engine chain
 
-The policy draws the bead from a softmax and the force from a Gaussian; the file that it writes
-takes the most likely ones. A million steps take some minutes on one core. Prints the success rate
-of the episodes that ended since the last line, as they are played in training.
+The policy draws the bead from a softmax and the force from a Gaussian; `act` takes the most likely
+ones, with the weights that lie in the current folder as ppo.pt. A million steps take some minutes
+on one core. Prints the success rate of the episodes that ended since the last line, as they are
+played in training.
 """
 
 import argparse
 import time
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 from torch.distributions import Categorical, Normal
 
 import knotgym
 
 GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
+WEIGHTS = "ppo.pt"
 ENTROPY, VALUE, LARGEST_GRADIENT = 0.003, 0.5, 0.5  # weights of the losses; clipping
 
 
@@ -149,6 +154,19 @@ def train(options: argparse.Namespace) -> Agent:
     return agent
 
 
+@cache
+def trained() -> Actor:
+    actor = Actor()
+    actor.load_state_dict(torch.load(WEIGHTS, weights_only=True))
+    return actor.eval()
+
+
+def act(observation: NDArray[np.float32]) -> Any:
+    """Return the most likely action in a state: a policy for `knotgym evaluate`."""
+    with torch.inference_mode():
+        return trained()(torch.as_tensor(observation)[None])[0].numpy()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -167,10 +185,10 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=8, help="rollouts between two lines")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("ppo.pt"), help="TorchScript file")
+    parser.add_argument("--out", default=WEIGHTS, help="file of weights to write")
     options = parser.parse_args()
     print(f"knotgym {knotgym.__version__}, {options.task} nx {options.nx}, {options.engine}")
-    torch.jit.script(train(options).actor).save(str(options.out))
+    torch.save(train(options).actor.state_dict(), options.out)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.rollouts import rollout
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.control.rollouts import episode_seed, rollouts
+from knotgym.datasets.episode_dataset import columns_of
 from knotgym.generate.episodes.suite_scores import read_scores
 
 from ..scripts import ROOT, run_script
@@ -51,13 +51,17 @@ def check_scores(folder: Path, name: str) -> None:
     assert row["training"]["cpu_seconds"] > 0
 
 
-def test_ppo_in_one_file_trains_and_acts(tmp_path: Path) -> None:
+def test_ppo_in_one_file_trains_and_acts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
     model, task = tmp_path / "ppo.pt", ("--task", "unknot", "--nx", 2, "--tow-limit", 0.04)
     few = ("--envs", 2, "--rollout", 4, "--batch", 4, "--epochs", 1, "--steps", 16)
     run_script(FOLDER / "online_ppo.py", *task, *few, "--out", model)
-    words = ("--policy", model, "--engine", "chain", "--episodes", 1, "--horizon", 3)
-    assert knotgym("evaluate", *task, *words, "--workers", 1, "--quiet") == 0
+    monkeypatch.syspath_prepend(str(FOLDER))
+    monkeypatch.chdir(tmp_path)
+    words = ("--policy", "online_ppo:act", "--engine", "chain", "--episodes", 1, "--workers", 1)
+    more = ("--set", "task.tow_limit=0.04", "--set", "task.horizon=3")
+    seen = ("--set", "task.observation=state", "--quiet")
+    assert knotgym("evaluate", "--task", "unknot", "--nx", 2, *words, *more, *seen) == 0
 
 
 @no_d3rlpy
@@ -97,10 +101,11 @@ def test_decisions_read_from_an_expert_and_acted_out_are_its_pulls(
             chunks = rows.chunks[offsets.argmin(axis=1)]
             return nearest(chunks, points)
 
-    reader = EpisodeReader(dataset)
-    played = rollout(reader.task, Remembering("remembering"), range(len(reader)), 0)
-    for own, other in zip(reader, played, strict=True):
-        assert np.array_equal(own.actions, other.episode.actions)
+    opened = columns_of(dataset)
+    seeds = [episode_seed(0, number) for number in range(opened.episodes.episodes.rows)]
+    played = rollouts(Remembering("remembering"), opened.task, seeds)
+    for column in ("bead", "force"):
+        assert np.array_equal(opened.episodes.steps[column], played.steps[column])
 
 
 @no_ogbench
