@@ -2,24 +2,32 @@
 
     python examples/learners/clone.py --data knotgym/unknot-nx2/expert-v0 --out cloned.pt
 
-The policy chooses the bead by classification and the force by regression. Evaluate it, from the
-folder in which cloned.pt lies, by
-
-    PYTHONPATH=examples/learners knotgym evaluate --policy clone:act --set task.observation=state
+The policy chooses the bead by classification and the force by regression. Beside the network it
+writes a module with its policy: `knotgym evaluate --policy cloned:act`, in the same folder.
 """
 
 import argparse
-from functools import cache
-from typing import Any
+from pathlib import Path
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
 from knotgym.loaders import arrays
 
-WEIGHTS = "cloned.pt"
+# the policy of the file that is written, as module:name
+MODULE = '''"""The policy of {model}: knotgym evaluate --policy {name}:act, in this folder."""
+
+import torch
+
+FILES = [__file__[:-3] + ".pt"]
+torch.set_num_threads(1)
+network = torch.jit.load(FILES[0]).eval()
+
+
+@torch.no_grad()
+def act(observation):
+    return network(torch.from_numpy(observation)[None])[0].numpy()
+'''
 
 
 class Policy(nn.Module):
@@ -38,26 +46,13 @@ class Policy(nn.Module):
         return torch.cat([position, self.force(hidden).tanh()], 1)
 
 
-@cache
-def trained() -> Policy:
-    policy = Policy()
-    policy.load_state_dict(torch.load(WEIGHTS, weights_only=True))
-    return policy.eval()
-
-
-def act(observation: NDArray[np.float32]) -> Any:
-    """Return the action in a state: a policy for `knotgym evaluate`."""
-    with torch.inference_mode():
-        return trained()(torch.as_tensor(observation)[None])[0].numpy()
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--data", default="knotgym/unknot-nx2/expert-v0", help="Minari id or folder"
     )
     parser.add_argument("--epochs", type=int, default=60)
-    parser.add_argument("--out", default=WEIGHTS, help="file of weights to write")
+    parser.add_argument("--out", type=Path, default=Path("cloned.pt"), help="TorchScript file")
     options = parser.parse_args()
     data = arrays(options.data, observation="state")
     states, actions = torch.tensor(data["observations"]), torch.tensor(data["actions"])
@@ -75,7 +70,9 @@ def main() -> None:
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
-    torch.save(policy.state_dict(), options.out)
+    torch.jit.script(policy).save(str(options.out))
+    names = {"model": options.out.name, "name": options.out.stem}
+    options.out.with_suffix(".py").write_text(MODULE.format(**names))
 
 
 if __name__ == "__main__":

@@ -1,31 +1,42 @@
 """PPO in one file, on vertices: many ropes of the chain engine in arrays, no other library.
 
     python examples/learners/online_ppo.py --task unknot --nx 2 --tow-limit 0.04 --out ppo.pt
-    PYTHONPATH=examples/learners knotgym evaluate --policy online_ppo:act --task unknot --nx 2 \\
-        --set task.tow_limit=0.04 --set task.observation=state --engine chain
+    knotgym evaluate --policy ppo:act --task unknot --nx 2 --tow-limit 0.04 --engine chain
 
-The policy draws the bead from a softmax and the force from a Gaussian; `act` takes the most likely
-ones, with the weights that lie in the current folder as ppo.pt. A million steps take some minutes
+The policy draws the bead from a softmax and the force from a Gaussian; the network that it writes,
+with a module that makes it a policy, takes the most likely ones. A million steps take some minutes
 on one core. Prints the success rate of the episodes that ended since the last line, as they are
 played in training.
 """
 
 import argparse
 import time
-from functools import cache
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 from torch.distributions import Categorical, Normal
 
 import knotgym
 
+# the policy of the file that is written, as module:name
+MODULE = '''"""The policy of {model}: knotgym evaluate --policy {name}:act, in this folder."""
+
+import torch
+
+FILES = [__file__[:-3] + ".pt"]
+torch.set_num_threads(1)
+network = torch.jit.load(FILES[0]).eval()
+
+
+@torch.no_grad()
+def act(observation):
+    return network(torch.from_numpy(observation)[None])[0].numpy()
+'''
+
 GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
-WEIGHTS = "ppo.pt"
 ENTROPY, VALUE, LARGEST_GRADIENT = 0.003, 0.5, 0.5  # weights of the losses; clipping
 
 
@@ -154,19 +165,6 @@ def train(options: argparse.Namespace) -> Agent:
     return agent
 
 
-@cache
-def trained() -> Actor:
-    actor = Actor()
-    actor.load_state_dict(torch.load(WEIGHTS, weights_only=True))
-    return actor.eval()
-
-
-def act(observation: NDArray[np.float32]) -> Any:
-    """Return the most likely action in a state: a policy for `knotgym evaluate`."""
-    with torch.inference_mode():
-        return trained()(torch.as_tensor(observation)[None])[0].numpy()
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -185,10 +183,12 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=8, help="rollouts between two lines")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", default=WEIGHTS, help="file of weights to write")
+    parser.add_argument("--out", type=Path, default=Path("ppo.pt"), help="TorchScript file")
     options = parser.parse_args()
     print(f"knotgym {knotgym.__version__}, {options.task} nx {options.nx}, {options.engine}")
-    torch.save(train(options).actor.state_dict(), options.out)
+    torch.jit.script(train(options).actor).save(str(options.out))
+    names = {"model": options.out.name, "name": options.out.stem}
+    options.out.with_suffix(".py").write_text(MODULE.format(**names))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import KnotgymError, MissingFile, one_line
 from knotgym.datasets.episode_dataset import EpisodeDataset, content_digest, open_episodes
 from knotgym.datasets.episodes import Episodes, differences, gauss_codes, merged
 from knotgym.datasets.minari_form import minari_faults
@@ -68,9 +68,14 @@ def verify_episodes(
 
     Yields:
         Faults; each names the file, the episode and, where possible, the step.
+
+    Raises:
+        MissingFile: there is no such file.
     """
     try:
         dataset = open_episodes(source)
+    except MissingFile:
+        raise
     except KnotgymError as error:
         yield one_line(error)
         return

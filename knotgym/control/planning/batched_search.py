@@ -110,14 +110,11 @@ class BatchedSearch:
 
     Attributes:
         ropes: the simulation.
-        spent: pulls simulated so far.
     """
 
-    def __init__(
-        self, count: int, config: MacroActionConfig, rope: Rope | None = None, threads: int = 1
-    ) -> None:
+    def __init__(self, count: int, config: MacroActionConfig, rope: Rope | None = None) -> None:
         """Make `count` ropes to search in; settings of macro-actions say how they are led."""
-        self.ropes, self.spent = ChainSimulation(count, rope, threads), 0
+        self.ropes = ChainSimulation(count, rope)
         self._follower = WaypointFollower(count, config)
         self._lanes: dict[int, _Lane] = {}
         self._pulls, self._limit = np.zeros((2, count), np.int64)
@@ -230,7 +227,6 @@ class BatchedSearch:
             haul: Any = self._lanes[int(ids[row])].trial.move
             beads[row], forces[row] = haul.pull(int(self._pulls[ids[row]]))
         stable = ropes.step(beads, forces.astype(np.float64) * ropes.max_force, ids)
-        self.spent += len(ids)
         self._pulls[ids] += 1
         points = ropes.points[ids]
         self._lost[ids] = ~stable
@@ -259,18 +255,11 @@ class BatchedSearch:
             states = read(own) if own else ()
             codes = label_many(ropes.points[own]) if own else []
             for rope, state, code in zip(own, states, codes, strict=True):
-                lane, going = self._lanes[rope], bool(self._going[rope])
+                lane, points = self._lanes[rope], ropes.points[rope].copy()
+                facts = int(self._pulls[rope]), not self._going[rope], bool(self._lost[rope])
                 forces = np.array(lane.forces, np.float32).reshape(-1, 3)
-                found[rope] = Report(
-                    state,
-                    ropes.points[rope].copy(),
-                    code,
-                    int(self._pulls[rope]),
-                    not going,
-                    bool(self._lost[rope]),
-                    np.array(lane.beads, np.int64),
-                    forces,
-                )
+                beads = np.array(lane.beads, np.int64)
+                found[rope] = Report(state, points, code, *facts, beads, forces)
         woken = [*dict.fromkeys(self._seats[rope] for rope in (*news, *due))]
         return [
             (seat, (seat.pulls, [(k, found[r]) for k, r in enumerate(seat.ropes) if r in found]))

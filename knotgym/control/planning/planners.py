@@ -321,7 +321,7 @@ class PassPlayer(Player):
     def decided(self, index: int, found: PassPlan) -> None:
         """Go on after a search."""
         if found.passes:
-            self.lead(index, found.passes[0].move)
+            self.lead(index, found.passes[0])
         else:
             self.give_up(index)
 
