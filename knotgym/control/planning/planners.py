@@ -286,7 +286,7 @@ class PassPlayer(Player):
         self._search(passing[over & ~settled])
         self._last_resort.look(ids[self._by_pulls[ids]])
         self.desk.tick()
-        # Many pulls together take less time: of many ropes, most wait until their searches are done.
+        # Many pulls together take less time: most of many ropes wait until searches are done.
         while 4 * np.count_nonzero(self.desk.thinking[ids]) > len(ids) > _FEW:
             self.desk.tick()
         ready = ids[~self.desk.thinking[ids]]
