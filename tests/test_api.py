@@ -126,7 +126,7 @@ import knotgym, knotgym.datasets, knotgym.generate, knotgym.loaders
 reveal_type(knotgym.read_states)
 reveal_type(knotgym.verify)
 reveal_type(knotgym.label)
-reveal_type(knotgym.datasets.EpisodeReader)
+reveal_type(knotgym.datasets.open_episodes)
 reveal_type(knotgym.generate.collect)
 reveal_type(knotgym.loaders.arrays)
 knotgym.knotty
