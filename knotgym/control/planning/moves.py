@@ -111,17 +111,24 @@ class Moves:
 
         Args:
             shown: float64 by node, V without any move.
-            reward, weight: by move and by outcome, or eight of them, one for each image.
+            reward, weight: by move and by outcome, or eight of them, one for each image; those of
+                images under symmetries of `shown` must agree.
             sweeps: how often the equation is applied, at most; fewer times if it holds before.
         """
+        # Symmetries that leave `shown` as it is leave all values as they are: one image of each such
+        # class of images is computed, and the others are read off. Every goal has at least one,
+        # because a reflection changes only chirality.
+        own = [k for k in range(IMAGES) if (shown == shown[self._image[k]]).all()]
+        first = [k for k in range(IMAGES) if k == min(k ^ one for one in own)]
         values = shown
         for _ in range(sweeps if len(self.start) else 0):
             new = shown.copy()
-            for k in range(IMAGES):
+            for k in first:
                 chance = weight if isinstance(weight, np.ndarray) else weight[k]
                 paid = reward[k] if isinstance(reward, list) else reward
                 sums = np.add.reduceat(chance * values[self.after[k]], self.start) + paid
                 np.maximum.at(new, self.before[k][self.start], sums)
+            new = np.max([new[self._image[one]] for one in own], axis=0)
             if (new == values).all():
                 break
             values = new
@@ -183,6 +190,7 @@ class Moves:
         _, self.start = np.unique(table[:, 0] << 32 | table[:, 1], return_index=True)
         self.label, origins = table[self.start, 1], table[self.start, 0]
         first = np.array(self._first, np.int64)
+        self._image = [first[np.arange(len(first)) ^ k] for k in range(IMAGES)]
         self.before = [first[table[:, 0] ^ k] for k in range(IMAGES)]
         self.after = [first[table[:, 2] ^ k] for k in range(IMAGES)]
         edges = [*np.flatnonzero(np.diff(origins, prepend=-1)).tolist(), len(origins)]
