@@ -174,7 +174,7 @@ def run(
     """
     began, shard = time.perf_counter(), options.shard
     with Progress(options.quiet) if progress is None else nullcontext(progress) as shown:
-        if shard.is_whole and is_finished(out, identity, options, made_by):
+        if shard.is_whole and _is_finished(out, identity, options, made_by):
             if staging_folder(out).exists():  # it was killed after moving its output into place
                 with staged(out, identity, options):
                     shutil.rmtree(staging_folder(out))
@@ -226,7 +226,7 @@ def staged(
     """
     path = shard.journal(out)
     folder = staging_folder(out if shard.is_whole else path)
-    others = [other for other in shard_journals(out) if other != path]
+    others = [other for other in _shard_journals(out) if other != path]
     path = folder / "journal" if shard.is_whole else path
     require_own(folder)
     new = not folder.exists()
@@ -272,7 +272,7 @@ def _has_work(journal: Path) -> bool:
     return has_results(journal) or (journal.name == "journal" and beside.exists())
 
 
-def shard_journals(out: Path) -> list[Path]:
+def _shard_journals(out: Path) -> list[Path]:
     """Return the journals that shards left beside an output."""
     pattern = f"{escape(out.name)}-shard-*-of-*.journal"
     return sorted(path for path in out.parent.glob(pattern) if path.is_file())
@@ -288,7 +288,7 @@ def require_no_interrupted_run(out: Path, existing: Existing, shard: Shard = WHO
         )
 
 
-def is_finished(
+def _is_finished(
     out: Path,
     identity: Mapping[str, Any],
     existing: Existing,

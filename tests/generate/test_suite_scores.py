@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from knotgym.control.planner_config import PlannerConfig
 
 from knotgym.common.errors import InvalidFile
-from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
