@@ -110,8 +110,7 @@ def _card(title: str, files: Sequence[_File], gallery: bool) -> str:
         configs += ["  data_files:"]
         for file in own:
             where = f"data/{config}/{file.split}-*.parquet"
-            configs.append(f"  - split: {file.split}
-    path: {where}")
+            configs.append(f"  - split: {file.split}\n    path: {where}")
         tables += ["", f"## {config}", ""]
         tables += [*table(("split", "rows"), [(file.split, file.rows) for file in own]), ""]
         tables.append(own[0].page)
