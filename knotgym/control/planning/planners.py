@@ -3,6 +3,12 @@
 Both search in the chain engine, whichever engine an episode has. All searches of a player run side
 by side. A lane whose next move is being searched for waits while the others go on, so neither
 simulation stands still, and no episode can tell what runs beside it.
+
+After a change run
+
+    knotgym evaluate --policy expert --task tie --nx 2,3 --engine chain --episodes 128
+
+All episodes of nx 2 and 94 % of nx 3 must succeed, and with `--policy planner` all of both.
 """
 
 from __future__ import annotations
