@@ -115,8 +115,8 @@ class Moves:
                 images under symmetries of `shown` must agree.
             sweeps: how often the equation is applied, at most; fewer times if it holds before.
         """
-        # Symmetries that leave `shown` as it is leave all values as they are: one image of each such
-        # class of images is computed, and the others are read off. Every goal has at least one,
+        # Symmetries that leave `shown` as it is leave all values as they are. So one image of each
+        # class is computed, and the others are read off. Every goal has such a symmetry,
         # because a reflection changes only chirality.
         own = [k for k in range(IMAGES) if (shown == shown[self._image[k]]).all()]
         first = [k for k in range(IMAGES) if k == min(k ^ one for one in own)]
