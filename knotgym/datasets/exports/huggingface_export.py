@@ -2,12 +2,13 @@
 
     README.md           the card, with the YAML front matter for the site and `load_dataset`
     CITATION.cff
-    gallery.png         contact sheet of states or pictures
-    data/CONFIG/SPLIT-00000-of-00001.parquet      configs: states and steps; or pictures
+    gallery.png         contact sheet of states
+    data/CONFIG/SPLIT-00000-of-00001.parquet      configs: states and steps
 
 Load it with `load_dataset(FOLDER, "steps")`. The site makes the Croissant description of a dataset
 from its Parquet files. Floats keep their full precision, but only the Minari dataset (`--to
-minari`) has everything that is needed to replay an episode.
+minari`) has everything that is needed to replay an episode. A folder of pictures is ready to upload
+as it is: it has its card and Parquet files already.
 """
 
 import os
@@ -18,11 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, copy_file, require_output
+from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import (
     citation_file,
-    code_span,
     filled,
     plain,
     write_text,
@@ -30,29 +30,23 @@ from knotgym.datasets.cards.citation import (
 )
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of
-from knotgym.datasets.exports.parquet_tables import (
-    TableColumn,
-    picture_columns,
-    step_tables,
-    write_parquet,
-)
-from knotgym.datasets.gallery import write_gallery, write_picture_gallery
-from knotgym.datasets.image_table import arrow, file_stem, shards
+from knotgym.datasets.exports.parquet_tables import step_tables, write_parquet
+from knotgym.datasets.gallery import write_gallery
+from knotgym.datasets.image_table import arrow
 from knotgym.datasets.located import Sources
 from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.states.state_file import read_states
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 
 
 class _File(NamedTuple):
-    """One Parquet file: config and split that it is of, its rows and columns."""
+    """One Parquet file: config and split that it is of, its rows, and a page of its columns."""
 
     config: str
     split: str
     rows: int
-    columns: Sequence[TableColumn]
+    page: str
 
 
 def to_huggingface(
@@ -61,10 +55,12 @@ def to_huggingface(
     """Write the folder atomically.
 
     Raises:
-        InvalidInput: the sources have no rows.
+        InvalidInput: the sources have no rows, or are pictures.
         Occupied: `out` exists, and `overwrite` is False.
         MissingExtra: pyarrow isn't installed.
     """
+    if source.pictures is not None:
+        raise InvalidInput(f"{source.pictures} is ready to upload as it is: it has a card already")
     require_output(out, folder=True, overwrite=overwrite)
     arrow()
     with atomic_write(out, overwrite=overwrite) as folder:
@@ -79,19 +75,6 @@ def to_huggingface(
 
 def _written(source: Sources, folder: Path) -> Iterator[_File]:
     """Write tables and gallery; yield a description of each file."""
-    if source.pictures is not None:
-        for path in shards(source.pictures):
-            split = path.name.split("-")[0]
-            if split not in map(file_stem, IMAGE_SPLITS):
-                raise InvalidInput(
-                    f"{path.name} must begin with a split, as train-00000-of-00001.parquet; splits"
-                    f" are {', '.join(map(file_stem, IMAGE_SPLITS))}"
-                )
-            (folder / "data/pictures").mkdir(parents=True, exist_ok=True)
-            copy_file(path, folder / "data/pictures" / path.name)
-            rows = arrow("pyarrow.parquet").ParquetFile(path).metadata.num_rows
-            yield _File("pictures", split, rows, picture_columns())
-        write_picture_gallery(folder / "gallery.png", source.pictures)
     if source.states is not None:
         states = read_states(source.states)
         if len(states):
@@ -110,7 +93,8 @@ def _written(source: Sources, folder: Path) -> Iterator[_File]:
     for split in dict.fromkeys(one.task.split for one in datasets):
         own = [one for one in datasets if one.task.split == split]
         tables = (part for one in own for part in step_tables(one, pictures))
-        yield _File("steps", split, *write_parquet(_path(folder, "steps", split), tables))
+        named = split.replace("-", "_")  # Hugging Face's names of splits have no dashes
+        yield _File("steps", named, *write_parquet(_path(folder, "steps", named), tables))
 
 
 def _path(folder: Path, config: str, split: str) -> Path:
@@ -124,12 +108,12 @@ def _card(title: str, files: Sequence[_File], gallery: bool) -> str:
         counts.append(f"{sum(file.rows for file in own)} {config}")
         configs += [f"- config_name: {config}", *([] if configs else ["  default: true"])]
         configs += ["  data_files:"]
-        for split in dict.fromkeys(file_stem(file.split) for file in own):
-            configs.append(f"  - split: {split}\n    path: data/{config}/{split}-*.parquet")
-        columns = [(code_span(c.name), _kind(c), plain(c.unit), c.doc) for c in own[0].columns]
+        for file in own:
+            where = f"data/{config}/{file.split}-*.parquet"
+            configs.append(f"  - split: {file.split}\n    path: {where}")
         tables += ["", f"## {config}", ""]
         tables += [*table(("split", "rows"), [(file.split, file.rows) for file in own]), ""]
-        tables += table(("column", "type", "unit", "contents"), columns)
+        tables.append(own[0].page)
     total = sum(file.rows for file in files)
     return filled(
         "huggingface_card.md",
@@ -145,11 +129,3 @@ def _card(title: str, files: Sequence[_File], gallery: bool) -> str:
         first=files[0].config,
         tables=tables[1:],
     )
-
-
-def _kind(column: TableColumn) -> str:
-    kind = column.kind
-    if isinstance(kind, list):
-        inner = kind[0] if isinstance(kind[0], str) else "struct"
-        return f"list of {kind[1] or 'any number of'} {inner}"
-    return kind if isinstance(kind, str) else "struct"
