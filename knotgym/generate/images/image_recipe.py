@@ -175,9 +175,9 @@ class _Waves:
         config, first = self._config, len(self.ropes)
         rng = generator(Stream.IMAGE_WAVE, config.seed, self._wave)
         lacking = self.chooser.lacking()
-        # 10 % more ropes than the yield so far suggests, smoothed by 1 rope and 4 pictures
+        # 10 % more ropes than the yield so far suggests, smoothed by 1 rope and 2 pictures
         wanted = {
-            key: int(np.ceil(1.1 * count * (self._pulled[key] + 1) / (self._gave[key] + 4)))
+            key: int(np.ceil(1.1 * count * (self._pulled[key] + 1) / (self._gave[key] + 2)))
             for key, count in lacking.items()
         }
         total = max(config.most_ropes, sum(wanted.values()))
