@@ -1,256 +1,151 @@
 """Train PPO of Stable-Baselines3 with the settings of the paper, on pictures or on states.
 
     python baselines/ppo.py --task unknot --nx 2 --observation pixels --out ppo-unknot-nx2
-    python baselines/ppo.py --task unknot --nx 2 --observation pixels --out ppo-unknot-nx2 --resume
-    knotgym evaluate --policy ppo-unknot-nx2/model.zip --task unknot --nx 2 --observation pixels
+    KNOTGYM_PPO=ppo-unknot-nx2 PYTHONPATH=baselines knotgym evaluate --policy ppo:act \\
+        --task unknot --nx 2 --set task.observation=pixels --out evaluation.json
 
-Needs stable-baselines3, and tensorboard for its log. Trains the unmodified `CnnPolicy` or
-`MlpPolicy` on the train split, in `knotgym.adapters.sb3_vec_env`. Writes to --out:
+Needs stable-baselines3. Trains the unmodified `CnnPolicy` or `MlpPolicy` on the train split, in
+`knotgym.adapters.sb3_vec_env`, and writes to --out:
 
-    model.zip         the trained model, for `knotgym evaluate`
-    evaluation.json   results of its deterministic policy, for `benchmarks/results.py`
-    curve.json, .png  learning curve
-    checkpoints/      models saved every --every steps, between rollouts
-    tensorboard/      log of Stable-Baselines3
-    ppo.json          settings, which --resume compares
+    policy.pt    weights of the policy, without pickled objects
+    ppo.json     settings, curve (success rate of the training episodes of each rollout) and times
 
-Stable-Baselines3's zip files hold pickles, and loading one may run code from it: --resume only
-folders and evaluate only models that you trust.
-
-A killed run loses the steps after its last checkpoint. A resumed training makes as many steps as an
-uninterrupted one but isn't the same to the bit: weights, optimizer and step count are restored; the
-current episodes and random states are not. Episodes start afresh, with seeds drawn from --seed and
-the number of steps so far.
+`act` is a policy for `knotgym evaluate`: the deterministic action of the folder in KNOTGYM_PPO.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
-import platform
-import shutil
-from dataclasses import dataclass
+import json
+import os
+import time
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from baseline_script import evaluation_settings, parser, require_folder, run, write_json
-from rich.console import Console
+from numpy.typing import NDArray
 
 import knotgym
-from knotgym.adapters import sb3_vec_env
-from knotgym.common.atomic_files import atomic_write
-from knotgym.common.configuration import as_json, check_numbers
-from knotgym.common.errors import InvalidInput, MissingExtra, one_line
-from knotgym.control.learned_policies import ModelPolicy
-from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.learner_evaluation import evaluate_learner
-from knotgym.rope.engines import ENGINES, MUJOCO
 
-REQUEST, MODEL = "ppo.json", "model.zip"
 POLICIES = {"pixels": "CnnPolicy", "state": "MlpPolicy"}
+WEIGHTS, SETTINGS = "policy.pt", "ppo.json"
 
 
-@dataclass(frozen=True, kw_only=True)
-class PpoConfig:
-    """The paper's settings; where it gives none (`rollout`), Stable-Baselines3's default.
-
-    Attributes:
-        learning_rate: constant learning rate of Adam.
-        features: width of the convolutional features of `CnnPolicy`; unused by `MlpPolicy`.
-        envs: parallel environments.
-        rollout: steps per environment between updates.
-        batch: minibatch size; must divide envs times rollout.
-        epochs: passes over each rollout.
-        gamma, gae_lambda, clip: parameters of PPO.
-        seed: seed of all random draws.
-    """
-
-    learning_rate: float = 1e-5
-    features: int = 768
-    envs: int = 32
-    rollout: int = 2048
-    batch: int = 64
-    epochs: int = 10
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
-    clip: float = 0.2
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("features", "envs", "rollout", "batch", "epochs"),
-            whole=("seed",),
-            positive=("learning_rate", "clip"),
-            shares=("gamma", "gae_lambda"),
-            error=InvalidInput,
-        )
-        steps = self.envs * self.rollout
-        if self.batch < 2 or steps % self.batch:
-            raise InvalidInput(
-                f"batch must be at least 2 and divide the {steps} steps of a rollout (envs times"
-                f" rollout), got {self.batch}"
-            )
-
-
-def options() -> argparse.ArgumentParser:
-    """Return the command-line options."""
-    usual = PpoConfig()
-    found = parser(__doc__ or "", "environment steps, rounded up to whole rollouts")
-    found.add_argument("--observation", default="pixels", choices=tuple(POLICIES))
-    found.add_argument("--engine", default=MUJOCO, choices=ENGINES)
-    found.add_argument("--tow-limit", type=float, help="see the environment's tow_limit")
-    found.add_argument("--every", type=int, default=250_000, help="steps between checkpoints")
-    found.add_argument("--device", default="auto", help="cpu, cuda, ...")
-    found.add_argument(
-        "--threads", type=int, default=0, help="threads of the simulation; 0 for all cores"
+def parser() -> argparse.ArgumentParser:
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    for name in ("learning_rate", "envs", "rollout", "batch", "epochs", "seed"):
-        value = getattr(usual, name)
-        word = f"--{name.replace('_', '-')}"
-        found.add_argument(word, type=type(value), default=value, help=f"default {value}")
-    return found
+    options.add_argument("--task", default="unknot", choices=("unknot", "tie", "convert"))
+    options.add_argument("--nx", type=int, default=2)
+    options.add_argument("--states", help="readable (default), random-walk or a state file")
+    options.add_argument("--observation", default="pixels", choices=tuple(POLICIES))
+    options.add_argument("--image-size", type=int, default=128)
+    options.add_argument("--engine", default="mujoco", choices=("mujoco", "chain"))
+    options.add_argument("--tow-limit", type=float)
+    options.add_argument("--endless", action="store_true", help="don't end episodes at the goal")
+    options.add_argument("--steps", type=int, default=1_000_000, help="whole rollouts are made")
+    # the paper's settings; it gives no length of a rollout, 2,048 is the library's default
+    options.add_argument("--envs", type=int, default=32)
+    options.add_argument("--rollout", type=int, default=2048, help="steps of each environment")
+    options.add_argument("--batch", type=int, default=64)
+    options.add_argument("--epochs", type=int, default=10)
+    options.add_argument("--learning-rate", type=float, default=1e-5)
+    options.add_argument("--features", type=int, default=768, help="of CnnPolicy")
+    options.add_argument("--gamma", type=float, default=0.99)
+    options.add_argument("--lam", type=float, default=0.95)
+    options.add_argument("--clip", type=float, default=0.2)
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--device", default="auto")
+    options.add_argument("--out", type=Path, required=True, help="folder to create")
+    return options
+
+
+def model_of(settings: dict[str, Any], envs: int) -> Any:
+    """Make an untrained model in its environments, from the settings that `ppo.json` holds."""
+    from stable_baselines3 import PPO
+
+    from knotgym.adapters import sb3_vec_env
+
+    task = {name: settings[name] for name in ("task", "nx", "states", "engine", "endless")}
+    task |= {"observation": settings["observation"], "image_size": settings["image_size"]}
+    venv = sb3_vec_env(**task, tow_limit=settings["tow_limit"], num_envs=envs)
+    pictures = settings["observation"] == "pixels"
+    return PPO(
+        POLICIES[settings["observation"]],
+        venv,
+        learning_rate=settings["learning_rate"],
+        n_steps=settings["rollout"],
+        batch_size=settings["batch"],
+        n_epochs=settings["epochs"],
+        gamma=settings["gamma"],
+        gae_lambda=settings["lam"],
+        clip_range=settings["clip"],
+        policy_kwargs=(
+            {"features_extractor_kwargs": {"features_dim": settings["features"]}}
+            if pictures
+            else None
+        ),
+        seed=settings["seed"],
+        device=settings["device"],
+    )
 
 
 def train(given: argparse.Namespace) -> None:
-    """Check the options, then train, save the model and evaluate it."""
-    chosen = {name: getattr(given, name) for name in vars(PpoConfig()) if hasattr(given, name)}
-    config = PpoConfig(**chosen)
-    task = TaskConfig(
-        task=given.task,
-        nx=given.nx,
-        states=given.states,
-        observation=given.observation,
-        image_size=given.image_size,
-        engine=given.engine,
-        tow_limit=given.tow_limit,
+    """Train, and write the weights and the report."""
+    import torch
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    settings = {name: value for name, value in vars(given).items() if name != "out"}
+    model, curve, began = (
+        model_of(settings, given.envs),
+        list[dict[str, Any]](),
+        time.perf_counter(),
     )
-    evaluation = evaluation_settings(given, task)
-    check_numbers(given, counts=("steps", "every"), whole=("threads",), error=InvalidInput)
-    _require_device(given.device)
-    request = {"ppo": as_json(config), "task": as_json(task)}
-    require_folder(given.out, REQUEST, request, given.resume)
-    found = _newest(given.out) if given.resume else None
-    envs = _envs(task, config, given.threads)
-    model, training_log = _learner(given, config, envs, found)
-    write_json(given.out / REQUEST, request)
-    if model.num_timesteps < given.steps:
-        left = given.steps - model.num_timesteps
-        model.learn(left, training_log, reset_num_timesteps=False, tb_log_name="ppo")
-        training_log.save()
-    _copy_last(given.out)
-    if evaluation is not None:
-        evaluate_learner(
-            f"sb3-ppo-{task.observation}",
-            ModelPolicy(lambda seen: model.predict(seen, deterministic=True)[0], "ppo"),
-            given.out,
-            _report(model, training_log, config),
-            files=[given.out / MODEL],
-            quiet=given.quiet,
-            **evaluation,
-        )
+
+    class Curve(BaseCallback):
+        """Counts the training episodes that succeed in each rollout."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.ended = self.succeeded = 0
+
+        def _on_step(self) -> bool:
+            for done, info in zip(self.locals["dones"], self.locals["infos"], strict=True):
+                self.ended += bool(done)
+                self.succeeded += bool(done and info["is_success"])
+            return True
+
+        def _on_rollout_end(self) -> None:
+            row = {"steps": self.num_timesteps, "episodes": self.ended}
+            row |= {"successes": self.succeeded, "seconds": time.perf_counter() - began}
+            curve.append(row)
+            print(", ".join(f"{name} {value:.0f}" for name, value in row.items()), flush=True)
+            self.ended = self.succeeded = 0
+
+    model.learn(given.steps, callback=Curve())
+    given.out.mkdir(parents=True, exist_ok=True)
+    torch.save(model.policy.state_dict(), given.out / WEIGHTS)
+    report = {"settings": settings, "knotgym": knotgym.__version__, "curve": curve}
+    (given.out / SETTINGS).write_text(json.dumps(report, indent=1), encoding="utf-8")
 
 
-def _require_device(device: str) -> None:
-    for library in ("torch", "stable_baselines3"):
-        if importlib.util.find_spec(library) is None:
-            raise MissingExtra(library, "pip install stable-baselines3")
-    import torch
-    from stable_baselines3.common.utils import get_device
-
-    try:
-        torch.zeros(1, device=get_device(device))
-    except (RuntimeError, AssertionError) as error:  # torch raises the latter for CUDA
-        raise InvalidInput(
-            f"device {device!r} is not available: {one_line(error)[:200]}"
-        ) from error
-
-
-def _envs(task: TaskConfig, config: PpoConfig, threads: int) -> Any:
-    from stable_baselines3.common.vec_env import VecMonitor
-
-    names = ("nx", "states", "observation", "image_size", "engine", "tow_limit")
-    settings = {name: getattr(task, name) for name in names}
-    return VecMonitor(sb3_vec_env(task.task, config.envs, threads=threads, **settings))
-
-
-def _learner(
-    given: argparse.Namespace, config: PpoConfig, envs: Any, found: Path | None
-) -> tuple[Any, Any]:
-    """Return the model, new or from checkpoint `found`, and the callback with its history."""
-    from stable_baselines3 import PPO
-    from training_log import TrainingLog, read_rows
-
-    extra = {"features_extractor_kwargs": {"features_dim": config.features}}
-    log = str(given.out / "tensorboard") if importlib.util.find_spec("tensorboard") else None
-    console = Console(stderr=True, quiet=given.quiet)
-    if found is None:
-        model = PPO(
-            POLICIES[given.observation],
-            envs,
-            learning_rate=config.learning_rate,
-            n_steps=config.rollout,
-            batch_size=config.batch,
-            n_epochs=config.epochs,
-            gamma=config.gamma,
-            gae_lambda=config.gae_lambda,
-            clip_range=config.clip,
-            policy_kwargs=extra if given.observation == "pixels" else None,
-            tensorboard_log=log,
-            device=given.device,
-            seed=config.seed,
-        )
-        return model, TrainingLog(given.out, given.every, [], [], console)
-    try:
-        model = PPO.load(found, envs, device=given.device)
-        steps = model.num_timesteps
-        rows, before = read_rows(given.out, steps)
-    except (
-        Exception
-    ) as error:  # pickle, zipfile and torch each raise their own for a corrupted file
-        raise InvalidInput(f"can't resume from {found}: {one_line(error)[:200]}") from error
-    if steps < given.steps:
-        before = [*(one for one in before if one < steps), steps]
-    model.tensorboard_log = log
-    fresh = np.random.SeedSequence([config.seed, steps]).generate_state(1, np.uint32)[0]
-    model.set_random_seed(int(fresh) // 2)  # episodes take this and the following seeds
-    return model, TrainingLog(given.out, given.every, rows, before, console)
-
-
-def _newest(out: Path) -> Path | None:
-    from training_log import checkpoints
-
-    return checkpoints(out)[-1] if checkpoints(out) else None
-
-
-def _copy_last(out: Path) -> None:
-    from training_log import checkpoints
-
-    with atomic_write(out / MODEL) as part:
-        shutil.copyfile(checkpoints(out)[-1], part)
-
-
-def _report(model: Any, training_log: Any, config: PpoConfig) -> dict[str, Any]:
-    """Describe the training, for the evaluation file."""
-    import stable_baselines3
+@cache
+def _trained() -> Any:
     import torch
 
-    last = training_log.rows[-1]
-    return {
-        "library": f"stable-baselines3 {stable_baselines3.__version__}, torch {torch.__version__}",
-        "knotgym": knotgym.__version__,
-        "policy": type(model.policy).__name__,
-        "parameters": sum(one.numel() for one in model.policy.parameters()),
-        "steps": model.num_timesteps,
-        "resumed_at": training_log.resumed_at,
-        "settings": as_json(config),
-        "seed": config.seed,
-        "seconds": last.seconds,
-        "cpu_seconds": last.cpu_seconds,
-        "machine": f"{platform.system()} {platform.machine()}, {model.device}",
-    }
+    folder = Path(os.environ["KNOTGYM_PPO"])
+    settings = json.loads((folder / SETTINGS).read_text(encoding="utf-8"))["settings"]
+    model = model_of({**settings, "device": "cpu"}, 1)
+    model.policy.load_state_dict(torch.load(folder / WEIGHTS, weights_only=True))
+    return model
+
+
+def act(observation: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the most likely action of the trained policy."""
+    pull: NDArray[np.float32] = _trained().predict(observation, deterministic=True)[0]
+    return pull
 
 
 if __name__ == "__main__":
-    run(train, options())
+    train(parser().parse_args())

@@ -42,7 +42,6 @@ from knotgym.rope.engines import CHAIN, MUJOCO
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
-from knotgym.runs.executors import executor
 from knotgym.runs.intervals import wilson
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import label_many
@@ -245,22 +244,21 @@ def policy(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]
     # the chain first, then a part of every cell in turn: what takes long is MuJoCo
     order = [(CHAIN, part, cell) for cell in cells for part in parts]
     order += [(MUJOCO, part, cell) for part in parts for cell in cells]
-    with executor(1) as pool:
-        for engine, part, (name, task, nx) in order:
-            key = f"{name} {task} {nx}"
-            done = found.setdefault(key, {}).setdefault(engine, [])
-            if part < len(done):
-                continue
-            config = EvaluateConfig(
-                tasks=(task,),
-                nx=(nx,),
-                episodes=PART,
-                seed=part,
-                task=TaskConfig(task=task, observation="state", states=name, engine=engine),
-            )
-            done.append(evaluate(config, pool)[0][0].successes)
-            told = {"part": PART, "successes": found, "table": compared(found)}
-            args.out.write_text(json.dumps({"results": told}, indent=1) + "\n", encoding="utf-8")
+    for engine, part, (name, task, nx) in order:
+        key = f"{name} {task} {nx}"
+        done = found.setdefault(key, {}).setdefault(engine, [])
+        if part < len(done):
+            continue
+        config = EvaluateConfig(
+            tasks=(task,),
+            nx=(nx,),
+            episodes=PART,
+            seed=part,
+            task=TaskConfig(task=task, observation="state", states=name, engine=engine),
+        )
+        done.append(evaluate(config)[0].successes)
+        told = {"part": PART, "successes": found, "table": compared(found)}
+        args.out.write_text(json.dumps({"results": told}, indent=1) + "\n", encoding="utf-8")
     return {"part": PART, "successes": found, "table": compared(found)}
 
 

@@ -1,13 +1,12 @@
 """Runs that are killed again and again: whether what they leave and what they end with is right.
 
-    python benchmarks/kills.py --kills 20 --kinds generate collect images --out kills.json
+    python benchmarks/kills.py --kills 20 --kinds generate collect evaluate images --out kills.json
 
 A small run of each kind is made once without a break. Then the same is begun, killed at a random
 moment of the time that took (SIGKILL, its workers die with it), and gone on with by --resume, until
 it was killed --kills times; a run that is done before its kill is begun anew elsewhere. After every
 kill nothing may stand under the final name, and every finished run must have the bytes of the one
-without a break (all files but the report of a collection, which tells how long planning took).
-Kinds that --out already tells aren't run again.
+without a break. Kinds that --out already tells aren't run again.
 """
 
 from __future__ import annotations
@@ -28,45 +27,32 @@ import numpy as np
 
 from knotgym.common.atomic_files import sha256
 
-SMALL = {
-    "wave": 2,
-    "planned": 2,
-    "stalled": 0,
-    "planner": {"budget": 100},
-    "search": {"batch_size": 4, "steps": 8},
-}
 ID = "knotgym/unknot-nx1/random-v0"
-EPISODES = ("--task", "unknot", "--nx", "1", "--policy", "random", "--set", "task.horizon=6")
+TASK = ("--task", "unknot", "--nx", "1", "--engine", "chain")
+EPISODES = ("--policy", "random", "--set", "task.horizon=6", "--episodes", "200")
 KINDS: dict[str, tuple[str, ...]] = {
-    "generate": ("generate", "--nx", "0,1", "--count", "4"),
-    "collect": ("collect", *EPISODES, "--episodes", "16", "--id", ID),
-    "images": ("images", "--nx", "0,1", "--count", "12"),
+    "generate": ("generate", "--nx", "0,1", "--count", "4", "--engine", "chain"),
+    "collect": ("collect", *TASK, *EPISODES, "--observation", "state", "--id", ID),
+    "evaluate": ("evaluate", *TASK, *EPISODES),
+    "images": ("images", "--nx", "0,1", "--count", "12", "--engine", "chain"),
 }
 
 
 def typed(kind: str, room: Path, workers: int, *more: str) -> list[str]:
     """The command of a kind that writes below a room."""
     words = [*KINDS[kind], "--workers", str(workers), "--quiet", "--out", str(room / "a"), *more]
-    if kind == "generate":
-        settings = room.parent / "small.json"
-        settings.write_text(json.dumps(SMALL), encoding="utf-8")
-        words += ["--settings", str(settings)]
     return [sys.executable, "-m", "knotgym", *words]
 
 
 def final(kind: str, room: Path) -> Path:
-    """The folder that a kind makes in a room."""
+    """The folder or file that a kind makes in a room."""
     return room / "a" / ID if kind == "collect" else room / "a"
 
 
 def made(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file that counts."""
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    return {
-        str(path.relative_to(folder)): sha256(path)
-        for path in files
-        if path.name != "collection.json"
-    }
+    """SHA-256 of every file."""
+    files = [folder] if folder.is_file() else sorted(folder.rglob("*"))
+    return {str(path.relative_to(folder)): sha256(path) for path in files if path.is_file()}
 
 
 def break_off(words: list[str], seconds: float) -> bool:
@@ -105,7 +91,7 @@ def run_kind(kind: str, kills: int, workers: int, seed: int) -> dict[str, Any]:
             if break_off(typed(kind, room, workers, "--resume"), moment):
                 killed += 1
                 resumes += 1
-                there = final(kind, room).is_dir()
+                there = final(kind, room).exists()
                 if there and made(final(kind, room)) != right:
                     faults.append(f"kill {killed}: half of it stands under the final name")
                 continue

@@ -24,7 +24,7 @@ from typing import Any
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import InvalidFile
 from knotgym.generate.episodes.suite_scores import CELL, LINE, read_scores, score_tables
-from knotgym.runs.engine import versions
+from knotgym.runs.identity import versions
 
 ROOT = Path(__file__).parents[1]
 COUNTS = ("nx", "episodes", "successes", "starts", "goals")

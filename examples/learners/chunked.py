@@ -24,8 +24,6 @@ from decisions import ChunkPolicy, Decisions, Eyes, Floats, decision_options, ne
 from protocol import Training, measure, parser
 from torch import Tensor, nn
 
-from knotgym.control.learned_policies import inference
-
 EULER = 10  # steps from noise to a decision
 PROPOSALS = 8  # decisions that the critic chooses from
 DISCOUNT = 0.95  # per decision
@@ -105,7 +103,7 @@ def values(critic: Network, seen: Tensor, chunks: Tensor) -> Tensor:
 def trained_critic(rows: Decisions, flow: Network, given: Any) -> Network:
     """Learn the values of chunks; the flow's proposals in each state are drawn once."""
     seen, chunks = torch.from_numpy(rows.observations), torch.from_numpy(rows.chunks)
-    with inference(torch):
+    with torch.inference_mode():
         offered = torch.cat(
             [
                 proposals(flow, part, torch.randn(len(part), PROPOSALS, flow.chunk))
@@ -145,9 +143,9 @@ class FlowPolicy(ChunkPolicy):
     def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
         many = 1 if self._critic is None else PROPOSALS
         shape = many, self._flow.chunk
-        noise = np.stack([self._rngs[index].standard_normal(shape) for index in indices])
+        noise = np.stack([self.rngs[index].standard_normal(shape) for index in indices])
         observations = torch.from_numpy(seen)
-        with inference(torch):
+        with torch.inference_mode():
             chunks = proposals(self._flow, observations, torch.from_numpy(noise).float())
             if self._critic is not None:
                 best = values(self._critic, observations, chunks).argmax(1)

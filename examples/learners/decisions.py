@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,12 +23,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from knotgym.control.demonstrator import RANDOM
-from knotgym.control.policy import Choice, UnplannedPolicy
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.trajectory import Episode
+from knotgym.control.rollouts import Ids, Pulls
+from knotgym.datasets.episode_dataset import columns_of
+from knotgym.datasets.episodes import Episodes, gauss_code
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.marked import Frames, mark
+from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_network import CloneNetwork, Inputs, MarkedInputs, inputs
 from knotgym.rope.actions import quantized
 from knotgym.rope.model import RopeConfig
@@ -104,16 +105,15 @@ def read(datasets: list[str], chunk: int, copies: int, seed: int) -> Decisions:
     """Read the decisions of datasets; with `chunk` 1, each pull of a macro-action is one."""
     rng, rows = np.random.default_rng(seed), list[_Row]()
     for dataset in datasets:
-        reader = EpisodeReader(dataset)
-        if not reader.has("macro_start"):
+        episodes = columns_of(dataset).episodes
+        if "macro_start" not in episodes.steps:
             raise SystemExit(f"{dataset} records no macro-actions; use a demonstrator's set")
-        for episode in reader:
-            count = copies * bool(episode.terminations[-1])
+        for number in range(episodes.episodes.rows):
+            count = copies * bool(episodes.episodes["success"][number])
             others = rng.choice(np.arange(1, BEADS), count, replace=False)
             for base in (0, *others.tolist()):
-                own = _decided(episode, base, chunk)
+                own = _decided(episodes, number, base, chunk)
                 rows += own + _in_hindsight(own)
-        reader.close()
     columns = _Row(*zip(*rows, strict=True))
     points = np.stack(columns.points)
     observations, frames = observe(points, list(columns.goal))
@@ -150,35 +150,38 @@ class _Row(NamedTuple):
     hindsight: Any
 
 
-def _decided(episode: Episode, base: int, chunk: int) -> list[_Row]:
+def _decided(episodes: Episodes, number: int, base: int, chunk: int) -> list[_Row]:
     """Return the decisions of an episode whose beads are numbered from bead `base`."""
-    assert episode.macro_start is not None and episode.macro_bead is not None
-    start, led = episode.macro_start[1:], episode.macro_bead[1:] >= 0
-    count, won = len(episode), bool(episode.terminations[-1])
+    first, count = int(episodes.offsets[number]), int(episodes.episodes["length"][number])
+    steps = episodes.steps.take(slice(first, first + count + 1))
+    points = steps["observation"].astype(np.float64)
+    # a pull is part of a macro-action where one has a side
+    start, led = steps["macro_start"][:count], steps["macro_side"][:count] != 0
+    won = bool(steps["terminated"][count - 1])
     begun = np.flatnonzero(led if chunk == 1 else start).tolist()
-    shown = [shifted_base(find_crossings(episode.points[at]), base).plain for at in (*begun, count)]
-    goal = shown[-1] if base else GaussCode.parse(episode.goal_gauss_code)
+    shown = [shifted_base(find_crossings(points[at]), base).plain for at in (*begun, count)]
+    goal = shown[-1] if base else gauss_code(episodes.episodes["goal_visits"][number]).plain
     ends = [*begun[1:], count][: len(begun)]  # none if the planner led from the start
     rows = []
-    for number, (at, after) in enumerate(zip(begun, ends, strict=True)):
+    for row, (at, after) in enumerate(zip(begun, ends, strict=True)):
         # the macro-action ends where the next begins, or before a pull that is part of none
         stop = at + int(np.append(~led[at:after], True).argmax())
         pulls = min(stop - at, chunk)
         forces = np.zeros((chunk, 3))
-        forces[:pulls] = episode.force[1 + at : 1 + at + pulls] / RopeConfig().max_force
+        forces[:pulls] = steps["force"][at : at + pulls]
         rows.append(
             _Row(
-                points=np.roll(episode.points[at], -base, axis=0),
+                points=np.roll(points[at], -base, axis=0),
                 goal=goal,
-                bead=(episode.bead[1 + at] - base) % BEADS,
+                bead=(int(steps["bead"][at]) - base) % BEADS,
                 forces=forces,
                 going=np.where(np.arange(chunk) < pulls, 1.0, -1.0),
-                before=shown[number],
-                after=shown[number + 1],
-                reward=episode.rewards[at:after].sum(),
+                before=shown[row],
+                after=shown[row + 1],
+                reward=steps["reward"][at:after].sum(),
                 terminal=won and after == count,
                 end=after == count,
-                chosen=won and (episode.move is None or episode.move[1 + at] != RANDOM),
+                chosen=won,
                 whole=stop == after or pulls == chunk,
                 hindsight=False,
             )
@@ -227,44 +230,71 @@ class Eyes(nn.Module):
         return torch.cat([seen.whole, (weights[:, None] @ beads)[:, 0]], dim=1)
 
 
-class ChunkPolicy(UnplannedPolicy, ABC):
-    """Decides, pulls the bead as decided, and decides anew when the chunk is over."""
+class ChunkPolicy(ABC):
+    """Decides, pulls the bead as decided, and decides anew when the chunk is over.
+
+    Attributes:
+        name: in the results.
+        rngs: the generator of each lane's episode.
+    """
 
     def __init__(self, name: str) -> None:
-        super().__init__(name)
-        self._left: dict[int, list[tuple[int, Any]]] = {}
+        self.name = name
+        self.rngs: dict[int, np.random.Generator] = {}
 
     @abstractmethod
     def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
-        """Decide for episodes, given their observations and ropes (n, beads, 3) in the frame.
+        """Decide for lanes, given their observations and ropes (n, beads, 3) in the frame.
 
         Returns:
             beads (n,), and the forces and signs of `Decisions.chunks`, (n, 4 chunk).
         """
 
-    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
-        super().begin(episodes, index, rng)
-        self._left[index] = []
+    def begin(self, index: int, rng: np.random.Generator) -> None:
+        """Start an episode in a lane."""
+        self.rngs[index] = rng
 
-    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        simulation, indices = episodes.simulation, ids.tolist()
-        if deciding := [index for index in indices if not self._left[index]]:
-            self._decide(episodes, deciding)
-        beads, forces = zip(*(self._left[index].pop(0) for index in indices), strict=True)
-        newtons = quantized(np.clip(forces, -1, 1)) * simulation.max_force
-        return Choice(simulation.actions(beads, newtons, ids), [""] * len(ids))
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Any task of pulls."""
+        return task
 
-    def _decide(self, episodes: EpisodeBatch, indices: list[int]) -> None:
-        points = episodes.simulation.points[indices]
-        observations, frames = observe(points, [episodes.goals[index] for index in indices])
+    def player(self, batch: EpisodeBatch) -> ChunkPlayer:
+        """Return a player for the lanes of a batch."""
+        return ChunkPlayer(self, batch)
+
+
+class ChunkPlayer:
+    """Carries out what a `ChunkPolicy` decides."""
+
+    def __init__(self, policy: ChunkPolicy, batch: EpisodeBatch) -> None:
+        self._policy, self._batch = policy, batch
+        self.planned = np.zeros(batch.count, dtype=np.int64)
+        self._left: dict[int, list[tuple[int, Any]]] = {}
+
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
+        """Start new episodes in lanes."""
+        for index, rng in zip(ids.tolist(), rngs, strict=True):
+            self._left[index] = []
+            self._policy.begin(index, rng)
+
+    def act(self, ids: Ids) -> Pulls:
+        """Choose pulls in lanes."""
+        if deciding := [index for index in ids.tolist() if not self._left[index]]:
+            self._decide(np.array(deciding))
+        beads, forces = zip(*(self._left[index].pop(0) for index in ids.tolist()), strict=True)
+        return Pulls(ids, np.array(beads), quantized(np.clip(forces, -1, 1)).astype(np.float32))
+
+    def _decide(self, ids: Ids) -> None:
+        points = self._batch.simulation.points[ids]
+        observations, frames = observe(points, self._batch.goals_of(ids))
         seen = frames.points(points).astype(np.float32)
-        beads, chunks = self.choose(indices, observations, seen)
-        count, pulls = len(indices), chunks.shape[1] // 4
+        beads, chunks = self._policy.choose(ids.tolist(), observations, seen)
+        count, pulls = len(ids), chunks.shape[1] // 4
         forces = chunks[:, : 3 * pulls].reshape(count, pulls, 3)
         # at least one pull, and those before the first that isn't to be made any more
         length = 1 + (chunks[:, 3 * pulls + 1 :] > 0).cumprod(1).sum(1)
         own, pulled = frames.renumber(beads), frames.world_vectors(forces)
-        for row, index in enumerate(indices):
+        for row, index in enumerate(ids.tolist()):
             self._left[index] = [(own[row], pulled[row, step]) for step in range(length[row])]
 
 

@@ -169,8 +169,8 @@ class LearnedPolicy(ChunkPolicy):
         self._learner, self._puller = learner, puller
         self._contexts: dict[int, Any] = {}  # of a transformer, by episode
 
-    def begin(self, episodes: Any, index: int, rng: np.random.Generator) -> None:
-        super().begin(episodes, index, rng)
+    def begin(self, index: int, rng: np.random.Generator) -> None:
+        super().begin(index, rng)
         if hasattr(self._learner, "as_stateful_wrapper"):
             self._contexts[index] = self._learner.as_stateful_wrapper(target_return=RETURN)
 

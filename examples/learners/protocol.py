@@ -6,6 +6,7 @@ Results are written in its format, which `benchmarks/results.py` reads.
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 import sys
 import time
@@ -13,11 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.cli.options import numbers
-from knotgym.control.policy import Policy
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.minari_dataset import metadata_of
+from knotgym.control.policies import register_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import Policy
+from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.learner_evaluation import evaluate_learner
+from knotgym.generate.episodes.evaluate import run
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+from knotgym.runs.run_options import RunOptions
 
 
 def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:
@@ -46,12 +50,12 @@ class Training:
     def __init__(self, library: str, given: argparse.Namespace, datasets: list[str]) -> None:
         self._began, self._spent = time.perf_counter(), time.process_time()
         given.out.mkdir(parents=True, exist_ok=True)
-        readers = [EpisodeReader(source) for source in datasets]
+        opened = [open_episodes(source) for source in datasets]
         self._report: dict[str, Any] = {
             "library": library,
-            "datasets": [_dataset_id(source) for source in datasets],
-            "episodes": sum(len(reader) for reader in readers),
-            "transitions": int(sum(reader.lengths.sum() for reader in readers)),
+            "datasets": [one.name for one in opened],
+            "episodes": sum(one.episodes.episodes.rows for one in opened),
+            "transitions": int(sum(one.episodes.episodes["length"].sum() for one in opened)),
             "steps": given.steps,
             "batch": given.batch,
             "seed": given.seed,
@@ -59,8 +63,6 @@ class Training:
                 ["python", f"examples/learners/{Path(sys.argv[0]).name}", *sys.argv[1:]]
             ),
         }
-        for reader in readers:
-            reader.close()
 
     def ended(self) -> dict[str, Any]:
         """Return the report, with the time spent."""
@@ -69,12 +71,6 @@ class Training:
             "seconds": round(time.perf_counter() - self._began, 1),
             "cpu_seconds": round(time.process_time() - self._spent, 1),
         }
-
-
-def _dataset_id(source: str) -> str:
-    """Return the id of a dataset, or the name of an episode file without one."""
-    metadata = metadata_of(source)
-    return Path(source).name if metadata is None else metadata.dataset_id
 
 
 def measure(
@@ -92,15 +88,20 @@ def measure(
     Returns:
         The content of `evaluation.json`: as from `knotgym evaluate --out`, and `training`.
     """
-    return evaluate_learner(
-        name,
-        policy,
-        given.out,
-        training,
-        files=[given.out / model for model in models],
-        tasks=given.task.split(","),
+    files = [given.out / model for model in models]
+    register_policy(name, lambda config: policy, files)
+    config = EvaluateConfig(
+        policies=(PolicyConfig(policy=name),),
+        tasks=tuple(given.task.split(",")),
         nx=numbers(given.nx),
-        splits=given.split.split(","),
+        splits=tuple(given.split.split(",")),
         episodes=given.episodes,
         task=TaskConfig(task="tie", states=given.states, observation="state", engine=given.engine),
     )
+    out = given.out / "evaluation.json"
+    # one process: the policy is known here alone
+    run(config, RunOptions(workers=1, overwrite=True), out=out)
+    written = json.loads(out.read_text(encoding="utf-8")) | {"training": training}
+    out.write_text(json.dumps(written, indent=1), encoding="utf-8")
+    found: dict[str, Any] = written
+    return found

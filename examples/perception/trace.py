@@ -197,9 +197,8 @@ def main() -> None:
                 f"accepted, misread: row {row['source']['row']}, {row['gauss_code']} read as"
                 f" {missed[-1][2]}"
             )
-    for row in (HEAD, *score_rows(reading_scores(readings))):
-        line = "{:16} {:>6} {:>8} {:>9} {:>6}".format(*row)
-        print(line)
+    for cells in (HEAD, *score_rows(reading_scores(readings))):
+        print("{:16} {:>6} {:>8} {:>9} {:>6}".format(*cells))
     if given.page and missed:
         page(missed, given.page)
         print(f"{given.page}: {len(missed)} misread")

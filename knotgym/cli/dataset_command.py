@@ -1,12 +1,15 @@
 """The commands `knotgym dataset ...`, which inspect, check, convert and cut datasets."""
 
+import functools
+import inspect
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
 from knotgym.cli.options import APP, Overwrite, Quiet
-from knotgym.common.errors import InvalidInput
+from knotgym.common.errors import Failed, InvalidInput
 from knotgym.runs.progress import Progress
 
 dataset = App(
@@ -32,30 +35,45 @@ Out = Annotated[
         " Minari root, Minari's own by default.",
     ),
 ]
+Source = Annotated[str, Parameter(name="PATH-OR-ID")]
+Curve = Annotated[Path, Parameter(name="CURVE")]
 Id = Annotated[str, Parameter(name="--id", help="Write episodes as a Minari dataset with this id.")]
 
 
-@dataset.command
-def show(path: PathOrId, /, *, quiet: Quiet = False) -> None:
+def _command(name: str | None = None) -> Callable[[Callable[..., None]], None]:
+    """Register a function as a command; its first parameter is the progress display."""
+
+    def register(function: Callable[..., None]) -> None:
+        @functools.wraps(function)
+        def run(*words: Any, quiet: bool = False, **options: Any) -> None:
+            with Progress(quiet, lines=False) as progress:
+                function(progress, *words, **options)
+
+        _, *parameters = inspect.signature(function).parameters.values()
+        quiet = inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False)
+        own = [*parameters, quiet.replace(annotation=Quiet)]
+        run.__annotations__ = {one.name: one.annotation for one in own}
+        vars(run)["__signature__"] = inspect.Signature(own)
+        dataset.command(run, name=name)
+
+    return register
+
+
+@_command()
+def show(progress: Progress, path: PathOrId, /) -> None:
     """Summarize a dataset.
 
     Prints crossings, codes, chirality, splits, quality and rejections. For transcripts of `knotgym
     prompt` (a .jsonl file or its folder): success rate, answers, retries and tokens.
     """
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.inspection import show as look
+    from knotgym.cli.inspection import show as look
 
-        look(path, progress.console)
+    look(path, progress.console)
 
 
-@dataset.command
+@_command()
 def gallery(
-    path: PathOrId,
-    /,
-    *,
-    out: Path | None = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    progress: Progress, path: PathOrId, /, *, out: Path | None = None, overwrite: Overwrite = False
 ) -> None:
     """Draw a contact sheet of knot diagrams with their codes.
 
@@ -65,44 +83,40 @@ def gallery(
     Args:
         out: PNG to write; gallery.png in the folder by default.
     """
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.inspection import gallery as draw
-        from knotgym.datasets.located import folder_of
+    from knotgym.cli.inspection import gallery as draw
+    from knotgym.datasets.located import folder_of
 
-        out = out or folder_of(path) / "gallery.png"
-        progress.say(f"{out}: {draw(path, out, 8, overwrite)}")
+    out = out or folder_of(path) / "gallery.png"
+    progress.say(f"{out}: {draw(path, out, 8, overwrite)}")
 
 
-@dataset.command
-def verify(path: PathOrId, /, *, quiet: Quiet = False) -> int:
+@_command()
+def verify(progress: Progress, path: PathOrId, /) -> None:
     """Check a dataset.
 
     Compares checksums and schema, recomputes Gauss codes with two implementations, replays the
     actions that led to each state, and checks the splits. Exit status 1 on any fault.
     """
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.inspection import checked, faults
-        from knotgym.runs.compilation import compile_first
+    from knotgym.cli.inspection import checked, faults
+    from knotgym.runs.compilation import compile_first
 
-        compile_first(progress)
-        found = 0
-        for fault in faults(path, progress):
-            found += 1
-            progress.console.print(f"fault: {fault}", soft_wrap=True, highlight=False, markup=False)
-        if not quiet:
-            progress.say(
-                f"{path}: " + (f"{found} faults" if found else f"{checked(path)}: no faults")
-            )
-        return int(found > 0)
+    compile_first(progress)
+    found = 0
+    for fault in faults(path, progress):
+        found += 1
+        progress.console.print(f"fault: {fault}", soft_wrap=True, highlight=False, markup=False)
+    if found:
+        raise Failed(f"{path}: {found} faults")
+    progress.say(f"{path}: {checked(path)}: no faults")
 
 
-@dataset.command
+@_command()
 def merge(
-    *sources: Annotated[str, Parameter(name="PATH-OR-ID")],
+    progress: Progress,
+    *sources: Source,
     out: Path | None = None,
     dataset_id: Id = "",
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
 ) -> None:
     """Merge datasets of one kind. Data is copied, not encoded again.
 
@@ -127,22 +141,21 @@ def merge(
             "shards of a run are merged by running its command again, without run.shard, where"
             " their journals lie"
         )
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.datasets.merging import merge as merge_datasets
+    from knotgym.datasets.merging import merge as merge_datasets
 
-        progress.stage("merging")
-        progress.say(merge_datasets(sources, out, dataset_id, overwrite))
+    progress.stage("merging")
+    progress.say(merge_datasets(sources, out, dataset_id, overwrite))
 
 
-@dataset.command
+@_command()
 def replay(
+    progress: Progress,
     path: PathOrId,
     /,
     *,
     out: Path | None = None,
     row: int = 0,
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
 ) -> None:
     """Replay the actions of a state or an episode, check the result bit for bit, and film it.
 
@@ -154,22 +167,16 @@ def replay(
             the folder.
         row: Index of the state or episode.
     """
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.inspection import film
-        from knotgym.datasets.located import folder_of
+    from knotgym.cli.inspection import film
+    from knotgym.datasets.located import folder_of
 
-        out = out or folder_of(path) / "replay.gif"
-        progress.say(f"{out}: {film(path, row, out, overwrite, progress)}")
+    out = out or folder_of(path) / "replay.gif"
+    progress.say(f"{out}: {film(path, row, out, overwrite, progress)}")
 
 
-@dataset.command
+@_command()
 def page(
-    path: PathOrId,
-    /,
-    *,
-    out: Path | None = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    progress: Progress, path: PathOrId, /, *, out: Path | None = None, overwrite: Overwrite = False
 ) -> None:
     """Write a self-contained HTML page for browsing a dataset offline.
 
@@ -179,24 +186,23 @@ def page(
     Args:
         out: HTML file to write; page.html in the folder by default.
     """
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.cli.inspection import page as write
-        from knotgym.datasets.located import folder_of
+    from knotgym.cli.inspection import page as write
+    from knotgym.datasets.located import folder_of
 
-        out = out or folder_of(path) / "page.html"
-        progress.stage("writing the page")
-        progress.say(f"{out}: {write(path, out, overwrite)}")
+    out = out or folder_of(path) / "page.html"
+    progress.stage("writing the page")
+    progress.say(f"{out}: {write(path, out, overwrite)}")
 
 
-@dataset.command
+@_command()
 def export(
+    progress: Progress,
     path: PathOrId,
     /,
     *,
     out: Path,
     to: str = "compact",
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
 ) -> None:
     """Convert a dataset to another format, or to a folder ready to upload.
 
@@ -207,16 +213,16 @@ def export(
             (starts and pulls alone) or ogbench; huggingface or minari for a folder ready to upload;
             curves for the closed curves of states as .csv, .obj or .npz.
     """
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.control.verification import replay
-        from knotgym.datasets.exports.exporters import export as convert
+    from knotgym.control.verification import replay
+    from knotgym.datasets.exports.exporters import export as convert
 
-        progress.stage("exporting")
-        progress.say(f"{out}: {convert(path, out, to, replay, overwrite=overwrite)}")
+    progress.stage("exporting")
+    progress.say(f"{out}: {convert(path, out, to, replay, overwrite=overwrite)}")
 
 
-@dataset.command
+@_command()
 def select(
+    progress: Progress,
     path: PathOrId,
     /,
     *,
@@ -226,13 +232,12 @@ def select(
     out: Out = None,
     dataset_id: Id = "",
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
 ) -> None:
     """Write the states, episodes or pictures that fulfil a condition as a new dataset.
 
     Examples:
 
-        knotgym dataset select runs/nx3 --where "nx > 2 and split == 'train'" --out hard.h5
+        knotgym dataset select runs/nx3 --where "nx > 2 and split = 'train'" --out hard.h5
 
         knotgym dataset select knotgym/tie-nx3/a-v0 --where "length < 30" --id knotgym/short-v0
 
@@ -243,25 +248,25 @@ def select(
         sample: Keep this many of the rows, drawn at random.
         seed: Seed of the random choice.
     """
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.datasets import subsets
+    from knotgym.datasets import subsets
 
-        progress.stage("selecting")
-        _require_own(path, out, dataset_id)
-        made = subsets.select(
-            path,
-            where=where,
-            sample=sample,
-            seed=seed,
-            out=out,
-            dataset_id=dataset_id,
-            overwrite=overwrite,
-        )
-        progress.say(f"{made}: {subsets.kept(made)}")
+    progress.stage("selecting")
+    _require_own(path, out, dataset_id)
+    made = subsets.select(
+        path,
+        where=where,
+        sample=sample,
+        seed=seed,
+        out=out,
+        dataset_id=dataset_id,
+        overwrite=overwrite,
+    )
+    progress.say(f"{made}: {subsets.kept(made)}")
 
 
-@dataset.command
+@_command()
 def split(
+    progress: Progress,
     path: PathOrId,
     /,
     *,
@@ -270,7 +275,6 @@ def split(
     out: Out = None,
     dataset_id: Id = "",
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
 ) -> None:
     """Write a dataset as several, OUT-NAME each, by fractions of its rows.
 
@@ -280,19 +284,19 @@ def split(
         parts: Names and fractions of the parts, such as train=0.8,val=0.2.
         seed: Seed of the random choice.
     """
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.datasets import subsets
+    from knotgym.datasets import subsets
 
-        progress.stage("splitting")
-        _require_own(path, out, dataset_id)
-        for made in subsets.split(
-            path, parts, seed=seed, out=out, dataset_id=dataset_id, overwrite=overwrite
-        ):
-            progress.say(f"{made}: {subsets.kept(made)}")
+    progress.stage("splitting")
+    _require_own(path, out, dataset_id)
+    for made in subsets.split(
+        path, parts, seed=seed, out=out, dataset_id=dataset_id, overwrite=overwrite
+    ):
+        progress.say(f"{made}: {subsets.kept(made)}")
 
 
-@dataset.command
+@_command()
 def delete(
+    progress: Progress,
     path: PathOrId,
     /,
     *,
@@ -300,29 +304,24 @@ def delete(
     out: Out = None,
     dataset_id: Id = "",
     overwrite: Overwrite = False,
-    quiet: Quiet = False,
 ) -> None:
     """Write a dataset without some of its rows.
 
     Args:
         rows: Which, such as 3,7-9: rows of states, numbers of episodes, or source.row of pictures.
     """
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.datasets import subsets
+    from knotgym.datasets import subsets
 
-        progress.stage("deleting")
-        _require_own(path, out, dataset_id)
-        numbered = subsets.row_numbers(rows)
-        made = subsets.delete(path, numbered, out=out, dataset_id=dataset_id, overwrite=overwrite)
-        progress.say(f"{made}: {subsets.kept(made)}")
+    progress.stage("deleting")
+    _require_own(path, out, dataset_id)
+    numbered = subsets.row_numbers(rows)
+    made = subsets.delete(path, numbered, out=out, dataset_id=dataset_id, overwrite=overwrite)
+    progress.say(f"{made}: {subsets.kept(made)}")
 
 
-@dataset.command(name="import")
+@_command(name="import")
 def import_curves(
-    *curves: Annotated[Path, Parameter(name="CURVE")],
-    out: Path,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    progress: Progress, *curves: Curve, out: Path, overwrite: Overwrite = False
 ) -> None:
     """Write closed curves as states of the rope.
 
@@ -336,18 +335,17 @@ def import_curves(
     """
     if not curves:
         raise InvalidInput("name the files of curves to import")
-    with Progress(quiet, lines=False) as progress:
-        from knotgym.common.atomic_files import atomic_write, require_output
-        from knotgym.generate.states.imported_curves import import_curves as lay
-        from knotgym.states.state_file import write_states
+    from knotgym.common.atomic_files import atomic_write, require_output
+    from knotgym.generate.states.imported_curves import import_curves as lay
+    from knotgym.states.state_file import write_states
 
-        progress.stage("relaxing curves")
-        require_output(out, folder=False, overwrite=overwrite)
-        states = lay(curves, split="train", seed=0)
-        with atomic_write(out, overwrite=overwrite) as temporary:
-            write_states(temporary, states)
-        knots = ", ".join(sorted(set(states.knot.tolist())))
-        progress.say(f"{out}: {len(states)} states, of {knots}")
+    progress.stage("relaxing curves")
+    require_output(out, folder=False, overwrite=overwrite)
+    states = lay(curves, split="train", seed=0)
+    with atomic_write(out, overwrite=overwrite) as temporary:
+        write_states(temporary, states)
+    knots = ", ".join(sorted(set(states.knot.tolist())))
+    progress.say(f"{out}: {len(states)} states, of {knots}")
 
 
 def _require_own(path: str, out: Path | None, dataset_id: str) -> None:

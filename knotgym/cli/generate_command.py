@@ -95,35 +95,35 @@ def code_list(
         rng: source of the sample.
 
     Raises:
-        InvalidInput: a line is none of them.
+        InvalidInput: the file can't be read, a line is no code, or no code is kept.
     """
     if str(path) == HARD_UNKNOTS and not path.exists():
         path = Path(str(files("knotgym.topology") / "data/hard-unknots.txt"))
     if path.exists() and not path.is_file():
         raise InvalidInput(f"--codes {path} is not a regular file")
-    kept: list[tuple[int, GaussCode]] = []  # line number, code
-    seen = 0
+    kept: dict[int, GaussCode] = {}  # slot -> code; the sample is in the order of the file
+    seen, most = 0, count or MOST_CODES
     try:
         with open(path, encoding="utf-8") as lines:
-            for number, line in enumerate(lines):
-                text = line.partition("#")[0].strip()
-                if not text or (nx is not None and (code := parse_code(text)).nx not in nx):
+            for text in filter(None, (line.partition("#")[0].strip() for line in lines)):
+                code = parse_code(text)
+                if nx is not None and code.nx not in nx:
                     continue
-                # reservoir sampling: line k stays with probability count / k, so that one pass
+                # reservoir sampling: code k stays with probability count / k, so that one pass
                 # over a list of any length gives every code the same chance
                 seen += 1
-                place = len(kept) if count is None or seen <= count else int(rng.integers(seen))
-                if count is not None and place >= count:
-                    continue
-                if place >= MOST_CODES:
+                slot = seen - 1 if seen <= most else int(rng.integers(seen))
+                if count is None and seen > most:
                     raise InvalidInput(
                         f"--codes {path} has more than {MOST_CODES} codes; --count 1000 takes a"
                         " random sample of 1000"
                     )
-                kept[place : place + 1] = [(number, parse_code(text) if nx is None else code)]
+                if slot < most:
+                    kept.pop(slot, None)
+                    kept[slot] = code
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"--codes {path} can't be read: {error}") from error
     if not kept:
         of = "" if nx is None else f" with nx {', '.join(map(str, nx))}"
         raise InvalidInput(f"--codes {path} contains no code{of}")
-    return [code for _, code in sorted(kept, key=lambda one: one[0])]
+    return list(kept.values())

@@ -40,7 +40,7 @@ def images(given: Given) -> None:
     usual = {"appearance.vary": vary} if "vary" in given.typed else {}
     config = given.config(ImagesConfig, usual=usual)
     nx = ",".join(map(str, config.nx))
-    if len(config.nx) > 2 and config.nx == tuple(range(config.nx[0], config.nx[-1] + 1)):
+    if len(config.nx) > 1 and config.nx == tuple(range(config.nx[0], config.nx[-1] + 1)):
         nx = f"{config.nx[0]}-{config.nx[-1]}"
     look = config.appearance
     folder = given["out"] or default_folder(

@@ -48,12 +48,7 @@ def print_images(path: str, console: Console) -> None:
 
 def print_episodes(path: str, console: Console) -> None:
     """Print a summary of an episode file or a Minari dataset."""
-    for name, value in show_episodes(path).items():
-        text = _in_words(value)
-        if text:
-            lines = wrap(f"{name:20} {text}", 80, subsequent_indent=" " * 21)
-            for line in lines:
-                _say(console, line)
+    _print_facts(show_episodes(path), console)
 
 
 def print_transcripts(path: Path, console: Console) -> None:
@@ -62,30 +57,23 @@ def print_transcripts(path: Path, console: Console) -> None:
     found = [] if file is None else read_transcripts(file)
     if not found:
         raise InvalidFile(f"{path} contains no transcripts")
-    config, facts = found[0]["config"], summarize(found)
-    task = config.get("task")
-    of = f"{task['task']} nx {task['nx']}, {task['split']}" if task else "pictures"
-    _say(console, f"{config['chat']['model']}, mode {config['mode']}, {of}")
-    if "episodes" in facts:
-        low, high = (f"{100 * end:.1f}" for end in facts["interval"])
-        _say(
-            console,
-            f"{'success':20} {100 * facts['success_rate']:.1f} % of {facts['episodes']} episodes"
-            f" ({low} to {high} %); {facts['without_valid_answer']} had no valid answer",
-        )
-    else:
+    config = found[0]["config"]
+    task = config["task"] and {name: config["task"][name] for name in ("task", "nx", "split")}
+    _print_facts({"model": config["chat"]["model"], "mode": config["mode"], "task": task}, console)
+    _print_facts(summarize(found), console)
+    if "actions" not in found[0]:
         table = narrow_table(HEAD, left=HEAD[:1])
         for row in score_rows(reading_scores(found)):
             table.add_row(*row)
         console.print(table)
-    for name in ("answers", "retries"):
-        _say(console, f"{name:20} {_in_words(facts[name]) or 'none'}")
-    tokens = [facts[f"{name}_tokens"] for name in ("prompt", "completion")]
-    prompt, completion = ("unknown" if one is None else one for one in tokens)
-    cost = "" if facts["cost"] is None else f", cost {facts['cost']:.4g}"
-    _say(console, f"{'tokens':20} prompt {prompt}, completion {completion}{cost}")
-    if facts["truncated"]:
-        _say(console, f"{'cut off':20} {facts['truncated']} answers")
+
+
+def _print_facts(facts: Mapping[str, Any], console: Console) -> None:
+    """Print a line for each fact that is known."""
+    for name, value in facts.items():
+        if text := _in_words(value):
+            for line in wrap(f"{name:20} {text}", 80, subsequent_indent=" " * 21):
+                _say(console, line)
 
 
 def _in_words(value: Any) -> str:
@@ -94,6 +82,8 @@ def _in_words(value: Any) -> str:
         entries = [f"{name} {_in_words(one)}" for name, one in list(value.items())[:_LISTED]]
         more = len(value) - len(entries)
         return ", ".join(entries) + (f" and {more} more" if more else "")
+    if isinstance(value, list):
+        return " to ".join(map(_in_words, value))
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else str(value)

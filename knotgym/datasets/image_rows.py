@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knotgym.common.errors import Failed
 from knotgym.common.streams import Stream, generator
@@ -18,7 +19,6 @@ from knotgym.rendering.appearance import Appearance, appearance, render
 from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rendering.picture import crossing_pixels
 from knotgym.rope.model import Array
-from knotgym.runs.journal import Result
 from knotgym.states.derivation import derived_row
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
@@ -41,7 +41,7 @@ class Row(NamedTuple):
     source: dict[str, Any]
 
 
-def drawn(rows: Sequence[Row], config: AppearanceConfig) -> Result:
+def drawn(rows: Sequence[Row], config: AppearanceConfig) -> dict[str, NDArray[np.uint8]]:
     """Render rows; the result has the bytes of their Parquet file."""
     table = table_of([record(row, config) for row in rows])
     return {"parquet": np.frombuffer(parquet(table), dtype=np.uint8)}

@@ -124,7 +124,7 @@ def fit(training: Training, path: Path, save_every: int, what: str, progress: Pr
 
     def status() -> Status:
         facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
-        return Status(training.step, training.steps, f"steps of the {what}", facts, even=True)
+        return Status(training.step, training.steps, f"steps of the {what}", facts)
 
     progress.stage(f"training the {what}")
     while training.step < training.steps:

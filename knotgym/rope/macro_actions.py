@@ -8,7 +8,6 @@ A haul pulls two beads apart with full force, one in even and one in odd steps. 
 and codes, and undoes tangles in which every small change makes things worse.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -241,80 +240,8 @@ def _kinds(shares: tuple[float, ...]) -> Array:
     return cumulative_shares(np.array(shares))
 
 
-class WaypointController:
-    """Carries out a macro-action on each of n ropes, step by step.
-
-    Attributes:
-        beads: int64 (n,), the bead to pull on each rope.
-    """
-
-    def __init__(self, count: int, config: MacroActionConfig) -> None:
-        self.beads = np.zeros(count, dtype=np.int64)
-        self._config = config
-        self._waypoints = np.zeros((count, _WAYPOINTS, 3))
-        self._stage = np.full(count, _WAYPOINTS)  # index of the next waypoint; past the end if idle
-
-    def begin(self, index: int, macro_action: MacroAction, points: Array | None = None) -> None:
-        """Start a macro-action on rope `index`.
-
-        Args:
-            index: the rope.
-            macro_action: what to do.
-            points: float64 (beads, 3), where the rope lies; waypoints already reached are skipped.
-        """
-        self.beads[index] = macro_action.bead
-        self._waypoints[index] = macro_action.waypoints
-        self._stage[index] = 0
-        if points is not None:
-            for waypoint in macro_action.waypoints:
-                # not np.linalg.norm, whose last bit depends on the processor
-                x, y, z = (waypoint - points[macro_action.bead]).tolist()
-                far = math.sqrt(x * x + y * y + z * z)
-                if far >= self._config.arrived:
-                    break
-                self._stage[index] += 1
-
-    def release(self, index: int) -> None:
-        """Abandon the macro-action of rope `index`."""
-        self._stage[index] = _WAYPOINTS
-
-    @property
-    def idle(self) -> NDArray[np.bool_]:
-        """Which ropes have no waypoint left, bool (n,)."""
-        return self._stage >= _WAYPOINTS
-
-    def advance(self, points: Array) -> None:
-        """Move on to the next waypoint on every rope whose bead has reached the current one.
-
-        Args:
-            points: float64 (n, beads, 3), metres.
-        """
-        # waypoints may lie within `arrived` of each other, so one call may pass all three
-        for _ in range(_WAYPOINTS):
-            near = np.linalg.norm(self._offsets(points), axis=1) < self._config.arrived
-            self._stage += near & ~self.idle
-
-    def forces(self, points: Array) -> Array:
-        """Forces on the led beads, float64 (n, 3), in units of the largest force; 0 on idle ropes.
-
-        Their length is 1, or less where the waypoint is nearer than `stride`. They are `quantized`.
-        """
-        offset = self._offsets(points)
-        far = np.linalg.norm(offset, axis=1, keepdims=True)
-        # proportional control that saturates at `stride`; 1e-9 guards a bead on its waypoint
-        force = offset / np.maximum(far, 1e-9) * np.minimum(1.0, far / self._config.stride)
-        return quantized(np.where(self.idle[:, None], 0.0, force))
-
-    def _offsets(self, points: Array) -> Array:
-        """Vectors from the led beads to their waypoints, float64 (n, 3), metres."""
-        rows = np.arange(len(self.beads))
-        # idle ropes get the last waypoint, and `forces` and `advance` ignore what comes of it
-        stage = np.minimum(self._stage, _WAYPOINTS - 1)
-        return self._waypoints[rows, stage] - points[rows, self.beads]
-
-
 class WaypointFollower:
-    """Leads a bead of each of n ropes past its waypoints; the compiled `WaypointController`.
+    """Carries out a macro-action on each of n ropes, pull by pull, in compiled code.
 
     Every method takes the indices of the ropes that it is about, and treats each by itself.
 

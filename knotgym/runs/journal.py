@@ -13,10 +13,11 @@ executes nothing, and a file that isn't a journal is refused.
 
 import fcntl
 import json
-import math
+import mmap
 import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping
+from math import prod
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 from zlib import crc32
@@ -31,16 +32,17 @@ Result = Mapping[str, NDArray[Any]]
 
 _MAGIC = b"knotgym journal 1\n"
 _LONGEST = 1 << 20  # bytes of a record's line
+_MOST = 1 << 48  # bytes of a column
 _ALIGNED = 64
 _KINDS = "biufUS"  # kinds of dtypes; objects would have to be unpickled
-_MOST = 1 << 48  # bytes of a column
-_BLOCK = 1 << 24  # bytes read at a time
 
 
-class _Record(NamedTuple):
+class _Column(NamedTuple):
     path: Path
-    at: int  # where the first column begins in the file
-    columns: list[Any]  # (name, dtype, shape) of each
+    at: int  # first byte in the file
+    end: int
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
 
 
 class Journal:
@@ -69,7 +71,8 @@ class Journal:
         fresh: bool = False,
     ) -> None:
         self.path, self._run = Path(path), json.loads(json.dumps(run))
-        self._records: dict[str, _Record] = {}
+        self._results: dict[str, dict[str, _Column]] = {}
+        self._own = 0  # results in the file itself
         self._maps: dict[Path, NDArray[np.uint8]] = {}
         for other in map(Path, others):
             with _opened(other, os.O_RDONLY, "rb") as file:
@@ -79,14 +82,12 @@ class Journal:
             _lock(self._file, self.path, fcntl.LOCK_EX)
             if not self.is_held:  # the run that had locked it has removed it
                 raise Occupied(f"another run has just finished with {self.path}")
-            if fresh:
-                self._file.truncate(0)
-            self._file.truncate(self._index(self.path, self._file))
-            self._file.seek(0, os.SEEK_END)
-            if not self._file.tell():
+            end = 0 if fresh else self._index(self.path, self._file)
+            self._file.truncate(end)
+            self._file.seek(end)
+            if not end:
                 self._file.write(_MAGIC)
-                self._append({"run": self._run})
-            elif self._file.tell() == len(_MAGIC):
+            if end <= len(_MAGIC):
                 self._append({"run": self._run})
         except BaseException:
             self._file.close()
@@ -99,49 +100,43 @@ class Journal:
         self.close()
 
     def __contains__(self, key: str) -> bool:
-        return key in self._records
+        return key in self._results
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the keys, in the order in which they were kept."""
-        return iter(self._records)
+        """Iterate over the keys."""
+        return iter(self._results)
 
     def __len__(self) -> int:
-        return len(self._records)
+        return len(self._results)
 
     def __getitem__(self, key: str) -> Result:
         """Return a result; its arrays are mapped from the file and read-only."""
-        path, at, columns = self._records[key]
-        size = sum(_padded(_size(column)) for column in columns)
-        mapped = self._maps.get(path)
-        if size and (mapped is None or len(mapped) < at + size):
-            mapped = self._maps[path] = np.asarray(np.memmap(path, np.uint8, "r"))
-        result: dict[str, NDArray[Any]] = {}
-        for name, dtype, shape in columns:
-            size = _size((name, dtype, shape))
-            if mapped is None or not size:
-                result[name] = np.empty(shape, dtype)
-            else:
-                result[name] = mapped[at : at + size].view(dtype).reshape(shape)
-            at += _padded(size)
-        return result
+        return {name: self._mapped(column) for name, column in self._results[key].items()}
 
     def keep(self, key: str, result: Result) -> None:
         """Add a result, or replace that of the same key.
 
         It is in the file as a whole or not at all, whenever the process is killed.
+
+        Raises:
+            InvalidInput: it has other columns than numbers and text, or too many.
         """
         arrays = {name: np.asarray(array) for name, array in result.items()}
-        if refused := [name for name, one in arrays.items() if one.dtype.kind not in _KINDS]:
-            raise InvalidInput(f"a journal keeps numbers and text, not objects: {refused[0]}")
-        columns = [[name, one.dtype.str, list(one.shape)] for name, one in arrays.items()]
-        at = self._append({"key": key, "columns": columns}, *arrays.values())
-        self._records.pop(key, None)
-        self._records[key] = _Record(self.path, at, columns)
+        described = [[name, one.dtype.str, list(one.shape)] for name, one in arrays.items()]
+        try:
+            columns, size = _columns(described, self.path, 0)
+        except (TypeError, ValueError) as error:
+            raise InvalidInput(f"a journal keeps numbers and text, not objects: {error}") from error
+        at = self._append({"key": key, "columns": described}, [*arrays.values()], size)
+        self._results[key] = {
+            name: one._replace(at=one.at + at, end=one.end + at) for name, one in columns.items()
+        }
+        self._own += 1
 
     @property
     def is_empty(self) -> bool:
         """Whether the file itself has no results yet."""
-        return not any(record.path == self.path for record in self._records.values())
+        return not self._own
 
     @property
     def is_held(self) -> bool:
@@ -155,20 +150,30 @@ class Journal:
         """Let other processes write; results stay mapped."""
         self._file.close()
 
-    def _append(self, head: dict[str, Any], *arrays: NDArray[Any]) -> int:
+    def _mapped(self, column: _Column) -> NDArray[Any]:
+        if column.at == column.end:
+            return np.empty(column.shape, column.dtype)
+        mapped = self._maps.get(column.path)
+        if mapped is None or len(mapped) < column.end:  # the file has grown
+            mapped = self._maps[column.path] = np.asarray(np.memmap(column.path, np.uint8, "r"))
+        return mapped[column.at : column.end].view(column.dtype).reshape(column.shape)
+
+    def _append(
+        self, head: dict[str, Any], arrays: Iterable[NDArray[Any]] = (), size: int = 0
+    ) -> int:
         """Write a record; return where its columns begin."""
-        contents = [_bytes(array) for array in arrays]
-        text = json.dumps([head, sum(map(len, contents))], sort_keys=True).encode()
-        begin = self._file.tell()
+        text = json.dumps([head, size], sort_keys=True).encode()
         if len(text) > _LONGEST - 2 * _ALIGNED:
-            raise InvalidInput(f"a result has too many columns for a journal: {len(arrays)}")
-        line = text.ljust(_padded(begin + 9 + len(text) + 1) - begin - 10)  # 9: CRC, 1: newline
-        check = crc32(line)
+            raise InvalidInput("a result has too many columns for a journal")
+        begin = self._file.tell() + 10  # the CRC, a space and the line feed take 10 bytes
+        line = text.ljust(_padded(begin + len(text)) - begin)
+        contents = [memoryview(line), *(piece for one in arrays for piece in _bytes(one))]
+        check = 0
         for content in contents:
             check = crc32(content, check)
         self._file.write(b"%08x %s\n" % (check, line))
         at = self._file.tell()
-        for content in contents:
+        for content in contents[1:]:
             self._file.write(content)
         self._file.flush()
         os.fsync(self._file.fileno())
@@ -177,29 +182,32 @@ class Journal:
     def _index(self, path: Path, file: IO[bytes]) -> int:
         """Find the records of a file; return where the last whole one ends."""
         own, total = path == self.path, os.fstat(file.fileno()).st_size
-        begun = file.read(len(_MAGIC))
-        if begun != _MAGIC:
-            if own and _MAGIC.startswith(begun):
+        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if total else b""
+        if data[: len(_MAGIC)] != _MAGIC:
+            if own and _MAGIC.startswith(data[: len(_MAGIC)]):
                 return 0
             raise InvalidFile(f"{path} isn't a journal of a run")
-        end, named = len(_MAGIC), False
-        while line := file.readline(_LONGEST):
-            at = end + len(line)
-            record = _parsed(line, total - at)
-            if record is not None:
-                head, size, check = record
-                check ^= _checksum(file, size, line[9:-1])
-            if record is None or check:
+        end, is_first = len(_MAGIC), True
+        while at := data.find(b"\n", end, end + _LONGEST) + 1:
+            line, left = data[end : at - 1], memoryview(data)[at:]
+            head, size = _parsed(line, left)
+            if head is None:
                 break
-            if not named:
+            if is_first:
                 self._require_same(path, head.get("run"))
-            elif not _is_result(head, size):
-                raise InvalidFile(f"{path} has a record that no run of knotgym writes")
             else:
-                self._records.pop(head["key"], None)
-                self._records[head["key"]] = _Record(path, at, head["columns"])
-            end, named = at + size, True
-        if not named and (not own or line.endswith(b"\n")):
+                try:
+                    columns, filled = _columns(head["columns"], path, at)
+                    if filled != size or not isinstance(head["key"], str):
+                        raise ValueError(head["key"])
+                except (KeyError, TypeError, ValueError, SyntaxError) as error:
+                    raise InvalidFile(
+                        f"{path} has a record that no run of knotgym writes"
+                    ) from error
+                self._results[head["key"]] = columns
+                self._own += own
+            end, is_first = at + size, False
+        if is_first and (at or not own):
             raise InvalidFile(f"{path} is damaged, it doesn't say which run it belongs to")
         return end
 
@@ -225,8 +233,7 @@ def has_results(path: Path) -> bool:
         return False
     with file:
         _lock(file, path, fcntl.LOCK_SH)
-        begun = file.read(len(_MAGIC))
-        if not _MAGIC.startswith(begun):
+        if not _MAGIC.startswith(file.read(len(_MAGIC))):
             raise InvalidFile(f"{path} isn't a journal of a run")
         return bool(file.readline(_LONGEST) and file.read(1))
 
@@ -244,70 +251,56 @@ def _lock(file: IO[bytes], path: Path, kind: int) -> None:
 
 
 def _opened(path: Path, flags: int, mode: str) -> IO[bytes]:
-    """Open a regular file of this user; links aren't followed and pipes don't block."""
+    """Open a regular file; links aren't followed and pipes don't block."""
+    wrong = Occupied(f"{path} should be a file; remove it")
     try:
         descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     except OSError as error:
-        if path.is_symlink() or path.is_dir():
-            raise Occupied(f"{path} should be a file; remove it") from error
-        raise
+        raise wrong if path.is_symlink() or path.is_dir() else error from None
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise Occupied(f"{path} should be a file; remove it")
+        raise wrong
     return open(descriptor, mode)
 
 
-def _parsed(line: bytes, left: int) -> tuple[dict[str, Any], int, int] | None:
-    """Parse a record's line: its head, the bytes that follow and its CRC; None if it is torn."""
+def _parsed(line: bytes, left: memoryview) -> tuple[dict[str, Any] | None, int]:
+    """Return a record's head and the number of bytes that follow; None if they aren't whole."""
     try:
         head, size = json.loads(line[9:])
         check = int(line[:8], 16)
     except (ValueError, TypeError, RecursionError):
-        return None
-    whole = line.endswith(b"\n") and isinstance(head, dict) and type(size) is int
-    return (head, size, check) if whole and 0 <= size <= left else None
+        return None, 0
+    whole = isinstance(head, dict) and type(size) is int and 0 <= size <= len(left)
+    return (head, size) if whole and crc32(left[:size], crc32(line[9:])) == check else (None, 0)
 
 
-def _checksum(file: IO[bytes], size: int, line: bytes) -> int:
-    check = crc32(line)
-    while size and (block := file.read(min(size, _BLOCK))):
-        check, size = crc32(block, check), size - len(block)
-    return check
+def _columns(described: Any, path: Path, at: int) -> tuple[dict[str, _Column], int]:
+    """Return the columns that a record describes, and how many bytes they fill.
 
-
-def _is_result(head: dict[str, Any], size: int) -> bool:
-    """Whether a record describes arrays that fill its bytes."""
-    try:
-        columns = head["columns"]
-        return (
-            isinstance(head["key"], str)
-            and all(_is_column(*column) for column in columns)
-            and size == sum(_padded(_size(column)) for column in columns)
-        )
-    except (KeyError, TypeError, ValueError, SyntaxError):
-        return False
-
-
-def _is_column(name: Any, dtype: Any, shape: Any) -> bool:
-    if not (isinstance(name, str) and isinstance(dtype, str) and len(dtype) < 16):
-        raise TypeError(name)
-    kind = np.dtype(dtype)
-    if kind.kind not in _KINDS or any(type(n) is not int or n < 0 for n in shape):
-        raise TypeError(dtype)
-    return kind.itemsize * math.prod(n or 1 for n in shape) < _MOST and len(shape) < 32
-
-
-def _size(column: Any) -> int:
-    return np.dtype(column[1]).itemsize * math.prod(column[2])
+    Raises:
+        TypeError, ValueError: no such columns are kept.
+    """
+    columns, first = dict[str, _Column](), at
+    for name, text, shape in described:
+        if not isinstance(name, str) or not isinstance(text, str) or len(text) > 16:
+            raise TypeError(name)
+        dtype, sizes = np.dtype(text), tuple(shape)
+        if dtype.kind not in _KINDS or len(sizes) > 32:
+            raise TypeError(f"{name} of type {text}")
+        if any(type(n) is not int or n < 0 for n in sizes) or prod(n or 1 for n in sizes) > _MOST:
+            raise ValueError(f"{name} of shape {sizes}")
+        end = at + dtype.itemsize * prod(sizes)
+        columns[name] = _Column(path, at, end, dtype, sizes)
+        at += _padded(end - at)
+    return columns, at - first
 
 
 def _padded(size: int) -> int:
     return -(-size // _ALIGNED) * _ALIGNED
 
 
-def _bytes(array: NDArray[Any]) -> memoryview:
-    """Return the bytes of an array, filled up to a multiple of 64."""
-    padded = np.zeros(_padded(array.nbytes), np.uint8)
-    if array.nbytes:
-        padded[: array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-    return padded.data
+def _bytes(array: NDArray[Any]) -> tuple[memoryview, bytes]:
+    """Return the bytes of an array, and those that fill them up to a multiple of 64."""
+    flat = np.ascontiguousarray(array).reshape(-1)
+    content = flat.view(np.uint8).data if array.nbytes else memoryview(b"")
+    return content, bytes(_padded(array.nbytes) - array.nbytes)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.live import Live
@@ -15,27 +15,19 @@ from rich.text import Text
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
 
 
-@dataclass(frozen=True)
-class Status:
-    """Progress of a run."""
+class Status(NamedTuple):
+    """How far a stage of a run is.
 
-    # how many items, such as states or episodes, are made and requested; `done` may exceed `total`
+    Attributes:
+        done, total: how many items are done, and how many there are; all take about as long.
+        counted: name of the items, in the plural.
+        facts: other values to show, by name.
+    """
+
     done: int
     total: int
-    counted: str  # name of the items, in the plural
-    facts: dict[str, str] = field(default_factory=dict)  # other values to show, by name
-    # all items take about the same time, so the remaining time follows from `done`
-    even: bool = False
-    # fraction of the work that is done, in [0, 1]; used instead of `done` for the remaining time if
-    # items take different times
-    share: float | None = None
-
-    @property
-    def part(self) -> float | None:
-        """Fraction of the work that is done; None if unknown."""
-        if self.share is None and self.even and self.total:
-            return self.done / self.total
-        return self.share
+    counted: str
+    facts: Mapping[str, str] = {}
 
 
 class Progress:
@@ -102,8 +94,10 @@ class Progress:
 
     def stage(self, name: str, done: int = 0, total: int = 0) -> None:
         """Set the current stage and its count; plain lines show stages until the first status."""
-        if self._lines and self._shown is None and name != self._stage:
-            self.say(f"{self._clock() - self._began:5.0f} s  {name}")
+        if name != self._stage:
+            self._first = None
+            if self._lines and self._shown is None:
+                self.say(f"{self._clock() - self._began:5.0f} s  {name}")
         self._stage, self._count = name, f" {done} of {total}" if total else ""
 
     def show(self, status_of: Callable[[], Status], last: bool = False) -> None:
@@ -121,19 +115,15 @@ class Progress:
 
     def _facts(self) -> dict[str, str]:
         """Return the values to show now, by name."""
-        status = self._status
-        if status is None or self._first is None:
+        if self._status is None:
             return {}
-        since, first = self._first
-        counted, beyond = min(status.done, status.total), max(0, status.done - status.total)
-        facts = {status.counted: f"{counted} of {status.total}"}
-        facts |= {"beyond the request": f"{beyond}"} if beyond else {}
-        facts |= status.facts
-        if status.part is not None and first.part is not None:
-            done = status.part - first.part  # exclude the work of a resumed run
-            if 0 < done and status.part < 1:
-                left = (self._clock() - since) * (1 - status.part) / done
-                facts["time left, about"] = duration(left)
+        done, total, counted, other = self._status
+        facts = {counted: f"{done} of {total}", **other}
+        since, first = self._first or (0.0, self._status)
+        # without the work of a resumed run
+        if first.done < done < total:
+            left = (self._clock() - since) * (total - done) / (done - first.done)
+            facts["time left, about"] = duration(left)
         return facts
 
     def _table(self) -> Table:

@@ -363,7 +363,7 @@ def _shown_on(
             totals.update(count(result))
         facts = {name: str(value) for name, value in totals.items()}
         progress.stage(stage)
-        progress.show(lambda: Status(done, total, "pieces", facts, even=True), last=done == total)
+        progress.show(lambda: Status(done, total, "pieces", facts), last=done == total)
 
     return show
 

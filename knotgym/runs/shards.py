@@ -1,8 +1,6 @@
-"""Shards of a run: `run.shard=2/8` makes the second eighth of it, independently of the others.
+"""Shards of a run: `run.shard=2/8` computes every eighth of its results, from the second.
 
-The output of a shard depends only on the configuration, the seed and the shard's number. Counters
-that key random draws start at `first`, so that no two shards draw the same numbers. A whole run is
-shard 1 of 1.
+The results don't depend on the shard that computes them. A whole run is shard 1 of 1.
 """
 
 from __future__ import annotations
@@ -13,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.errors import InvalidInput
-
-_STRIDE = 10**9  # larger than any counter within a shard
 
 
 @dataclass(frozen=True)
@@ -46,41 +42,17 @@ class Shard:
         """Whether this is the only shard."""
         return self.of == 1
 
-    @property
-    def first(self) -> int:
-        """First value of this shard's counters."""
-        return (self.number - 1) * _STRIDE
-
-    def share(self, count: int) -> range:
-        """Return this shard's part of `range(count)`; if it doesn't divide evenly, the first shards
-        get one more.
-
-        >>> [Shard(number, 3).share(8) for number in (1, 2, 3)]
-        [range(0, 3), range(3, 6), range(6, 8)]
-        """
-        each, more = divmod(count, self.of)
-        begin = (self.number - 1) * each + min(self.number - 1, more)
-        return range(begin, begin + each + (self.number <= more))
-
     def dealt(self, things: Sequence[Any]) -> Sequence[Any]:
-        """Return every `of`-th item, starting at this shard; as many as in `share`."""
+        """Return every `of`-th item, from this shard's first.
+
+        >>> [Shard(number, 3).dealt(range(8)) for number in (1, 2, 3)]
+        [range(0, 8, 3), range(1, 8, 3), range(2, 8, 3)]
+        """
         return things[self.number - 1 :: self.of]
-
-    def folder(self, out: Path) -> Path:
-        """Return the folder of this shard if the whole run is written to `out`."""
-        return self._beside(out, out.name, "")
-
-    def file(self, out: Path) -> Path:
-        """Return the file of this shard if the whole run is written to `out`."""
-        return self._beside(out, out.stem, out.suffix)
 
     def journal(self, out: Path) -> Path:
         """Return the journal that this shard leaves beside the output `out` of the whole run."""
         return out.with_name(f"{out.name}-shard-{self.number}-of-{self.of}.journal")
-
-    def _beside(self, out: Path, stem: str, suffix: str) -> Path:
-        own = f"{stem}-shard-{self.number}-of-{self.of}{suffix}"
-        return out if self.is_whole else out.with_name(own)
 
 
 WHOLE = Shard()

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from knotgym.common.atomic_files import sha256
+from knotgym.control.planning.moves import Moves
 from knotgym.states.state_file import shipped
 
 from ..scripts import ROOT, run_script
@@ -157,10 +158,11 @@ def test_the_strand_on_top_is_the_one_labelled_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_search_of_one_round_makes_a_table_of_transitions(tmp_path: Path) -> None:
-    words = ("--seeds", 0, "--rounds", 1, "--workers", 1, "--out", tmp_path / "transitions.h5")
-    run_script(FOLDER / "transitions.py", *words)
-    assert (tmp_path / "transitions.h5").stat().st_size > 0
+@pytest.mark.parametrize("what", ["passes", "changes"])
+def test_a_little_play_makes_a_table_of_moves(what: str, tmp_path: Path) -> None:
+    few = ("--episodes", 4, "--rounds", 1, "--pulls", 20)
+    run_script(FOLDER / "moves.py", what, "--out", tmp_path / "moves.h5", *few)
+    assert len(Moves.load(tmp_path / "moves.h5")[0].rows) > 0
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
 def test_a_network_is_trained_to_read_and_says_how_well(tmp_path: Path) -> None:
-    config = ImagesConfig(nx=(0, 1), count=20, test_nx=(), test_share=0.3, pulls=4)
+    config = ImagesConfig(nx=(0, 1), count=20, test_nx=None, test_share=0.3, pulls=4)
     folder = make_images(config, tmp_path / "pictures", RunOptions(workers=1, quiet=True))
     run_script(
         FOLDER / "perception" / "read.py",

@@ -274,7 +274,7 @@ def test_all_frames_of_a_rope_are_in_one_split_and_several_are_shown(tmp_path: P
 
 
 def test_held_out_codes_are_in_test_code_alone(tmp_path: Path) -> None:
-    config = ImagesConfig(nx=(2, 3), test_nx=(), count=24, code_share=0.25, engine="chain")
+    config = ImagesConfig(nx=(2, 3), test_nx=None, count=24, code_share=0.25, engine="chain")
     shown: dict[str, set[str]] = {}
     for row in read_rows(made(tmp_path / "table", config)):
         shown.setdefault(row["split"], set()).add(row["gauss_code"])

@@ -160,8 +160,8 @@ class Distances:
         self._hops = -moves.values(self._shown, tight, np.ones(len(moves.rows)), 1000)
         known = np.isfinite(self._values)
         self._beyond = float(-self._values[known].min()) if known.any() else 0.0
-        nx = np.array([node.nx for node in moves.nodes])
-        self._values = np.where(known, self._values, -self._far_away(nx))
+        far_away = self._far_away(np.array(moves.nx, np.int64))
+        self._values = np.where(known, self._values, -far_away)
         self._down: dict[GaussCode, tuple[float, int | None]] = {}
 
     def __call__(self, code: GaussCode) -> float:
@@ -207,7 +207,7 @@ class Distances:
         left = {
             node.code: -float(self._values[index])
             for node, index in self._moves.index.items()
-            if node.nx > _COUNTED_NX and node.code not in done
+            if self._moves.nx[index] > _COUNTED_NX and node.code not in done
         }
         left |= {code: 0.0 for code in goals if code.nx > _COUNTED_NX and code not in done}
         most = min(left.values(), default=math.inf) + SIDEWAYS_COST

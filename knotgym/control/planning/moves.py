@@ -81,6 +81,7 @@ class Moves:
     def __init__(self, rows: Iterable[Row] = ()) -> None:
         self.nodes: list[Diagram] = []
         self.index: dict[Diagram, int] = {}
+        self.nx: list[int] = []
         self._first: list[int] = []  # of each node, the first index of an equal one
         self.rows = np.zeros((0, 5), np.int64)
         self._arrange(rows)
@@ -89,7 +90,7 @@ class Moves:
         """Return a table with more rows; this one stays as it is."""
         more = copy.copy(self)
         more.nodes, more.index = self.nodes.copy(), self.index.copy()
-        more._first = self._first.copy()
+        more.nx, more._first = self.nx.copy(), self._first.copy()
         more._arrange(rows)
         return more
 
@@ -199,6 +200,7 @@ class Moves:
     def _append(self, node: Diagram) -> None:
         self._first.append(self.index.setdefault(node, len(self.nodes)))
         self.nodes.append(node)
+        self.nx.append(node.nx)
 
 
 def pooled(

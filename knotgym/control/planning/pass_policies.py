@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidPolicy
-from knotgym.control.basic_policies import pull_task
 from knotgym.control.planning.batched_search import Orders, Search, Trial
 from knotgym.control.planning.passes import PassPlan, random_pass
-from knotgym.control.planning.planners import SLOTS, Ids, PassPlanner, PassPlayer
+from knotgym.control.planning.planners import SLOTS, ChoosesPulls, Ids, PassPlanner, PassPlayer
 from knotgym.control.rollouts import Player, Policy, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import quantized
 from knotgym.rope.macro_action_config import MacroActionConfig
-from knotgym.rope.macro_actions import LONGEST, Pass, WaypointFollower, propose
+from knotgym.rope.macro_actions import LONGEST, MacroAction, Pass, WaypointFollower, propose
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import GaussCode
 
@@ -27,7 +26,7 @@ _WANDERING = 0.5  # share of noisy episodes that begin with a random pass
 
 
 @dataclass(frozen=True)
-class Scripted:
+class Scripted(ChoosesPulls):
     """Random macro-actions, one after another.
 
     Attributes:
@@ -37,21 +36,25 @@ class Scripted:
     config: MacroActionConfig = MacroActionConfig()
     name: str = "scripted"
 
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task; its actions must be pulls."""
-        return pull_task(task)
-
-    def player(self, batch: EpisodeBatch) -> Player:
+    def player(self, batch: EpisodeBatch) -> ScriptedPlayer:
         """Return a player for the lanes of a batch."""
-        return _ScriptedPlayer(self, batch)
+        return ScriptedPlayer(self, batch)
 
 
-class _ScriptedPlayer(Player):
+class ScriptedPlayer(Player):
+    """`Scripted` at work; see `Player`.
+
+    Attributes:
+        moves: the macro-action under way in each lane.
+        begun: bool (lanes,), whether its first pull was the last one chosen.
+    """
+
     def __init__(self, policy: Scripted, batch: EpisodeBatch) -> None:
         self._config, self._batch = policy.config, batch
         self._follower = WaypointFollower(batch.count, policy.config)
-        self._macros = np.zeros((batch.count, 4), np.int64)
         self._rngs: dict[int, np.random.Generator] = {}
+        self.moves: dict[int, MacroAction] = {}
+        self.begun = np.zeros(batch.count, bool)
         self.planned = np.zeros(batch.count, np.int64)
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
@@ -60,18 +63,18 @@ class _ScriptedPlayer(Player):
 
     def act(self, ids: Ids) -> Pulls:
         points, follower = self._batch.simulation.points, self._follower
-        self._macros[ids, 0] = 0
         idle = ids[follower.arrive(points, ids)]
-        moves = [propose(points[k], self._rngs[k], self._config) for k in idle.tolist()]
-        if moves:
-            follower.begin(idle, moves)
+        new = {k: propose(points[k], self._rngs[k], self._config) for k in idle.tolist()}
+        if new:
+            follower.begin(idle, [*new.values()])
             follower.arrive(points, idle)
-            self._macros[idle] = [(1, move.bead, move.target, move.side) for move in moves]
-        return Pulls(ids, follower.beads[ids], follower.forces(points, ids), self._macros[ids])
+        self.moves |= new
+        self.begun[ids] = np.isin(ids, idle)
+        return Pulls(ids, follower.beads[ids], follower.forces(points, ids))
 
 
 @dataclass(frozen=True)
-class Noisy:
+class Noisy(ChoosesPulls):
     """A `PassPlanner` with some pulls replaced by random ones, after which it looks again.
 
     Half of the episodes begin with a random pass, so that learners see more than tidy ropes.
@@ -84,10 +87,6 @@ class Noisy:
     inner: PassPlanner = PassPlanner()
     noise: float = 0.3
     name: str = "noisy"
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task; its actions must be pulls."""
-        return self.inner.compatible_task(task)
 
     def player(self, batch: EpisodeBatch) -> Player:
         """Return a player for the lanes of a batch."""
@@ -135,7 +134,7 @@ class _NoisyPlayer(Player):
 
 
 @dataclass(frozen=True)
-class Play:
+class Play(ChoosesPulls):
     """A `PassPlanner` on its way to one goal after another, in endless tasks.
 
     The first goal is the episode's. Whenever one is reached, another is drawn: half the time a code
@@ -157,11 +156,11 @@ class Play:
                 "policy play goes on after every goal, so the task must be endless; give --endless,"
                 " and a task.horizon such as 500"
             )
-        return self.inner.compatible_task(task)
+        return super().compatible_task(task)
 
     def player(self, batch: EpisodeBatch) -> Player:
         """Return a player for the lanes of a batch."""
-        return _PlayPlayer(self.inner, batch)
+        return PlayPlayer(self.inner, batch)
 
 
 class _Simplest(NamedTuple):
@@ -171,7 +170,7 @@ class _Simplest(NamedTuple):
     spent: int
 
 
-class _PlayPlayer(PassPlayer):
+class PlayPlayer(PassPlayer):
     def __init__(self, policy: PassPlanner, batch: EpisodeBatch) -> None:
         super().__init__(policy, batch)
         self._rngs: dict[int, np.random.Generator] = {}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,16 @@ _SPARE = 2  # ropes to search in, per rope of the batch
 _TOWING = 0.9  # share of the limit on towing that passes go to: engines differ a little
 
 
+class ChoosesPulls:
+    """Base of policies that choose pulls."""
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Return the task; its actions must be pulls."""
+        return pull_task(task)
+
+
 @dataclass(frozen=True)
-class PullPlanner:
+class PullPlanner(ChoosesPulls):
     """Leads ropes to their goals by plans of pulls.
 
     Each episode has a budget of simulated pulls for all its plans together. Once it is used up, the
@@ -53,10 +61,6 @@ class PullPlanner:
     guide: Guide | None = None
     name: str = "planner"
 
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task; its actions must be pulls."""
-        return pull_task(task)
-
     def player(self, batch: EpisodeBatch) -> PullPlayer:
         """Return a player for the lanes of a batch."""
         desk = Desk(batch, self.config.batch_size, self.config.macro_actions)
@@ -64,7 +68,7 @@ class PullPlanner:
 
 
 @dataclass(frozen=True)
-class PassPlanner:
+class PassPlanner(ChoosesPulls):
     """Leads ropes to their goals by passes: the same state and goal, the same pass.
 
     Each pass is acted out until its end, the goal, or LONGEST pulls; then it searches again. So
@@ -82,13 +86,14 @@ class PassPlanner:
     values: PassValues | None = None
     name: str = "expert"
 
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task; its actions must be pulls."""
-        return pull_task(task)
-
     def player(self, batch: EpisodeBatch) -> PassPlayer:
         """Return a player for the lanes of a batch."""
         return PassPlayer(self, batch)
+
+
+class _Asker(Protocol):
+    def decided(self, index: int, found: Any) -> None:
+        """Go on in a lane after its search."""
 
 
 class Desk:
@@ -105,30 +110,31 @@ class Desk:
         rope, count = batch.simulation.rope, batch.count
         self.search = BatchedSearch(max(_SPARE * count, slots), config, rope)
         self.thinking, self.planned = np.zeros(count, bool), np.zeros(count, np.int64)
+        self._askers: dict[int, _Asker] = {}
         self._bench: ChainSimulation | None = None
 
-    def begin(self, player: object, ids: Ids) -> None:
-        """Forget the searches of a player for lanes in which new episodes begin."""
-        self.forget(player, ids)
+    def begin(self, ids: Ids) -> None:
+        """Start anew in lanes in which episodes begin."""
+        self.forget(ids)
         self.planned[ids] = 0
 
-    def forget(self, player: object, ids: Ids) -> None:
-        """Drop the searches of a player for some lanes."""
+    def forget(self, ids: Ids) -> None:
+        """Drop the searches for some lanes."""
         for index in ids[self.thinking[ids]].tolist():
-            self.search.drop((player, index))
+            self.search.drop(index)
         self.thinking[ids] = False
 
-    def ask(self, player: object, index: int, search: Search[Any], slots: int = 1) -> None:
-        """Begin a search for a lane; `player.decided(index, result)` will be called."""
-        self.thinking[index] = True
-        self.search.add((player, index), search, slots)
+    def ask(self, asker: _Asker, index: int, search: Search[Any], slots: int = 1) -> None:
+        """Begin a search for a lane, whose result `asker` will be told."""
+        self.thinking[index], self._askers[index] = True, asker
+        self.search.add(index, search, slots)
 
     def tick(self) -> None:
         """Simulate a pull in every search that is under way."""
-        for (player, index), found in self.search.tick():
+        for index, found in self.search.tick():
             self.thinking[index] = False
             self.planned[index] += found.spent
-            player.decided(index, found)
+            self._askers[index].decided(index, found)
 
     def at_rest(self, simulation: Simulation, ids: Ids) -> tuple[Array, Array]:
         """States at rest in the chain engine, and points (n, beads, 3), of ropes of any engine.
@@ -160,7 +166,7 @@ class PullPlayer(Player):
         self.planned = desk.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
-        self._desk.begin(self, ids)
+        self._desk.begin(ids)
         self._rngs |= dict(zip(ids.tolist(), rngs, strict=True))
         for index in ids.tolist():
             self._plans.pop(index, None)
@@ -265,7 +271,6 @@ class PassPlayer(Player):
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         self._last_resort.begin(ids, rngs)
-        self.desk.begin(self, ids)
         self.replan(ids)
         for index, goal in zip(ids.tolist(), self.batch.goals_of(ids), strict=True):
             self.goals[index] = goal
@@ -296,8 +301,7 @@ class PassPlayer(Player):
 
     def replan(self, ids: Ids) -> None:
         """Look again before the next action of some lanes."""
-        self.desk.forget(self, ids)
-        self.desk.forget(self._last_resort, ids[self._by_pulls[ids]])
+        self.desk.forget(ids)
         self._by_pulls[ids] = False
         self._follower.release(ids)
 

@@ -73,7 +73,7 @@ def card(
         pulls=config["pulls"],
         policies=" and ".join(config["policies"]),
         code_share=f"{config['code_share']:g}",
-        test_nx=", ".join(map(str, config["test_nx"])) or "none",
+        test_nx=", ".join(map(str, config["test_nx"] or ())) or "none",
         **{name: one.markdown() for name, one in image_tables(facts).items()},
         ropes=report["ropes"],
         frames=report["frames"],

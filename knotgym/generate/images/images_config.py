@@ -21,8 +21,8 @@ class ImagesConfig:
     Attributes:
         nx: numbers of crossings: 3, 2,3 or 0-4.
         count: total pictures, spread evenly over the numbers of crossings.
-        test_nx: crossing numbers held out for split "test-nx", larger than all others; None for the
-            largest if there are several.
+        test_nx: crossing numbers held out for split "test-nx", larger than all others; empty for
+            the largest if there are several, none to hold none out.
         test_share: share of pictures in split test. Held-out crossing numbers don't count.
         code_share: share of pictures in split test-code, and of Gauss codes held out for it. None
             are held out for nx with fewer than 4 codes.
@@ -43,7 +43,7 @@ class ImagesConfig:
 
     nx: Annotated[tuple[Annotated[Whole, Field(le=LISTED_NX)], ...], Distinct] = (0, 1, 2, 3, 4)
     count: Count = 20_000
-    test_nx: tuple[Whole, ...] | None = None
+    test_nx: tuple[Whole, ...] | None = ()
     test_share: Share = 0.15
     code_share: Share = 0.15
     seed: Seed = 0
@@ -60,8 +60,8 @@ class ImagesConfig:
     idle: Count = 6
 
     def __post_init__(self) -> None:
-        if self.test_nx is None:
-            object.__setattr__(self, "test_nx", (max(self.nx),) if len(self.nx) > 1 else ())
+        if self.test_nx == () and len(self.nx) > 1:
+            object.__setattr__(self, "test_nx", (max(self.nx),))
         rest = self.trained
         if (
             not set(self.held_nx) <= set(self.nx)

@@ -81,6 +81,15 @@ def start_rows(
     return joined(parts), np.concatenate(splits)
 
 
+def demonstrated_nx(config: GenerateConfig) -> list[int]:
+    """Return the numbers of crossings whose states are demonstrated.
+
+    The simplest diagrams of a knot are none; they are the starts. Loops are led to from curls.
+    """
+    least = diagram_of(config.knot).nx
+    return [nx for nx in config.nx if nx > least or not nx]
+
+
 def demonstrated(
     config: GenerateConfig, states: States, count: int, path: Path
 ) -> Recipe[list[Demonstrated]]:
@@ -94,8 +103,8 @@ def demonstrated(
     made: dict[int, Episodes] = {}
     for attempt in range(config.demonstration_attempts):
         calls = []
-        for nx in config.nx:
-            for split in STATE_SPLITS if nx != diagram_of(config.knot).nx or not nx else ():
+        for nx in demonstrated_nx(config):
+            for split in STATE_SPLITS:
                 rows = [k for k in states.rows(nx, split).tolist() if k < count and k not in made]
                 parts = np.array_split(rows, -(-len(rows) // _TOGETHER)) if rows else []
                 for part in parts:

@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from knotgym.common.streams import generator_of
 from knotgym.common.tables import Table
+from knotgym.control.planning import Scripted
 from knotgym.control.rollouts import Ids, Player, Policy, Pulls, rollouts
 from knotgym.datasets.episodes import STARTS
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.generate_config import PlayConfig
 from knotgym.rope.actions import decode_actions, drawn_actions, quantized
-from knotgym.rope.macro_action_config import MacroActionConfig
-from knotgym.rope.macro_actions import WaypointFollower, propose
 from knotgym.rope.model import Array, Rope
 
 # A spreading pull flees from strands nearer than _REACH in the picture, metres, and at least _APART
@@ -117,8 +116,7 @@ class _Living(Player):
         self._life, self._batch = life, batch
         self._simulation, self._rngs = batch.simulation, dict[int, np.random.Generator]()
         self._drawn = np.zeros((batch.count, life.config.random, 6), dtype=np.float32)
-        self._macro_actions = MacroActionConfig()
-        self._controller = WaypointFollower(batch.count, self._macro_actions)
+        self._scripted = Scripted().player(batch)
         config, phases = life.config, list[tuple[int, Callable[[Ids], BeadsAndForces]]]()
         phases += [(config.random, self._random), (config.opening, self._open)]
         for _ in range(config.rounds):
@@ -131,7 +129,7 @@ class _Living(Player):
             key = self._life.keys[self._batch.number[index]]
             self._drawn[index] = drawn_actions(key, self._life.config.random)
             self._rngs[index] = generator_of((*key[:-1], key[-1] + 1))  # actions have their own
-        self._controller.release(ids)
+        self._scripted.begin(ids, [self._rngs[index] for index in ids.tolist()])
 
     def act(self, ids: Ids) -> Pulls:
         steps = self._batch.steps[ids]
@@ -195,18 +193,8 @@ class _Living(Player):
         return quantized(np.column_stack([away / size, slopes])).astype(np.float32)
 
     def _script(self, ids: Ids) -> BeadsAndForces:
-        """Make random macro-actions, one after another."""
-        points, controller = self._simulation.points, self._controller
-        idle = ids[controller.arrive(points, ids)]
-        rngs = [self._rngs[index] for index in idle.tolist()]
-        drawn = [
-            propose(points[index], rng, self._macro_actions)
-            for index, rng in zip(idle.tolist(), rngs, strict=True)
-        ]
-        if drawn:
-            controller.begin(idle, drawn)
-            controller.arrive(points, idle)
-        return controller.beads[ids], controller.forces(points, ids)
+        pulls = self._scripted.act(ids)
+        return pulls.beads, pulls.forces
 
 
 def _rest(ids: Ids) -> BeadsAndForces:

@@ -18,6 +18,7 @@ from knotgym.common.streams import Stream, generator
 from knotgym.datasets.finished_folders import finish_states
 from knotgym.generate.states.demonstrations import (
     demonstrated,
+    demonstrated_nx,
     publish_demonstrations,
     start_rows,
     where_demonstrated,
@@ -100,7 +101,8 @@ def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]
         located = where_demonstrated(config, rows, sets)
         shown = located["dataset"] != ""
         report["demonstrations"] = int(shown.sum())
-        report["undemonstrated"] = np.unique(rows["gauss_code"][~shown]).tolist()
+        lacking = ~shown & np.isin(rows["nx"], demonstrated_nx(config))
+        report["undemonstrated"] = np.unique(rows["gauss_code"][lacking]).tolist()
     states = states_of(rows, split, engine, facts, **located)
     write_states(place / "states.h5", states)
     finish_states(place, states, report, made_by)

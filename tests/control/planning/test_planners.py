@@ -107,3 +107,18 @@ def test_play_in_a_task_that_ends_at_the_goal_is_refused() -> None:
 def test_planners_choose_pulls_alone() -> None:
     with pytest.raises(InvalidPolicy, match="pulls"):
         PassPlanner().compatible_task(replace(TASK, action="macro"))
+
+
+def test_an_episode_that_begins_anew_forgets_its_search() -> None:
+    task, ids = replace(TASK, nx=3), np.arange(1)
+    batch = EpisodeBatch(task)
+    player = PassPlanner().player(batch)
+    for _ in range(2):
+        batch.begin(ids, [1])
+        player.begin(ids, [np.random.default_rng(0)])
+        assert not len(player.act(ids).ids)  # it thinks
+    while not len((pulls := player.act(ids)).ids):
+        pass
+    alone = rollouts(PassPlanner(), task, [1])
+    assert pulls.beads[0] == alone.steps["bead"][0]
+    assert player.planned[0] <= alone.episodes["planned"][0]
