@@ -20,7 +20,7 @@ MARK = "<!-- commands -->\n"
 
 def whole_page() -> str:
     """The page as it should be: what stands above the mark, and every command."""
-    head = PAGE.read_text(encoding="utf-8").partition(MARK)[0] + MARK
+    head = PAGE.read_text(encoding="utf-8").partition(MARK)[0]
     sections = [
         f"## `{' '.join(words)}`\n\n```text\n{help_of(words)}\n```\n" for words in commands()
     ]

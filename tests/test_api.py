@@ -126,7 +126,7 @@ import knotgym, knotgym.datasets, knotgym.generate, knotgym.loaders
 reveal_type(knotgym.read_states)
 reveal_type(knotgym.verify)
 reveal_type(knotgym.label)
-reveal_type(knotgym.datasets.EpisodeReader)
+reveal_type(knotgym.datasets.open_episodes)
 reveal_type(knotgym.generate.collect)
 reveal_type(knotgym.loaders.arrays)
 knotgym.knotty
@@ -162,10 +162,10 @@ def test_verify_names_what_is_wrong(states: States, tmp_path: Path) -> None:
 
 def test_verify_asks_the_check_that_is_for_what_is_there(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr(
-        "knotgym.datasets.verification.verify_episodes", lambda source, **_: [f"{source} bad"]
+        "knotgym.control.verification.verify_episodes", lambda source, *_, **__: [f"{source} bad"]
     )
     with h5py.File(tmp_path / "tie.h5", "w") as file:
-        file.attrs["format"] = "knotgym-episodes"
+        file.attrs["format"] = np.bytes_("knotgym-episodes")
     assert knotgym.verify(tmp_path / "tie.h5") == [f"{tmp_path / 'tie.h5'} bad"]
     assert knotgym.verify("knotgym/tie-nx2/expert-v0") == ["knotgym/tie-nx2/expert-v0 bad"]
     monkeypatch.setattr(
@@ -177,7 +177,7 @@ def test_verify_asks_the_check_that_is_for_what_is_there(tmp_path: Path, monkeyp
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "manifest.json").write_text("{}")
     monkeypatch.setattr(
-        "knotgym.datasets.verification.folder_faults", lambda path, *_: iter([f"{path.name} bad"])
+        "knotgym.control.verification.folder_faults", lambda path, *_: iter([f"{path.name} bad"])
     )
     assert knotgym.verify(tmp_path / "made") == ["made bad"]
 

@@ -24,6 +24,9 @@ from synthetic_episodes import TINY
 
 import knotgym
 from knotgym.control.planning import moves
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import rollouts
 from knotgym.control.verification import OVERLAPS
 from knotgym.datasets import episode_dataset, image_table
 from knotgym.datasets.cards.fact_tables import overlap_rows
@@ -178,7 +181,9 @@ def test_the_ten_lines_of_the_readme_run(capsys: pytest.CaptureFixture[str]) -> 
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
 @pytest.mark.parametrize("observation", ["state", "both"])
-def test_the_example_to_train_writes_a_policy(observation: str, tmp_path: Path) -> None:
+def test_the_example_to_train_learns_a_policy_that_evaluate_takes(
+    observation: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     typed(
         *("collect", "--task", "unknot", "--nx", 2, "--policy", "scripted", "--episodes", 4),
         *(
@@ -196,7 +201,10 @@ def test_the_example_to_train_writes_a_policy(observation: str, tmp_path: Path) 
         *("--data", tmp_path / "knotgym/unknot-nx2/expert-v0", "--epochs", 2),
         *("--out", tmp_path / "cloned.pt"),
     )
-    assert (tmp_path / "cloned.pt").is_file()
+    monkeypatch.chdir(tmp_path)
+    policy = make_policy(PolicyConfig(policy="cloned:act"))
+    task = TaskConfig(task="unknot", nx=2, engine="chain", observation="state", horizon=2)
+    assert rollouts(policy, task, [0]).episodes["length"][0] == 2
 
 
 @pytest.mark.parametrize("page", ["environment.md", "extending.md", "formats/states.md"])

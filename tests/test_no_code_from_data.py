@@ -11,10 +11,9 @@ UNPICKLING = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "
 # file -> why a module that it imports by a computed name isn't named by data
 IMPORTS = {
     "common/lazy_exports.py": "modules that a package lists",
-    "control/learned_policies.py": "libraries of MODEL_FILES, names in the code",
     "control/own_policies.py": "module:name, which the user types; never from a file",
-    "datasets/exports/forms.py": "FORMS, names in the code",
     "datasets/image_table.py": "parts of pyarrow, names in the code",
+    "prompting/chat.py": "the HTTP library of the client that is installed",
     "loaders/converters.py": "libraries, names in the code",
     "rendering/mujoco_renderer.py": "backends of MuJoCo, names in the code",
 }

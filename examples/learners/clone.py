@@ -2,16 +2,32 @@
 
     python examples/learners/clone.py --data knotgym/unknot-nx2/expert-v0 --out cloned.pt
 
-The policy chooses the bead by classification and the force by regression. Evaluate it by
-`knotgym evaluate --policy cloned.pt`.
+The policy chooses the bead by classification and the force by regression. Beside the network it
+writes a module with its policy: `knotgym evaluate --policy cloned:act`, in the same folder.
 """
 
 import argparse
+from pathlib import Path
 
 import torch
 from torch import nn
 
 from knotgym.loaders import arrays
+
+# the policy of the file that is written, as module:name
+MODULE = '''"""The policy of {model}: knotgym evaluate --policy {name}:act, in this folder."""
+
+import torch
+
+FILES = [__file__[:-3] + ".pt"]
+torch.set_num_threads(1)
+network = torch.jit.load(FILES[0]).eval()
+
+
+@torch.no_grad()
+def act(observation):
+    return network(torch.from_numpy(observation)[None])[0].numpy()
+'''
 
 
 class Policy(nn.Module):
@@ -36,7 +52,7 @@ def main() -> None:
         "--data", default="knotgym/unknot-nx2/expert-v0", help="Minari id or folder"
     )
     parser.add_argument("--epochs", type=int, default=60)
-    parser.add_argument("--out", default="cloned.pt", help="TorchScript file to write")
+    parser.add_argument("--out", type=Path, default=Path("cloned.pt"), help="TorchScript file")
     options = parser.parse_args()
     data = arrays(options.data, observation="state")
     states, actions = torch.tensor(data["observations"]), torch.tensor(data["actions"])
@@ -54,7 +70,9 @@ def main() -> None:
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
-    torch.jit.script(policy).save(options.out)
+    torch.jit.script(policy).save(str(options.out))
+    names = {"model": options.out.name, "name": options.out.stem}
+    options.out.with_suffix(".py").write_text(MODULE.format(**names))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
 """PPO in one file, on vertices: many ropes of the chain engine in arrays, no other library.
 
     python examples/learners/online_ppo.py --task unknot --nx 2 --tow-limit 0.04 --out ppo.pt
-    knotgym evaluate --policy ppo.pt --task unknot --nx 2 --tow-limit 0.04 --engine chain
+    knotgym evaluate --policy ppo:act --task unknot --nx 2 --tow-limit 0.04 --engine chain
 
-The policy draws the bead from a softmax and the force from a Gaussian; the file that it writes
-takes the most likely ones. A million steps take some minutes on one core. Prints the success rate
-of the episodes that ended since the last line, as they are played in training.
+The policy draws the bead from a softmax and the force from a Gaussian; the network that it writes,
+with a module that makes it a policy, takes the most likely ones. A million steps take some minutes
+on one core. Prints the success rate of the episodes that ended since the last line, as they are
+played in training.
 """
 
 import argparse
@@ -19,6 +20,21 @@ from torch import nn
 from torch.distributions import Categorical, Normal
 
 import knotgym
+
+# the policy of the file that is written, as module:name
+MODULE = '''"""The policy of {model}: knotgym evaluate --policy {name}:act, in this folder."""
+
+import torch
+
+FILES = [__file__[:-3] + ".pt"]
+torch.set_num_threads(1)
+network = torch.jit.load(FILES[0]).eval()
+
+
+@torch.no_grad()
+def act(observation):
+    return network(torch.from_numpy(observation)[None])[0].numpy()
+'''
 
 GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
 ENTROPY, VALUE, LARGEST_GRADIENT = 0.003, 0.5, 0.5  # weights of the losses; clipping
@@ -171,6 +187,8 @@ def main() -> None:
     options = parser.parse_args()
     print(f"knotgym {knotgym.__version__}, {options.task} nx {options.nx}, {options.engine}")
     torch.jit.script(train(options).actor).save(str(options.out))
+    names = {"model": options.out.name, "name": options.out.stem}
+    options.out.with_suffix(".py").write_text(MODULE.format(**names))
 
 
 if __name__ == "__main__":

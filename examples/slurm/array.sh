@@ -5,4 +5,4 @@
 #SBATCH --time=04:00:00
 #SBATCH --requeue
 set -euo pipefail
-exec knotgym "$@" --shard "$SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT" --workers "$SLURM_CPUS_PER_TASK" --resume --quiet
+exec knotgym "$@" --set "run.shard=$SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT" --workers "$SLURM_CPUS_PER_TASK" --resume --quiet

@@ -1,9 +1,7 @@
 #!/bin/bash
-# Merge all shards of a run once they are finished:
-#   sbatch --dependency=afterok:ARRAY merge.sh runs/nx4
-# For a collection, give the dataset and then the root of its id:
-#   sbatch --dependency=afterok:ARRAY merge.sh data/knotgym/tie-nx3/expert-v0 data
-#SBATCH --time=01:00:00
+# Merge all shards of a run once they are finished: the same command, without a shard.
+#   sbatch --dependency=afterok:$array merge.sh generate --nx 4 --count 3200 --out runs/nx4
+#SBATCH --cpus-per-task=4
+#SBATCH --time=04:00:00
 set -euo pipefail
-knotgym dataset merge "$1"-shard-*-of-* --out "${2:-$1}"
-knotgym dataset verify "$1" --quiet
+exec knotgym "$@" --workers "$SLURM_CPUS_PER_TASK" --resume --quiet

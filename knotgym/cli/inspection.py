@@ -26,7 +26,6 @@ from knotgym.datasets.image_table import read_table
 from knotgym.datasets.located import (
     demonstrations,
     episodes_at,
-    require_apart_from,
     resolve_dataset,
     resolve_datasets,
     sources,
@@ -102,9 +101,8 @@ def checked(named: str) -> str:
 
 def gallery(named: str, out: Path, columns: int, overwrite: bool) -> str:
     """Write a contact sheet; return a one-line summary."""
-    require_output(out, folder=False, overwrite=overwrite)
+    _require_picture_or_page(out, ".png", overwrite)
     found = resolve_datasets(named)
-    require_apart_from(out, named)
     kind, path = found[0]
     with atomic_write(out, overwrite=overwrite) as temporary:
         if kind == "states":
@@ -124,12 +122,18 @@ def gallery(named: str, out: Path, columns: int, overwrite: bool) -> str:
 
 def page(named: str, out: Path, overwrite: bool) -> str:
     """Write an HTML page for browsing a dataset; return a one-line summary."""
-    require_output(out, folder=False, overwrite=overwrite)
+    _require_picture_or_page(out, ".html", overwrite)
     data = page_data(**sources(named)._asdict())
-    require_apart_from(out, named)
     with atomic_write(out, overwrite=overwrite) as temporary:
         write_page(temporary, data)
     return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
+
+
+def _require_picture_or_page(out: Path, suffix: str, overwrite: bool) -> None:
+    """Raise if the output can't be written, or might be a file of the dataset beside it."""
+    if out.suffix.lower() != suffix:
+        raise InvalidInput(f"the output must end in {suffix}, got {out}")
+    require_output(out, folder=False, overwrite=overwrite)
 
 
 def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -> str:
@@ -142,7 +146,6 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
     require_output(out, folder=False, overwrite=overwrite)
     require_film(out)
     kind, path = resolve_dataset(named, "states", "episodes")
-    require_apart_from(out, named)
     scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
     if scene.difference:
         raise Failed(

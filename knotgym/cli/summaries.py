@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 
 from knotgym.common.errors import InvalidFile
-from knotgym.datasets.cards.fact_tables import Table, image_tables, state_tables
+from knotgym.datasets.cards.fact_tables import CardTable, image_tables, state_tables
 from knotgym.datasets.cards.image_card import summary as image_summary
 from knotgym.datasets.cards.state_card import summary as state_summary
 from knotgym.datasets.episode_verification import show_episodes
@@ -89,7 +89,7 @@ def _in_words(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def _print_tables(tables: Mapping[str, Table], console: Console) -> None:
+def _print_tables(tables: Mapping[str, CardTable], console: Console) -> None:
     for one in tables.values():
         shown = narrow_table(one.head, title=one.title, left=one.left)
         for row in one.rows:

@@ -20,8 +20,8 @@ from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, Missi
 
 # what identifies a folder as an output of this package, so that --overwrite may replace it
 _OUTPUT_MARKS = (
-    "manifest.json policy.json suite.json croissant.json page.html *.h5 *.tar meta/info.json"
-    " data/episodes.h5 data/main_data.hdf5 */*/data/main_data.hdf5 */*/*/data/main_data.hdf5"
+    "manifest.json policy.json suite.json CITATION.cff page.html *.h5 *.tar meta/info.json"
+    " data/episodes.h5 */*/data/episodes.h5 */*/*/data/episodes.h5"
 ).split()
 _AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2(2)
 

@@ -162,8 +162,8 @@ class Table(Mapping[str, NDArray[Any]]):
             expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in wanted)
             if not c.has_dtype(found.dtype) or found.shape != expected:
                 raise InvalidInput(
-                    f"column {c.name} is {_type_name(found.dtype)} {_listed(found.shape)}, should"
-                    f" be {c.dtype} {_listed(expected)}"
+                    f"column {c.name} is {_type_name(found.dtype)} {found.shape}, should be"
+                    f" {c.dtype} {expected}"
                 )
             self._columns[c.name] = found
         self.schema = schema.sized(**sizes).only(*self._columns)
@@ -455,7 +455,3 @@ def _encoded(values: NDArray[np.str_]) -> NDArray[np.bytes_]:
 
 def _type_name(dtype: np.dtype[Any]) -> str:
     return "text" if dtype.kind == "U" else str(dtype)
-
-
-def _listed(shape: tuple[int | str, ...]) -> str:
-    return f"({', '.join(map(str, shape))})"

@@ -21,13 +21,20 @@ Generators = Sequence[np.random.Generator]
 
 
 class ActionPlayer:
-    """Base of players that choose actions of the task's view; pulls carry them out.
+    """Chooses actions of the task's view, which pulls carry out.
 
-    Subclasses define `choose`, and set `rngs` up in `begin` by calling this class's.
+    Attributes:
+        batch: the episodes.
+        name: of the policy, for error messages.
+        planned: int64 (lanes,), 0: nothing is simulated.
+        rngs: the generator of the episode in each lane.
     """
 
-    def __init__(self, batch: EpisodeBatch, name: str) -> None:
-        self.batch, self.name = batch, name
+    def __init__(
+        self, batch: EpisodeBatch, name: str, choose: Callable[[Ids], Any] | None = None
+    ) -> None:
+        """Take a function from lanes to their actions; subclasses may define `choose` instead."""
+        self.batch, self.name, self._choose = batch, name, choose
         self.planned = np.zeros(batch.count, dtype=np.int64)
         self.rngs: list[np.random.Generator] = [np.random.default_rng(0)] * batch.count
         self._pulled = np.zeros(batch.count, dtype=bool)  # since the view last looked
@@ -39,8 +46,9 @@ class ActionPlayer:
         self._pulled[ids] = False
 
     def choose(self, ids: Ids) -> Any:
-        """Return one action of the task's view for each of the lanes, checked by the caller."""
-        raise NotImplementedError
+        """Return one action of the task's view for each of the lanes; the caller checks them."""
+        assert self._choose is not None
+        return self._choose(ids)
 
     def act(self, ids: Ids) -> Pulls:
         """Choose actions, and return the pulls that carry them out."""
@@ -115,9 +123,29 @@ class ConstantPolicy:
 
     def player(self, batch: EpisodeBatch) -> ActionPlayer:
         """Return a player for the lanes of a batch."""
-        player = ActionPlayer(batch, self.name)
-        player.choose = lambda ids: np.tile(self._action, (len(ids), 1))  # type: ignore[method-assign]
-        return player
+        return ActionPlayer(batch, self.name, lambda ids: np.tile(self._action, (len(ids), 1)))
+
+
+class NetworkPolicy:
+    """A function from batches of observations to batches of actions, such as a network.
+
+    Attributes:
+        name: stored with its episodes.
+    """
+
+    def __init__(self, function: Callable[[Any], Any], name: str) -> None:
+        """Take a function of arrays (TOGETHER, ...), or of dicts of such, see `in_blocks`."""
+        self._function, self.name = function, name
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """Any task, with the observation that it has."""
+        return task
+
+    def player(self, batch: EpisodeBatch) -> ActionPlayer:
+        """Return a player for the lanes of a batch."""
+        return ActionPlayer(
+            batch, self.name, lambda ids: in_blocks(self._function, batch.observations(ids))
+        )
 
 
 def pull_task(task: TaskConfig) -> TaskConfig:

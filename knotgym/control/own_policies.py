@@ -10,7 +10,8 @@
 Actions are those of the task's action view, by default six numbers in [-1, 1]. Episodes are played
 side by side, so each gets its own deep copy of the object; a class is called once, without
 arguments, to make the object to copy. Random draws should come from the episode's generator, or the
-run can't be repeated. A `control.rollouts.Policy` acts in many episodes at once.
+run can't be repeated. A `control.rollouts.Policy` acts in many episodes at once. A module may list
+the files that it reads, such as weights, in `FILES`; results hold their digests.
 """
 
 import copy
@@ -126,20 +127,24 @@ def load_own(name: str) -> Policy:
 
 
 def module_files(name: str) -> dict[str, Path]:
-    """Return the source file of a policy module:name, by its name; files it imports aren't found.
+    """Return the source files of a policy module:name, and the module's FILES, by their names.
 
-    For a module in a package, these are all source files of the top package.
+    For a module in a package, the sources are those of the top package; other files that it imports
+    aren't found.
     """
-    top, *parts = name.partition(":")[0].split(".")
+    module = name.partition(":")[0]
+    top = module.partition(".")[0]
     with _user_code(name), _current_folder(top):
         spec = importlib.util.find_spec(top)
+        read = [Path(file) for file in getattr(importlib.import_module(module), "FILES", ())]
+    found = {path.name: path for path in read}
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
-        return {}
+        return found
     own = Path(spec.origin)
     if not spec.submodule_search_locations:
-        return {own.name: own}
-    files = sorted(own.parent.rglob("*.py"))
-    return {path.relative_to(own.parent.parent).as_posix(): path for path in files}
+        return found | {own.name: own}
+    files = own.parent.rglob("*.py")
+    return found | {path.relative_to(own.parent.parent).as_posix(): path for path in files}
 
 
 @contextmanager

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import KnotgymError, MissingFile, one_line
 from knotgym.datasets.episode_dataset import EpisodeDataset, content_digest, open_episodes
 from knotgym.datasets.episodes import Episodes, differences, gauss_codes, merged
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.envs.tasks import TaskConfig
+from knotgym.states.state_file import ships
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
@@ -39,13 +40,15 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     Of columns that can't be recomputed, goals in hindsight and the numbers of planned pulls, the
     dataset's own stay.
     """
-    parts = []
+    parts, task = [], dataset.task
+    if not ships(task.states):
+        task = replace(task, states=str(dataset.states_path()))
     for first in range(0, dataset.episodes.episodes.rows, _BLOCK):
         count("episodes played again", first, dataset.episodes.episodes.rows)
         some = dataset.episodes.select(
             np.arange(first, min(first + _BLOCK, dataset.episodes.episodes.rows))
         )
-        made = replay(some, dataset.task)
+        made = replay(some, task)
         goals = made.episodes["goal_points"].copy()
         hindsight = some.episodes["relabelled"]
         goals[hindsight] = made.steps["observation"][made.last()][hindsight]
@@ -68,9 +71,14 @@ def verify_episodes(
 
     Yields:
         Faults; each names the file, the episode and, where possible, the step.
+
+    Raises:
+        MissingFile: there is no such file.
     """
     try:
         dataset = open_episodes(source)
+    except MissingFile:
+        raise
     except KnotgymError as error:
         yield one_line(error)
         return

@@ -159,29 +159,19 @@ def differences(one: Episodes, other: Episodes) -> list[str]:
         return [f"{other.episodes.rows} episodes, should be {one.episodes.rows}"]
     one, other = fitted([one, other])
     found: list[tuple[int, int, str]] = []
-    for name in one.episodes:
-        if name in other.episodes and name not in _NOT_COMPARED:
-            rows = _differing(one.episodes[name], other.episodes[name])
-            found += [(row, -1, f"episode {row}: {name} differs") for row in rows.tolist()]
-    # episodes of different lengths are compared up to the shorter one's end
-    shared = np.minimum(one.episodes["length"], other.episodes["length"]) + 1
-    here, there = (ranges(each.offsets[:-1], shared) for each in (one, other))
-    whole = one.steps.rows == other.steps.rows == len(here)
-    episode = np.repeat(np.arange(len(shared)), shared)
-    step = ranges(np.zeros_like(shared), shared)
-    for name in one.steps:
-        if name in other.steps:
-            a, b = one.steps[name], other.steps[name]
-            rows = _differing(a, b) if whole else _differing(a[here], b[there])
-            first = rows[np.unique(episode[rows], return_index=True)[1]]
-            found += [
-                (
-                    int(episode[k]),
-                    int(step[k]),
-                    f"episode {episode[k]}, step {step[k]}: {name} differs",
-                )
-                for k in first.tolist()
-            ]
+    for name in one.episodes.keys() & other.episodes.keys() - _NOT_COMPARED:
+        rows = _differing(one.episodes[name], other.episodes[name])
+        found += [(row, -1, f"episode {row}: {name} differs") for row in rows.tolist()]
+    # steps are compared where episodes have as many
+    alike = np.flatnonzero(one.episodes["length"] == other.episodes["length"])
+    if len(alike) < one.episodes.rows:
+        one, other = one.select(alike), other.select(alike)
+    owner, offsets = one.episode_of(), one.offsets
+    for name in one.steps.keys() & other.steps.keys():
+        rows = _differing(one.steps[name], other.steps[name])
+        for row in rows[np.unique(owner[rows], return_index=True)[1]].tolist():
+            k, step = int(alike[owner[row]]), int(row - offsets[owner[row]])
+            found.append((k, step, f"episode {k}, step {step}: {name} differs"))
     return [text for *_, text in sorted(found)]
 
 

@@ -1,7 +1,6 @@
 """Contact sheets: knot diagrams of states and of final states of episodes, and pictures."""
 
 import os
-import re
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
@@ -30,7 +29,7 @@ class Tile(NamedTuple):
     """A picture in a contact sheet."""
 
     picture: NDArray[np.uint8]  # uint8 (size, size, 3), RGB
-    captions: Sequence[str]  # lines of text below; long lines are wrapped
+    captions: Sequence[str]  # lines of text below
     # RGB of the text. Unless it is WHITE, the picture gets a frame of this colour.
     colour: tuple[int, int, int] = WHITE
 
@@ -38,38 +37,24 @@ class Tile(NamedTuple):
 def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
     """Arrange pictures of one size in rows of at most `columns`: uint8 (height, width, 3), RGB."""
     size = len(tiles[0].picture) if tiles else _TILE
-    wrapped = [[part for line in one.captions for part in _wrapped(line, size)] for one in tiles]
     wide = size + 2 * _EDGE
-    high = wide + 2 + _LINE * max(2, *map(len, wrapped), 0)
+    high = wide + 2 + _LINE * max([2, *(len(one.captions) for one in tiles)])
     columns = max(1, min(columns, len(tiles)))
     rows = -(-max(1, len(tiles)) // columns)
     sheet = np.full((rows * high, columns * wide, 3), _GREY, dtype=np.uint8)
-    for k, (tile, lines) in enumerate(zip(tiles, wrapped, strict=True)):
+    for k, tile in enumerate(tiles):
         top, left = k // columns * high + _EDGE, k % columns * wide + _EDGE
         if tile.colour != WHITE:
             corner = (left + size + 1, top + size + 1)
             cv2.rectangle(sheet, (left - 2, top - 2), corner, tile.colour, 2)
         sheet[top : top + size, left : left + size] = tile.picture
-        for number, line in enumerate(lines):
-            scale = min(_LETTERS, _LETTERS * size / max(1, _width(line)))
+        for number, line in enumerate(tile.captions):
+            # long lines are written smaller, so that they fit below their picture
+            width = int(cv2.getTextSize(line, _FONT, _LETTERS, 1)[0][0])
+            scale = min(_LETTERS, _LETTERS * size / max(1, width))
             at = (left, top + size + 15 + _LINE * number)
             cv2.putText(sheet, line, at, _FONT, scale, tile.colour, 1, cv2.LINE_AA)
     return sheet
-
-
-def _wrapped(line: str, width: int) -> list[str]:
-    """Wrap text at commas and spaces into lines of at most `width` pixels."""
-    parts = [""]
-    for word in re.split("(?<=[, ])", line):
-        if parts[-1] and _width(parts[-1] + word.rstrip()) > width:
-            parts.append("")
-        parts[-1] += word
-    return parts
-
-
-def _width(line: str) -> int:
-    """Return the width of a line of text in pixels."""
-    return int(cv2.getTextSize(line, _FONT, _LETTERS, 1)[0][0])
 
 
 def write_gallery(path: str | os.PathLike[str], states: States, columns: int = 8) -> None:

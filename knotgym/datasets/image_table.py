@@ -61,9 +61,9 @@ def arrow(module: str = "pyarrow") -> Any:
 def schema(columns: Mapping[str, Any] = COLUMNS) -> Any:
     """Return the pyarrow schema of columns, with Hugging Face features in its metadata."""
     pa = arrow()
-    features = {name: feature(kind) for name, kind in columns.items()}
+    features = {name: _feature(kind) for name, kind in columns.items()}
     return pa.schema(
-        [(name, arrow_type(pa, kind)) for name, kind in columns.items()],
+        [(name, _arrow_type(pa, kind)) for name, kind in columns.items()],
         metadata={"huggingface": json.dumps({"info": {"features": features}}, sort_keys=True)},
     )
 
@@ -302,21 +302,21 @@ def _has_nulls(values: Any) -> bool:
     return False
 
 
-def arrow_type(pa: Any, kind: Any) -> Any:
+def _arrow_type(pa: Any, kind: Any) -> Any:
     """Convert a type in the notation of COLUMNS to a pyarrow type."""
     if isinstance(kind, dict):
-        return pa.struct([(name, arrow_type(pa, inner)) for name, inner in kind.items()])
+        return pa.struct([(name, _arrow_type(pa, inner)) for name, inner in kind.items()])
     if isinstance(kind, list):
-        return pa.list_(arrow_type(pa, kind[0]), kind[1] or -1)
+        return pa.list_(_arrow_type(pa, kind[0]), kind[1] or -1)
     if kind == "image":
         return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     return {"string": pa.string(), "bool": pa.bool_()}.get(kind) or getattr(pa, kind)()
 
 
-def feature(kind: Any) -> Any:
+def _feature(kind: Any) -> Any:
     """Convert a type in the notation of COLUMNS to a Hugging Face feature."""
     if isinstance(kind, dict):
-        return {name: feature(inner) for name, inner in kind.items()}
+        return {name: _feature(inner) for name, inner in kind.items()}
     if isinstance(kind, list):
-        return {"feature": feature(kind[0]), "length": kind[1] or -1, "_type": "List"}
+        return {"feature": _feature(kind[0]), "length": kind[1] or -1, "_type": "List"}
     return {"_type": "Image"} if kind == "image" else {"dtype": kind, "_type": "Value"}

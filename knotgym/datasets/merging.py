@@ -6,7 +6,6 @@ Shards of a run aren't merged here: their journals are, by running again.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from knotgym.common.atomic_files import atomic_write, require_output, sha256
 from knotgym.common.errors import InvalidFile, InvalidInput
@@ -133,22 +132,21 @@ def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
 
 
 def _metadata(datasets: Sequence[EpisodeDataset], dataset_id: str) -> MinariMetadata:
+    """Join the metadata of datasets; scores and links are kept if they are those of all."""
     known = [metadata for one in datasets if (metadata := metadata_of(one))]
-    same: dict[str, Any] = {}
-    for name in ("code_permalink", "ref_min_score", "ref_max_score", "num_episodes_average_score"):
-        values = {getattr(one, name) for one in known}
-        same[name] = values.pop() if len(values) == 1 and len(known) == len(datasets) else None
-    policies = [one.algorithm_name for one in known]
-    policies += [str(name) for one in datasets for name in one.episodes.episodes["policy"][:1]]
-    described = [f"Merged of {', '.join(one.dataset_id for one in known) or 'episode files'}."]
+    policies = {str(name) for one in datasets for name in one.episodes.episodes["policy"]}
+    described = [f"Merged of {', '.join(one.name for one in datasets)}."]
     described += [f"{one.dataset_id}: {one.description}" for one in known]
-    return MinariMetadata(
+    joined = MinariMetadata(
         dataset_id=dataset_id,
-        algorithm_name=", ".join(dict.fromkeys(policies)),
+        algorithm_name=", ".join(sorted(policies)),
         description="\n\n".join(described),
         author=tuple({name for one in known for name in one.author}),
         author_email=tuple({name for one in known for name in one.author_email}),
-        eval_split=known[0].eval_split if known else "test",
         digests={one.dataset_id: one.digests for one in known if one.digests},
-        **same,
     )
+    shared = ("code_permalink", "ref_min_score", "ref_max_score", "num_episodes_average_score")
+    facts = {tuple(getattr(one, name) for name in shared) for one in known}
+    if len(facts) == 1 and len(known) == len(datasets):
+        joined = replace(joined, **dict(zip(shared, facts.pop(), strict=True)))
+    return joined

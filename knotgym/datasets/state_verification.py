@@ -25,7 +25,7 @@ from knotgym.rope.engines import MUJOCO, require_engine, simulation
 from knotgym.rope.model import Array, Rope, rope_of
 from knotgym.states.derivation import row_faults
 from knotgym.states.near_duplicates import pairs_within, repeated
-from knotgym.states.schema import DRAWING, RANDOM_WALK, STATES
+from knotgym.states.schema import RANDOM_WALK, STATES
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.state_file import States, read_states
@@ -126,8 +126,7 @@ def demonstration_faults(
 ) -> Iterator[str]:
     """Yield the rows that name an episode of the dataset `name` that doesn't lead to them.
 
-    The episode of a drawn state ends in its code, with that state as its goal; that of any other
-    state ends in the state itself.
+    The episode must end in the row's code, with the row as its goal.
     """
     source = states.source
     if not {"dataset", "trajectory", "step"} <= source.keys():
@@ -149,10 +148,6 @@ def _unlike(states: States, row: int, dataset: EpisodeDataset, k: int, step: int
     own, steps = dataset.episodes
     at = int(dataset.episodes.offsets[k]) + step
     points = states.points[row].astype(np.float32)
-    if states.source["policy"][row] != DRAWING or not states.nx[row]:
-        if np.array_equal(steps["observation"][at], points):
-            return ""
-        return f"doesn't lead to it: its state {step} lies elsewhere"
     if gauss_codes(steps["visits"][at : at + 1])[0] != states.gauss_code[row]:
         return f"doesn't lead to its code: its state {step} shows another"
     return "" if np.array_equal(own["goal_points"][k], points) else "has another goal"
@@ -169,7 +164,7 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
         yield f"split is {str(stored['split'])!r}"
     try:
         actions_of(states, row)
-        if stored["source/policy"] == RANDOM_WALK:
+        if stored["source/policy"] == RANDOM_WALK and not stored["source/dataset"]:
             walk = _key(stored["source/seed"], Stream.RANDOM_WALK)[2], stored["source/steps"]
             if walk != (stored["source/trajectory"], stored["source/step"]):
                 yield f"it isn't step {walk[1]} of rope {walk[0]}, as its seed says"

@@ -320,7 +320,7 @@ class EpisodeBatch:
         """Return the `info` of episode `index`, the same keys at every step; arrays are copies.
 
         With `numeric_infos` every value is a NumPy array. Codes are int16 (SYMBOLS,), see
-        `observations.numbers`; chirality is int16 (SYMBOLS // 2,), one sign per crossing; the
+        `observations.cut`; chirality is int16 (SYMBOLS // 2,), one sign per crossing; the
         origins of states are True for SHIPPED.
         """
         return self.info_rows(np.array([index]))[0]

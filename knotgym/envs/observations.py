@@ -4,7 +4,7 @@ The environment, the datasets and the loaders all use this module, so that store
 the environment's byte for byte.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.envs.marked import join, mark
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import PictureConfig, draw, draw_many, picture_of
+from knotgym.topology.code_arrays import visits_of
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
 
@@ -79,18 +80,7 @@ def symbols(codes: Sequence[GaussCode], goals: Sequence[GaussCode]) -> NDArray[n
     >>> symbols([GaussCode((1, -1), "c")], [GaussCode(())])[0, :, :3].tolist()
     [[1, -1, 0], [0, 0, 0]]
     """
-    encoded = np.zeros((len(codes), 2, SYMBOLS), dtype=np.int16)
-    for row, pair in enumerate(zip(codes, goals, strict=True)):
-        encoded[row] = [numbers(code.visits) for code in pair]
-    return encoded
-
-
-def numbers(code: Iterable[int], length: int = SYMBOLS) -> NDArray[np.int16]:
-    """Cut or pad a code's visits or signs with 0 to `length`: int16 (length,)."""
-    padded = np.zeros(length, dtype=np.int16)
-    first = tuple(code)[:length]
-    padded[: len(first)] = first
-    return padded
+    return np.stack([cut(visits_of(codes)), cut(visits_of(goals))], axis=1)
 
 
 def cut(codes: NDArray[np.integer], length: int = SYMBOLS) -> NDArray[np.int16]:

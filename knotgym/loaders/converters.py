@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput, MissingExtra, install_command
-from knotgym.loaders.rows import drawn_generator, drawn_goals, rows
+from knotgym.loaders.rows import drawn_generator, rows
 from knotgym.loaders.transitions import Opening, Transitions
-from knotgym.loaders.windows import Window
 
 # d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0 (which knotgym supports), and an extra would pin
 # it for everyone who installs all extras
@@ -65,96 +64,51 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
     """Make a `d3rlpy.dataset.ReplayBuffer` of all transitions.
 
     Actions are pulls: d3rlpy has no actions of several whole numbers. Pictures are channels first;
-    "both" is a tuple of pixels and state.
-
-    Stacks follow each other along the first axis of an observation, chunks make one long action,
-    and a history is one more array of a tuple; masks are left out, and what they mask is zeros.
-    With a window, `sample_transition` gives windows, and `sample_trajectory` shouldn't be used with
-    sampled goals.
+    "both" is a tuple of pixels and state. For several steps or stacks use d3rlpy's own transition
+    pickers and frame stacks.
 
     d3rlpy keeps T observations for T actions and drops the last transition of an episode that
     didn't terminate, which here is the one with the reward for failing. To keep that transition,
     such an episode gets its last state as one more step, with zero action and reward.
 
     Args:
-        dataset, opening: see `knotgym.loaders`.
+        dataset, opening: see `knotgym.loaders`; without a window.
 
     Raises:
         MissingExtra: d3rlpy isn't installed.
-        InvalidInput: the window has negatives.
-        InvalidInput: the action isn't "pull".
+        InvalidInput: there is a window, or the action isn't "pull".
     """
-    d3rlpy, window = import_client("d3rlpy"), opening.get("window")
-    if window is not None and window.goals is not None and window.goals.negatives:
-        raise InvalidInput("d3rlpy's transitions have no place for negatives: leave them out")
+    d3rlpy = import_client("d3rlpy")
+    if opening.get("window") is not None:
+        raise InvalidInput("d3rlpy has windows of its own: leave out window, use its pickers")
     if (action := opening.get("action")) not in (None, "pull"):
         raise InvalidInput(
             f"d3rlpy has no actions of several whole numbers: use action 'pull', got {action!r}"
         )
     opening["action"] = "pull"
     transitions = Transitions(dataset, **opening)
-    picker = None if window is None else _WindowPicker(d3rlpy, transitions, window)
     episodes = []
     for segment in range(transitions.segments):
         part = slice(*transitions.starts[segment : segment + 2])
-        actions = transitions.actions[part] if picker is None else picker.actions[part]
+        actions = transitions.actions[part]
         rewards = transitions.rewards[part, None].astype(np.float32)
         terminated = bool(transitions.terminals[part][-1])
         if not terminated:
             actions = np.concatenate([actions, np.zeros_like(actions[:1])])
             rewards = np.concatenate([rewards, np.zeros_like(rewards[:1])])
-        if picker is None:
-            seen = _parts(transitions.observations(segment, 0, len(actions)))
-        else:
-            last = slice(part.stop - 1, part.stop if len(actions) > part.stop - part.start else 0)
-            pairs = zip(picker.before, picker.after, strict=True)
-            seen = [np.concatenate([one[part], other[last]]) for one, other in pairs]
-        episodes.append(d3rlpy.dataset.Episode(_joined(seen), actions, rewards, terminated))
-        vars(episodes[-1])["first_row"] = part.start
+        seen = transitions.observations(segment, 0, len(actions))
+        parts = [
+            np.ascontiguousarray(np.moveaxis(one, -1, -3)) if one.dtype == np.uint8 else one
+            for one in (seen.values() if isinstance(seen, dict) else [seen])
+        ]
+        shown = parts[0] if len(parts) == 1 else tuple(parts)
+        episodes.append(d3rlpy.dataset.Episode(shown, actions, rewards, terminated))
     return d3rlpy.dataset.ReplayBuffer(
         d3rlpy.dataset.InfiniteBuffer(),
-        transition_picker=picker,
         episodes=episodes,
         action_space=d3rlpy.ActionSpace.CONTINUOUS,
-        action_size=6 * ((window and window.chunk) or 1),
+        action_size=6,
     )
-
-
-class _WindowPicker:
-    """Pick windows as d3rlpy's transitions; `first_row` of an episode is its first."""
-
-    def __init__(self, d3rlpy: Any, transitions: Transitions, window: Window) -> None:
-        self._transition, self._transitions = d3rlpy.dataset.Transition, transitions
-        self._goals, self._columns = drawn_goals(transitions), rows(transitions)
-        columns, stacked = self._columns, window.stack is not None
-        self.before, self.after = (
-            _parts(
-                columns.pop(f"{side}observations"),
-                stacked=stacked,
-                history=columns.pop(f"{side}history", None),
-            )
-            for side in ("", "next_")
-        )
-        self.actions = columns["actions"].reshape(len(transitions), -1)
-
-    def __call__(self, episode: Any, index: int) -> Any:
-        row, columns, actions = episode.first_row + index, self._columns, self.actions
-        end = episode.first_row + episode.transition_count
-        steps = int(columns["pulls"][row])  # every transition is one pull
-        rows = np.array([row])
-        goals = None if self._goals is None else self._goals[rows]
-        rewards, terminals, _, _, _ = self._transitions.outcomes(rows, end - row, goals)
-        left = int(terminals[0].argmax()) + 1 if terminals.any() else end - row
-        return self._transition(
-            observation=_joined([array[row] for array in self.before]),
-            action=actions[row],
-            reward=columns["rewards"][rows].astype(np.float32),
-            next_observation=_joined([array[row] for array in self.after]),
-            next_action=actions[row + steps] if row + steps < end else np.zeros_like(actions[row]),
-            terminal=float(columns["terminals"][row]),
-            interval=steps,
-            rewards_to_go=rewards[0, :left, None].astype(np.float32),
-        )
 
 
 def to_tensordict(
@@ -235,24 +189,6 @@ def _tensors(
         },
         batch_size=[len(terminated)],
     )
-
-
-def _parts(
-    observations: Any, *, stacked: bool = False, history: NDArray[Any] | None = None
-) -> list[NDArray[Any]]:
-    """Return n observations as d3rlpy takes them: pictures channels first, no axis of stacks."""
-    parts = list(observations.values()) if isinstance(observations, dict) else [observations]
-    for index, array in enumerate(parts):
-        if array.dtype == np.uint8:
-            array = np.moveaxis(array, -1, -3)
-        if stacked:
-            array = array.reshape(len(array), -1, *array.shape[3:])
-        parts[index] = np.ascontiguousarray(array)
-    return parts if history is None else [*parts, history.reshape(len(history), -1)]
-
-
-def _joined(parts: list[NDArray[Any]]) -> Any:
-    return parts[0] if len(parts) == 1 else tuple(parts)
 
 
 def import_client(module: str) -> Any:

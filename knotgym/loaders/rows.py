@@ -3,7 +3,6 @@
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, generator
 from knotgym.loaders.transitions import Opening, Transitions
@@ -44,12 +43,6 @@ def rows(transitions: Transitions) -> dict[str, Any]:
     if transitions.action == "macro":
         loaded.setdefault("pulls", transitions.pulls)
     return loaded
-
-
-def drawn_goals(transitions: Transitions) -> NDArray[np.int64] | None:
-    """Return the states that `rows` draws as goals, int64 (N,); None if it draws none."""
-    rng = drawn_generator(transitions)
-    return None if rng is None else transitions.sample_goals(np.arange(len(transitions)), rng)
 
 
 def drawn_generator(transitions: Transitions) -> np.random.Generator | None:

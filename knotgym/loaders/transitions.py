@@ -52,6 +52,7 @@ class Transitions:
     macro-action are left out, and so are segments without any.
 
     Attributes:
+        dataset: the columns.
         task: the environment of the dataset.
         episode: int64 (S,), index of the segment's episode in the dataset.
         goal_step: int64 (S,), which state of the episode is the goal; -1 for the episode's own
@@ -94,7 +95,7 @@ class Transitions:
             InvalidInput: these settings don't go together, or the dataset lacks what they need.
             MissingFile, InvalidFile: there is no such dataset, or it is damaged.
         """
-        self._dataset = columns_of(dataset)
+        self.dataset = columns_of(dataset)
         self._opening: Opening = {
             "observation": observation,
             "picture": picture,
@@ -104,12 +105,12 @@ class Transitions:
             "cache": cache,
             "window": window,
         }
-        self.task, self.window = self._dataset.task, window
+        self.task, self.window = self.dataset.task, window
         self.action = self.task.action if action is None else action
         self._labels, self._relabelled = labels, relabel is not None
         self._check()
-        self._frames = Frames(self._dataset, observation or self.task.observation, picture, cache)
-        episodes = self._dataset.episodes
+        self._frames = Frames(self.dataset, observation or self.task.observation, picture, cache)
+        episodes = self.dataset.episodes
         if relabel is None:
             self.episode, lengths = np.arange(episodes.episodes.rows), episodes.episodes["length"]
             self.goal_step = np.full(len(lengths), -1)
@@ -134,7 +135,7 @@ class Transitions:
 
     def _check(self) -> None:
         """Refuse settings that don't go together or that the dataset has no columns for."""
-        steps, window, path = self._dataset.episodes.steps, self.window, self._dataset.path
+        steps, window, path = self.dataset.episodes.steps, self.window, self.dataset.path
         goals = window is not None and window.goals is not None
         chunk = window is not None and window.chunk is not None
         refusals = {
@@ -165,7 +166,7 @@ class Transitions:
 
     def __reduce__(self) -> Any:
         """Pickle what was opened, so that each process maps the file itself."""
-        return _opened, (self._dataset, self._opening)
+        return _opened, (self.dataset, self._opening)
 
     def __len__(self) -> int:
         """N, the transitions."""
@@ -197,7 +198,7 @@ class Transitions:
         return self._actions("action") if self._labels else self.actions
 
     def _actions(self, name: str) -> NDArray[Any]:
-        steps, at = self._dataset.episodes.steps, self._before
+        steps, at = self.dataset.episodes.steps, self._before
         if self.action == "macro":
             led = (steps[f"macro_{part}"][at].astype(np.int64) for part in ("bead", "target"))
             return np.stack([*led, (steps["macro_side"][at].astype(np.int64) + 1) // 2], axis=1)
@@ -216,7 +217,7 @@ class Transitions:
         """float64 (N,)."""
         if self._relabelled:
             return np.where(self.terminals, self.task.success_reward, 0.0)
-        rewards = self._dataset.episodes.steps["reward"]
+        rewards = self.dataset.episodes.steps["reward"]
         if self.action != "macro":
             return rewards[self._before]
         between = np.stack([self._before, self._after], axis=1).ravel()
@@ -229,14 +230,14 @@ class Transitions:
             last = np.zeros(len(self), dtype=bool)
             last[self.starts[1:] - 1] = True
             return last
-        return self._dataset.episodes.steps["terminated"][self._after - 1]
+        return self.dataset.episodes.steps["terminated"][self._after - 1]
 
     @cached_property
     def timeouts(self) -> NDArray[np.bool_]:
         """bool (N,), true where an episode was truncated."""
         if self._relabelled:
             return np.zeros(len(self), dtype=bool)
-        return self._dataset.episodes.steps["truncated"][self._after - 1]
+        return self.dataset.episodes.steps["truncated"][self._after - 1]
 
     @cached_property
     def pulls(self) -> Ids:
@@ -269,7 +270,7 @@ class Transitions:
     def codes(self, segment: int) -> list[str]:
         """Return the Gauss codes of a segment's states."""
         texts: list[str] = gauss_codes(
-            self._dataset.episodes.steps["visits"][self._rows_of(segment)]
+            self.dataset.episodes.steps["visits"][self._rows_of(segment)]
         ).tolist()
         return texts
 
@@ -372,7 +373,7 @@ class Transitions:
     @cached_property
     def _codes_held(self) -> tuple[Ids, Ids]:
         """Per state: its code as a number, -1 where none counts; and for how many steps it held."""
-        episodes = self._dataset.episodes
+        episodes = self.dataset.episodes
         offsets, episode = self._offsets, episodes.episode_of()
         step = np.arange(len(episode)) - offsets[episode]
         # no state counts from the first one on that is towed too far, or that blew up

@@ -14,50 +14,28 @@ After a change run `pytest tests/rope/test_rope.py`: a relaxed curve must keep i
 of its edges get the length of a bead.
 """
 
-from dataclasses import astuple
-
 import numba
 import numpy as np
 
-from knotgym.common.configuration import Count, NonNegative, Positive, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
 
-
-@configuration
-class RelaxationConfig:
-    """Settings of one round of relaxation.
-
-    Attributes:
-        iterations: iterations per round.
-        reach: distance in the picture within which strands repel each other, metres; 0.045 is
-            nine pixels.
-        apart: vertices fewer than this many beads apart along the rope don't repel each other.
-        push: largest repulsion per iteration, bead lengths, of strands at distance 0.
-        bending: coefficient of the straightening step per iteration.
-        crossing: distance in the picture within which two strands count as crossing, bead
-            lengths.
-        height: target difference in height between crossing strands, metres.
-        lifting: fraction of the missing height by which each of the two strands moves per
-            iteration.
-        most: largest displacement of a vertex per iteration along each axis, bead lengths.
-        passes: projection sweeps over the beads per iteration.
-    """
-
-    iterations: Count = 20
-    reach: Positive = 0.045
-    apart: Count = 5
-    push: NonNegative = 0.012
-    bending: NonNegative = 0.03
-    crossing: NonNegative = 1.5
-    height: NonNegative = 0.0125
-    lifting: NonNegative = 0.25
-    most: Positive = 0.15
-    passes: Count = 8
+_ITERATIONS = 20  # per round
+_REACH = 0.045  # distance in the picture within which strands repel each other, metres; nine pixels
+_APART = 5  # vertices fewer than this many beads apart along the rope don't repel each other
+_PUSH = 0.012  # largest repulsion per iteration, bead lengths, of strands at distance 0
+_BENDING = 0.03  # coefficient of the straightening step per iteration
+_CROSSING = 1.5  # distance in the picture within which two strands count as crossing, bead lengths
+_HEIGHT = 0.0125  # target difference in height between crossing strands, metres
+_LIFTING = 0.25  # fraction of the missing height by which each strand moves per iteration
+# Largest displacement of a vertex per iteration along each axis, bead lengths: 2 mm, well below the
+# rope's radius, so that strands can't jump each other.
+_MOST = 0.15
+_PASSES = 8  # projection sweeps over the beads per iteration
 
 
-def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) -> Array | None:
+def relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
     """Relax a configuration.
 
     Args:
@@ -65,7 +43,6 @@ def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) ->
         rounds: number of rounds, at least 1; relaxation stops before the first round that would
             change the code.
         rope: supplies the bead length and the limit on overlap.
-        config: settings of a round.
 
     Returns:
         float64 (beads, 3), metres, a configuration of the rope with the code of `points`; None if
@@ -79,7 +56,7 @@ def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) ->
     code = label(points)
     moving, last = np.array(points, dtype=np.float64), None
     for _ in range(rounds):
-        _iterate(moving, rope.config.bead_length, *astuple(config))
+        _iterate(moving, rope.config.bead_length)
         if label(moving) != code:
             break
         last = moving.copy()
@@ -93,56 +70,42 @@ def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) ->
 
 
 @numba.njit(cache=True, nogil=True)
-def _iterate(
-    p: Array,
-    length: float,
-    iterations: int,
-    reach: float,
-    apart: int,
-    push: float,
-    bending: float,
-    crossing: float,
-    height: float,
-    lifting: float,
-    most: float,
-    passes: int,
-) -> None:
-    """Run one round in place; the settings are the fields of RelaxationConfig, in their order."""
+def _iterate(p: Array, length: float) -> None:
+    """Run one round in place."""
     n = len(p)
     move = np.empty((n, 3))
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         # Moves are computed from the same positions for all vertices, then applied together.
-        _straighten(p, move, bending)
+        _straighten(p, move, _BENDING)
         for i in range(n):
-            for j in range(i + apart, n):
-                if i + n - j < apart:  # neighbours across the base bead
+            for j in range(i + _APART, n):
+                if i + n - j < _APART:  # neighbours across the base bead
                     continue
                 x, y = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1]
                 distance = np.sqrt(x * x + y * y)
-                if distance >= reach:
+                if distance >= _REACH:
                     continue
                 # At a crossing the upper strand rises and the lower one sinks, which keeps the
                 # code's over and under.
-                if distance < crossing * length:
+                if distance < _CROSSING * length:
                     z = p[i, 2] - p[j, 2]
-                    lack = height - abs(z)
+                    lack = _HEIGHT - abs(z)
                     if lack > 0:
-                        lift = lifting * lack if z >= 0 else -lifting * lack
+                        lift = _LIFTING * lack if z >= 0 else -_LIFTING * lack
                         move[i, 2] += lift
                         move[j, 2] -= lift
                 # Repulsion falls from push at distance 0 to 0 at reach, quadratically, so that
                 # there is no kink at reach; dividing by the distance normalizes (x, y).
                 if distance > 1e-9:
-                    strength = push * (1 - distance / reach) ** 2 * length / distance
+                    strength = _PUSH * (1 - distance / _REACH) ** 2 * length / distance
                     move[i, 0] += strength * x
                     move[i, 1] += strength * y
                     move[j, 0] -= strength * x
                     move[j, 1] -= strength * y
         for i in range(n):
             for k in range(3):
-                # by default 2 mm, well below the rope's radius: strands can't jump each other
-                p[i, k] += min(most * length, max(-most * length, move[i, k]))
-        _restore_lengths(p, length, passes)
+                p[i, k] += min(_MOST * length, max(-_MOST * length, move[i, k]))
+        _restore_lengths(p, length, _PASSES)
 
 
 @numba.njit(cache=True, nogil=True)

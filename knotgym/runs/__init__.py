@@ -1,1 +1,1 @@
-"""Long runs: executors, shards, staging folders and locks, progress, confidence intervals."""
+"""Long runs: recipes and their journal, executors, progress, confidence intervals."""

@@ -85,10 +85,6 @@ class Memory(dict[str, Result]):
         self[key] = result
 
 
-class _SharesMissing(Failed):
-    """The shard is done as far as it can be; it needs results of others to go on."""
-
-
 def compute(
     recipe: Recipe[Output],
     journal: Memo | None = None,
@@ -110,26 +106,36 @@ def compute(
         Failed: results of other shards are missing.
     """
     memo = Memory() if journal is None else journal
-    pool = pool or InProcess()
+    output, missing = _driven(recipe, memo, pool or InProcess(), shard, on_progress)
+    if missing:
+        raise Failed(missing)
+    return output  # type: ignore[return-value]
+
+
+def _driven(
+    recipe: Recipe[Output],
+    memo: Memo,
+    pool: Executor,
+    shard: Shard,
+    on_progress: OnProgress | None,
+) -> tuple[Output | None, str]:
+    """Drive a recipe as far as the shard can; return its output, and which results are missing."""
     results: list[Result] | None = None
-    try:
-        while True:
-            try:
-                calls = next(recipe) if results is None else recipe.send(results)
-            except StopIteration as end:
-                output: Output = end.value
-                return output
-            share = shard.dealt(calls)
-            _complete(share, memo, pool, on_progress)
-            if missing := [call for call in calls if call.key not in memo]:
-                others = {calls.index(call) % shard.of + 1 for call in missing}
-                raise _SharesMissing(
-                    f"{len(missing)} of {len(calls)} results of {_stage(calls[0])!r} are missing:"
-                    f" run shard {', '.join(f'{one}/{shard.of}' for one in sorted(others))}"
-                )
-            results = [memo[call.key] for call in calls]
-    finally:
-        recipe.close()
+    while True:
+        try:
+            calls = next(recipe) if results is None else recipe.send(results)
+        except StopIteration as end:
+            return end.value, ""
+        _complete(shard.dealt(calls), memo, pool, on_progress)
+        missing = [index for index, call in enumerate(calls) if call.key not in memo]
+        if missing:
+            recipe.close()
+            others = sorted({index % shard.of + 1 for index in missing})
+            return None, (
+                f"{len(missing)} of {len(calls)} results of {_stage(calls[0])!r} are missing: run"
+                f" shard {', '.join(f'{one}/{shard.of}' for one in others)}"
+            )
+        results = [memo[call.key] for call in calls]
 
 
 def run(
@@ -168,7 +174,7 @@ def run(
     """
     began, shard = time.perf_counter(), options.shard
     with Progress(options.quiet) if progress is None else nullcontext(progress) as shown:
-        if shard.is_whole and is_finished(out, identity, options, made_by):
+        if shard.is_whole and _is_finished(out, identity, options, made_by):
             if staging_folder(out).exists():  # it was killed after moving its output into place
                 with staged(out, identity, options):
                     shutil.rmtree(staging_folder(out))
@@ -183,12 +189,7 @@ def run(
                 prepare(shown)
             place, show = folder / "made" / out.name, _shown_on(shown, count)
             with (pool or partial(executor, options.workers, options.scheduler))() as workers:
-                try:
-                    summary = compute(recipe(place), journal, workers, shard, show)
-                except _SharesMissing as missing:
-                    if shard.is_whole:
-                        raise
-                    summary = f"{shard} is done as far as it can be; {missing}"
+                summary, missing = _driven(recipe(place), journal, workers, shard, show)
             if not journal.is_held:
                 raise Occupied(f"{journal.path} was removed during the run; start the run again")
             if shard.is_whole:
@@ -197,6 +198,7 @@ def run(
                 shown.stage("writing")
                 move_into_place(place, out, overwrite=options.overwrite)
             shutil.rmtree(folder)
+        summary = f"{shard} is done as far as it can be; {missing}" if missing else summary
         text = f": {summary}" if isinstance(summary, str) else ""
         made, seconds = out if shard.is_whole else journal.path, time.perf_counter() - began
         shown.say(f"{made}{text}; {seconds:.0f} s")
@@ -224,7 +226,7 @@ def staged(
     """
     path = shard.journal(out)
     folder = staging_folder(out if shard.is_whole else path)
-    others = [other for other in shard_journals(out) if other != path]
+    others = [other for other in _shard_journals(out) if other != path]
     path = folder / "journal" if shard.is_whole else path
     require_own(folder)
     new = not folder.exists()
@@ -270,7 +272,7 @@ def _has_work(journal: Path) -> bool:
     return has_results(journal) or (journal.name == "journal" and beside.exists())
 
 
-def shard_journals(out: Path) -> list[Path]:
+def _shard_journals(out: Path) -> list[Path]:
     """Return the journals that shards left beside an output."""
     pattern = f"{escape(out.name)}-shard-*-of-*.journal"
     return sorted(path for path in out.parent.glob(pattern) if path.is_file())
@@ -286,7 +288,7 @@ def require_no_interrupted_run(out: Path, existing: Existing, shard: Shard = WHO
         )
 
 
-def is_finished(
+def _is_finished(
     out: Path,
     identity: Mapping[str, Any],
     existing: Existing,

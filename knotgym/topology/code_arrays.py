@@ -19,6 +19,7 @@ from knotgym.common.errors import InvalidInput
 from knotgym.topology.crossing_kernel import scan_rows
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
+FINITE = "every x, y, z must be a finite number"
 WIDTH = 32  # crossings that arrays have room for at first
 
 
@@ -55,7 +56,7 @@ def read_codes(points: NDArray[np.float64], width: int = WIDTH) -> CodeArrays:
         if count and crossings.min() < 0:
             raise InvalidInput(
                 f"no closed rope: a coordinate of rope {int(crossings.argmin())} is not finite;"
-                " every x, y, z must be a finite number"
+                f" {FINITE}"
             )
         if most <= width:
             return CodeArrays(visits, signs, crossings)

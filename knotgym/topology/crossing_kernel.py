@@ -75,34 +75,6 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
 
 
 @njit(cache=True, nogil=True)
-def scan_many(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the crossings of many ropes, float64 (ropes, beads, 3).
-
-    Returns:
-        visits: int64, the visits of all ropes, one rope after the other.
-        signs: int64, the crossing signs of all ropes, one rope after the other.
-        counts: int64 (ropes,), crossings per rope; -1 for a rope with a non-finite coordinate.
-    """
-    counts = np.empty(points.shape[0], np.int64)
-    visits, signs = np.empty(256, np.int64), np.empty(128, np.int64)
-    used = 0
-    for rope in range(points.shape[0]):
-        finite, walked, table = scan(points[rope])
-        nx = len(table)
-        # a rope needs nx signs and 2 nx visits, so the buffers grow together
-        if used + nx > len(signs):
-            capacity = 2 * (used + nx)
-            visits, signs = _grown(visits, 2 * capacity), _grown(signs, capacity)
-        for k in range(2 * nx):
-            visits[2 * used + k] = walked[k]
-        for row in range(nx):
-            signs[used + row] = 1 if table[row, SIGN] > 0 else -1
-        used += nx
-        counts[rope] = nx if finite else -1
-    return visits[: 2 * used], signs[:used], counts
-
-
-@njit(cache=True, nogil=True)
 def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts: np.ndarray) -> int:
     """Find the crossings of many ropes, one row a rope.
 
@@ -128,14 +100,6 @@ def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts:
             for k in range(width):
                 signs[rope, k] = 0 if k >= nx else 1 if table[k, SIGN] > 0 else -1
     return most
-
-
-@njit(cache=True, nogil=True)
-def _grown(array: np.ndarray, capacity: int) -> np.ndarray:
-    larger = np.empty(capacity, np.int64)
-    for k in range(len(array)):
-        larger[k] = array[k]
-    return larger
 
 
 @njit(cache=True, nogil=True)

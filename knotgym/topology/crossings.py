@@ -14,13 +14,13 @@ the way from bead 2 to bead 3.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
+from knotgym.topology.code_arrays import FINITE, read_codes
 from knotgym.topology.crossing_kernel import (
     OVER_PLACE,
     OVER_Z,
@@ -30,7 +30,6 @@ from knotgym.topology.crossing_kernel import (
     X,
     Y,
     scan,
-    scan_many,
 )
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
@@ -99,19 +98,7 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
     Raises:
         InvalidInput: the shape is wrong, or a coordinate is not finite.
     """
-    *read, counts = scan_many(_checked(points, 3))
-    visits, signs = (array.astype(np.int32).tobytes() for array in read)
-    codes: list[GaussCode] = []
-    start = 0
-    for row, nx in enumerate(counts.tolist()):
-        if nx < 0:
-            raise InvalidInput(
-                f"no closed rope: a coordinate of rope {row} is not finite; {_FINITE}"
-            )
-        end = start + 4 * nx  # bytes: four a sign, and eight for the two visits of a crossing
-        codes.append(_shared_code(visits[2 * start : 2 * end], signs[start:end]))
-        start = end
-    return codes
+    return read_codes(_checked(points, 3)).objects()
 
 
 def count_crossings(points: ArrayLike) -> int:
@@ -134,9 +121,6 @@ def visit_spacing(crossings: Crossings, beads: int) -> float:
     return float(np.diff(places, append=places[0] + beads).min())
 
 
-_FINITE = "every x, y, z must be a finite number"
-
-
 def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
     rope = np.ascontiguousarray(points, dtype=np.float64)
     if not rope.flags.writeable:  # numba would compile everything again for a read-only array
@@ -153,14 +137,8 @@ def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
 def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     finite, visits, table = scan(_checked(points, 2))
     if not finite:
-        raise InvalidInput(f"no closed rope: a coordinate is not finite; {_FINITE}")
+        raise InvalidInput(f"no closed rope: a coordinate is not finite; {FINITE}")
     return visits, table
-
-
-@lru_cache(maxsize=2**14)
-def _shared_code(visits: bytes, signs: bytes) -> GaussCode:
-    """Return the code of visits and signs, int32; recent ropes of one code share one object."""
-    return _gauss_code(np.frombuffer(visits, np.int32), np.frombuffer(signs, np.int32))
 
 
 def _gauss_code(visits: NDArray[Any], signs: NDArray[Any]) -> GaussCode:

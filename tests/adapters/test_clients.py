@@ -9,7 +9,6 @@ import re
 import shlex
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +16,16 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_verification import replay, verify_episodes
-from knotgym.datasets.episode_writer import EpisodeWriter
-from knotgym.datasets.minari_dataset import MinariMetadata, publish
+import knotgym
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import rollouts
+from knotgym.datasets import MinariMetadata, open_episodes, publish
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import arrays, torch_dataset
 from knotgym.play.recorder import Recorder
 from knotgym.play.session import Session
-
-from ..datasets.test_episodes import record
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/clients.md").read_text(encoding="utf-8")
@@ -44,19 +42,16 @@ NEEDS = {
 }
 TRAIN = "lerobot.scripts.lerobot_train"  # the module of LeRobot's command
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, re.S | re.M))
-TASK = TaskConfig(task="unknot", observation="both", horizon=6, image_size=32)
+TASK = TaskConfig(task="unknot", observation="both", horizon=6, image_size=32, engine="chain")
 
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a home folder whose Minari folder has the dataset that the page uses."""
     home = tmp_path_factory.mktemp("home")
-    env = KnotEnv(**vars(TASK))
-    with EpisodeWriter(home / "a.h5", TASK) as writer:
-        for seed in range(4):
-            writer.add(record(env, seed)[0])
-    told = MinariMetadata(dataset_id=ID, algorithm_name="expert", description="Few.")
-    publish([home / "a.h5"], told, home / "minari")
+    played = rollouts(make_policy(PolicyConfig(policy="random")), TASK, range(12))
+    metadata = MinariMetadata(dataset_id=ID, algorithm_name="expert", description="Few.")
+    publish([played], TASK, metadata, home / "minari")
     return home
 
 
@@ -64,10 +59,9 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def played_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a home folder in which the dataset of the page was pulled by hand in the chain."""
     home = tmp_path_factory.mktemp("played")
-    task = replace(TASK, engine="chain")
-    with Recorder(task, 0, ID, "Ann", home / "minari") as recorder:
+    with Recorder(TASK, 0, ID, "Ann", home / "minari") as recorder:
         for number in range(12):  # OGBench's files put every tenth episode aside
-            session = Session(task, 0, number)
+            session = Session(TASK, 0, number)
             for bead in range(1 + number % 3):
                 session.pull(20 * bead, (1, 0.5, 0.5))
             recorder.finish(number, session.pulls)
@@ -97,10 +91,17 @@ def run_lines(client: str, room: Path) -> None:
         "HOME": str(room),
         "MINARI_DATASETS_PATH": str(room / "minari"),
     }
-    lines = re.findall(r"^    ((?:knotgym|lerobot-train) (?:.+\\\n)*.+)$", SECTIONS[client], re.M)
+    programs = {
+        "knotgym": "-m knotgym",
+        "lerobot-train": f"-m {TRAIN}",
+        "python examples": f"{ROOT}/examples",
+    }
+    lines = re.findall(rf"^    ((?:{'|'.join(programs)})(?:.+\\\n)*.+)$", SECTIONS[client], re.M)
+    for name, run in programs.items():
+        lines = [line.replace(name, run, 1) if line.startswith(name) else line for line in lines]
     commands = [
-        [sys.executable, "-m", *shlex.split(line.replace("~", str(room)))]
-        for line in (text.replace("lerobot-train", TRAIN).replace("\\\n", " ") for text in lines)
+        [sys.executable, *shlex.split(line.replace("~", str(room)).replace("\\\n", " "))]
+        for line in lines
     ]
     blocks = re.findall(r"```python\n(.*?)```", SECTIONS[client], re.S)
     for words in [*commands, *([sys.executable, "-c", block] for block in blocks)]:
@@ -124,9 +125,9 @@ def test_every_reader_of_datasets_takes_a_hand_played_one(client: str, played_ro
 def test_torch_reads_a_hand_played_dataset_that_replays_bit_for_bit(played_room: Path) -> None:
     torch = pytest.importorskip("torch")
     folder = played_room / "minari" / ID
-    assert verify_episodes(folder, act_out=True) == []
+    assert knotgym.verify(folder) == []
     rows = arrays(folder, observation="state")
-    assert len(rows["actions"]) == EpisodeReader(folder).lengths.sum()
+    assert len(rows["actions"]) == open_episodes(folder).episodes.episodes["length"].sum()
     held = torch_dataset(folder, kind="transitions", observation="state")
     got = torch.stack([held[row]["action"] for row in range(len(held))])
     np.testing.assert_array_equal(got, rows["actions"])
@@ -134,8 +135,7 @@ def test_torch_reads_a_hand_played_dataset_that_replays_bit_for_bit(played_room:
 
 @pytest.mark.clients
 def test_every_loaders_rows_are_those_of_a_replay(room: Path) -> None:
-    reader = EpisodeReader(room / "minari" / ID)
-    assert replay(list(reader), reader.task) == [None] * 4
+    assert knotgym.verify(room / "minari" / ID) == []
 
 
 @pytest.mark.clients
@@ -179,7 +179,8 @@ def test_torchrls_reader_of_minari_files_takes_them(
     held = data.MinariExperienceReplay(
         ID, batch_size=2, root=room / "torchrl", load_from_local_minari=True
     )
-    assert len(held) == int(EpisodeReader(room / "minari" / ID).lengths.sum())
+    lengths = open_episodes(room / "minari" / ID).episodes.episodes["length"]
+    assert len(held) == lengths.sum()
 
 
 @pytest.mark.clients

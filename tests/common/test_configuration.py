@@ -27,7 +27,6 @@ from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rendering.camera import PictureConfig
 from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.model import RopeConfig
-from knotgym.rope.relaxation import RelaxationConfig
 
 CONFIGURATIONS = (
     AppearanceConfig,
@@ -36,7 +35,6 @@ CONFIGURATIONS = (
     Limits,
     MacroActionConfig,
     PictureConfig,
-    RelaxationConfig,
     RopeConfig,
 )
 

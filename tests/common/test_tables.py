@@ -127,10 +127,10 @@ def test_the_page_lists_each_column() -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"done": np.zeros(5)}, r"column done is float64 \(5\), should be bool \(5\)"),
-        ({"done": np.zeros(4, bool)}, r"column done is bool \(4\), should be bool \(5\)"),
-        ({"points": np.zeros((5, 4))}, r"is float64 \(5, 4\), should be float64 \(5, beads, 3\)"),
-        ({"code": np.array(["a"] * 5, object)}, r"column code is object \(5\), should be text"),
+        ({"done": np.zeros(5)}, r"column done is float64 \(5,\), should be bool \(5,\)"),
+        ({"done": np.zeros(4, bool)}, r"column done is bool \(4,\), should be bool \(5,\)"),
+        ({"points": np.zeros((5, 4))}, r"is float64 \(5, 4\), should be float64 \(5, 'beads', 3\)"),
+        ({"code": np.array(["a"] * 5, object)}, r"column code is object \(5,\), should be text"),
     ],
 )
 def test_columns_that_do_not_fit_are_refused(changed: dict[str, Any], message: str) -> None:
@@ -171,7 +171,7 @@ HARMED: dict[
     "arrays": (typed(np.dtype((np.int64, (2,)))), "seed is"),
     "scalar": (stored(np.int64(3)), r"seed is int64 \(\)"),
     "nothing": (stored(h5py.Empty("i8")), "source/seed should be a dataset"),
-    "shorter": (stored(np.arange(4)), r"int64 \(4\), should be int64 \(5\)"),
+    "shorter": (stored(np.arange(4)), r"int64 \(4,\), should be int64 \(5,\)"),
     "too small": (stored(np.arange(5) - 2), "seed holds -2, should be at least 0"),
     "a group": (lambda file: file["rows"].create_group("source/seed"), "should be a dataset"),
     "linked outside": (

@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidPolicy, KnotgymError
 from knotgym.control import policies
-from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy, in_blocks
+from knotgym.control.basic_policies import (
+    ConstantPolicy,
+    NetworkPolicy,
+    RandomPolicy,
+    in_blocks,
+)
 from knotgym.control.policies import (
     PolicyFamily,
     make_policy,
@@ -189,6 +194,13 @@ def test_a_mixed_policy_with_one_share_is_that_policy() -> None:
         assert set(rollouts(policy, TASK, SEEDS[:2]).episodes["policy"]) == {name}
 
 
+def test_a_network_s_actions_do_not_depend_on_the_ropes_beside() -> None:
+    weights = np.random.default_rng(1).normal(size=(600, 6)).astype(np.float32)
+    policy = NetworkPolicy(lambda rows: np.tanh(rows @ weights), "linear")
+    many, alone = (rollouts(policy, TASK, SEEDS[:k]) for k in (7, 1))
+    assert differences(many.select([0]), alone) == []
+
+
 def test_a_network_always_sees_as_many_rows() -> None:
     shapes = set()
 
@@ -240,13 +252,15 @@ def test_what_user_code_does_wrong_is_one_line_that_names_it(name: str, says: st
 def test_a_module_in_the_current_folder_is_found_and_digested(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "left_alone.py").write_text("def act(observation):\n    return [0] * 6\n")
+    code = 'FILES = ["weights"]\ndef act(observation):\n    return [0] * 6\n'
+    (tmp_path / "left_alone.py").write_text(code)
+    (tmp_path / "weights").write_bytes(b"1")
     monkeypatch.chdir(tmp_path)
     path = list(sys.path)
     assert played("left_alone:act", SEEDS[:1], 1).episodes["policy"][0] == "left_alone:act"
     assert sys.path == path
     found = policy_digests(PolicyConfig(policy="left_alone:act"))
-    assert found == {"left_alone.py": sha256(tmp_path / "left_alone.py")}
+    assert found == {name: sha256(tmp_path / name) for name in ("left_alone.py", "weights")}
 
 
 # recordings by name

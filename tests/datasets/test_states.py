@@ -84,7 +84,7 @@ def test_codes_and_origin_are_completed(states: States) -> None:
 
 
 def test_a_column_of_another_length_is_refused(states: States) -> None:
-    with pytest.raises(InvalidInput, match=r"column nx is int64 \(29\), should be int64 \(30\)"):
+    with pytest.raises(InvalidInput, match=r"column nx is int64 \(29,\), should be int64 \(30,\)"):
         states.replaced({"nx": states.nx[1:]})
 
 

@@ -206,7 +206,8 @@ def test_merged_datasets_name_their_sources(tmp_path: Path) -> None:
         folders.append(str(publish([episodes([1], k)], TASK, metadata, tmp_path, minari=False)))
     merge(folders, tmp_path, "knotgym/tie-nx2/both-v0")
     found = open_episodes(tmp_path / "knotgym/tie-nx2/both-v0").metadata or {}
-    assert found["algorithm_name"].startswith("p0, p1") and found["ref_max_score"] == 5.0
+    assert found["description"].startswith("Merged of knotgym/tie-nx2/p0-v0, knotgym/")
+    assert found["algorithm_name"] == "random" and found["ref_max_score"] == 5.0
     assert [*found["digests"]] == ["knotgym/tie-nx2/p0-v0", "knotgym/tie-nx2/p1-v0"]
 
 

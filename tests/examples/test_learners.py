@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.rollouts import rollout
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.control.rollouts import rollouts
+from knotgym.datasets.episode_dataset import columns_of
 from knotgym.generate.episodes.suite_scores import read_scores
 
 from ..scripts import ROOT, run_script
@@ -51,12 +51,13 @@ def check_scores(folder: Path, name: str) -> None:
     assert row["training"]["cpu_seconds"] > 0
 
 
-def test_ppo_in_one_file_trains_and_acts(tmp_path: Path) -> None:
+def test_ppo_in_one_file_trains_and_acts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
-    model, task = tmp_path / "ppo.pt", ("--task", "unknot", "--nx", 2, "--tow-limit", 0.04)
+    task = ("--task", "unknot", "--nx", 2)
     few = ("--envs", 2, "--rollout", 4, "--batch", 4, "--epochs", 1, "--steps", 16)
-    run_script(FOLDER / "online_ppo.py", *task, *few, "--out", model)
-    words = ("--policy", model, "--engine", "chain", "--episodes", 1, "--horizon", 3)
+    run_script(FOLDER / "online_ppo.py", *task, *few, "--out", tmp_path / "ppo.pt")
+    monkeypatch.chdir(tmp_path)
+    words = ("--policy", "ppo:act", "--engine", "chain", "--episodes", 1, "--set", "task.horizon=3")
     assert knotgym("evaluate", *task, *words, "--workers", 1, "--quiet") == 0
 
 
@@ -94,13 +95,11 @@ def test_decisions_read_from_an_expert_and_acted_out_are_its_pulls(
     class Remembering(ChunkPolicy):
         def choose(self, indices: list[int], seen: Any, points: Any) -> tuple[Any, Any]:
             offsets = np.abs(seen[:, None] - rows.observations).max(axis=2)
-            chunks = rows.chunks[offsets.argmin(axis=1)]
-            return nearest(chunks, points)
+            return nearest(rows.chunks[offsets.argmin(axis=1)], points)
 
-    reader = EpisodeReader(dataset)
-    played = rollout(reader.task, Remembering("remembering"), range(len(reader)), 0)
-    for own, other in zip(reader, played, strict=True):
-        assert np.array_equal(own.actions, other.episode.actions)
+    own = columns_of(dataset)
+    played = rollouts(Remembering("remembering"), own.task, own.episodes.episodes)
+    assert np.array_equal(played.steps["bead"], own.episodes.steps["bead"])
 
 
 @no_ogbench

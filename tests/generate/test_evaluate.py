@@ -19,7 +19,6 @@ from knotgym.generate.episodes import evaluate as evaluating
 from knotgym.generate.episodes.blocks import from_result
 from knotgym.generate.episodes.evaluate import evaluate, film, report, run, sources_of
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.episodes.learner_evaluation import EVALUATION, evaluate_learner
 from knotgym.generate.episodes.results import show
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.run_options import RunOptions
@@ -188,20 +187,6 @@ def test_a_file_swapped_while_episodes_are_played_is_refused(
     with pytest.raises(InvalidInput, match=r"changed while it ran.*scored_policy\.py"):
         run(own_policy, QUIET, out=tmp_path / "r.json")
     assert not (tmp_path / "r.json").exists()
-
-
-def test_scores_of_a_learner_are_beside_its_training(tmp_path: Path) -> None:
-    from knotgym.control.basic_policies import RandomPolicy
-
-    (tmp_path / "weights").write_bytes(b"1")
-    settings: dict[str, Any] = {"nx": (1,), "episodes": 2, "task": CHAIN, "quiet": True}
-    words = ("still", RandomPolicy(), tmp_path, {"steps": 3})
-    content = evaluate_learner(*words, files=[tmp_path / "weights"], **settings)
-    assert content == json.loads((tmp_path / EVALUATION).read_text())
-    assert content["training"] == {"steps": 3} and content["episodes"] == 2
-    assert content["digests"]["policies"]["still"] == {"weights": sha256(tmp_path / "weights")}
-    with pytest.raises(InvalidPolicy, match="already registered"):
-        evaluate_learner(*words, files=[], **settings)
 
 
 @pytest.mark.parametrize("settings", [{"episodes": 0}, {"seed": -1}, {"nx": ()}, {"policies": ()}])

@@ -366,6 +366,8 @@ def test_d3rlpy_pictures_are_channels_first() -> None:
     assert buffer.episodes[0].observations.shape[1:] == (3, 32, 64)
     with pytest.raises(InvalidInput, match="use action 'pull'"):
         to_d3rlpy(TINY["expert"], action="bead")
+    with pytest.raises(InvalidInput, match="windows of its own"):
+        to_d3rlpy(TINY["expert"], window=Window())
 
 
 def test_the_settings_of_a_window_are_validated_and_stored() -> None:

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from knotgym.common.configuration import from_json
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.closed_curves import _add_solution, clearance
 from knotgym.rope.model import Rope, RopeConfig, sub_chains
@@ -66,7 +67,7 @@ def test_config_refuses_nonsense(nonsense: dict[str, Any]) -> None:
 
 def test_config_survives_json() -> None:
     config = RopeConfig(radius=0.004)
-    again = RopeConfig(**json.loads(json.dumps(asdict(config))))
+    again = from_json(RopeConfig, json.loads(json.dumps(asdict(config))))
     assert (
         again == config and hash(again) == hash(config) and again.fingerprint == config.fingerprint
     )

@@ -100,7 +100,7 @@ class _Lane:
     """A rope's trial, with the code last seen and, if it is watched, the pulls taken."""
 
     trial: Trial
-    code: GaussCode | None = None
+    code: GaussCode
     beads: list[int] = field(default_factory=list)
     forces: list[NDArray[np.float32]] = field(default_factory=list)
 
@@ -110,14 +110,11 @@ class BatchedSearch:
 
     Attributes:
         ropes: the simulation.
-        spent: pulls simulated so far.
     """
 
-    def __init__(
-        self, count: int, config: MacroActionConfig, rope: Rope | None = None, threads: int = 1
-    ) -> None:
+    def __init__(self, count: int, config: MacroActionConfig, rope: Rope | None = None) -> None:
         """Make `count` ropes to search in; settings of macro-actions say how they are led."""
-        self.ropes, self.spent = ChainSimulation(count, rope, threads), 0
+        self.ropes = ChainSimulation(count, rope)
         self._follower = WaypointFollower(count, config)
         self._lanes: dict[int, _Lane] = {}
         self._pulls, self._limit = np.zeros((2, count), np.int64)
@@ -200,24 +197,21 @@ class BatchedSearch:
         passes = {rope: one.move for rope, one in begun.items() if isinstance(one.move, Pass)}
         if passes:
             follower.begin_passes(np.array([*passes]), [*passes.values()], ropes.points)
-        for rope, trial in zip(ids.tolist(), trials, strict=True):
+        codes = label_many(ropes.points[ids])
+        for rope, trial, code in zip(ids.tolist(), trials, codes, strict=True):
             if isinstance(trial.move, MacroAction):
                 follower.begin(np.array([rope]), [trial.move])
-            self._lanes[rope] = _Lane(trial)
+            self._lanes[rope] = _Lane(trial, code)
             self._hauled[rope] = isinstance(trial.move, Haul)
             bound = trial.bound
             self._reach[rope] = np.inf if bound is None else bound.limit
             self._origin[rope] = 0.0 if bound is None else bound.origin
-        watched = [row for row, trial in enumerate(trials) if trial.watch]
-        if watched:
-            for row, code in zip(watched, label_many(ropes.points[ids[watched]]), strict=True):
-                self._lanes[int(ids[row])].code = code
         self._pulls[ids], self._limit[ids] = 0, [trial.pulls for trial in trials]
         self._lost[ids] = False
         # a bead may be at all of its waypoints already
         follower.release(ids[self._hauled[ids]])
         over = follower.arrive(ropes.points, ids) | (self._limit[ids] < 1)
-        over[watched] = False
+        over &= [not trial.watch for trial in trials]
         self._going[ids] = ~over
         return ids[over].tolist()
 
@@ -230,7 +224,6 @@ class BatchedSearch:
             haul: Any = self._lanes[int(ids[row])].trial.move
             beads[row], forces[row] = haul.pull(int(self._pulls[ids[row]]))
         stable = ropes.step(beads, forces.astype(np.float64) * ropes.max_force, ids)
-        self.spent += len(ids)
         self._pulls[ids] += 1
         points = ropes.points[ids]
         self._lost[ids] = ~stable
@@ -257,20 +250,12 @@ class BatchedSearch:
         for watch, read in ((True, ropes.states), (False, ropes.at_rest)):
             own = [rope for rope in news if self._lanes[rope].trial.watch == watch]
             states = read(own) if own else ()
-            codes = label_many(ropes.points[own]) if own else []
-            for rope, state, code in zip(own, states, codes, strict=True):
-                lane, going = self._lanes[rope], bool(self._going[rope])
+            for rope, state in zip(own, states, strict=True):
+                lane, points = self._lanes[rope], ropes.points[rope].copy()
+                facts = int(self._pulls[rope]), not self._going[rope], bool(self._lost[rope])
                 forces = np.array(lane.forces, np.float32).reshape(-1, 3)
-                found[rope] = Report(
-                    state,
-                    ropes.points[rope].copy(),
-                    code,
-                    int(self._pulls[rope]),
-                    not going,
-                    bool(self._lost[rope]),
-                    np.array(lane.beads, np.int64),
-                    forces,
-                )
+                beads = np.array(lane.beads, np.int64)
+                found[rope] = Report(state, points, lane.code, *facts, beads, forces)
         woken = [*dict.fromkeys(self._seats[rope] for rope in (*news, *due))]
         return [
             (seat, (seat.pulls, [(k, found[r]) for k, r in enumerate(seat.ropes) if r in found]))

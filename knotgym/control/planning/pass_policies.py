@@ -153,8 +153,8 @@ class Play(ChoosesPulls):
         """Return the task; it must be endless, and its actions must be pulls."""
         if not task.endless:
             raise InvalidPolicy(
-                "policy play goes on after every goal, so the task must be endless; give --endless,"
-                " and a task.horizon such as 500"
+                "policy play goes on after every goal, so the task must be endless; set"
+                " task.endless, and a task.horizon such as 500"
             )
         return super().compatible_task(task)
 

@@ -10,6 +10,7 @@ rope at rest at every choice. So the pass that it finds is a function of where t
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.resources import files
 from itertools import islice
@@ -46,7 +47,7 @@ EVERY_CODE = DATA / "passes-every-code.h5"
 COUNTED_NX = 5  # most crossings of the diagrams in the tables
 
 # Failures added to those counted, so that two of two doesn't pass for sure; and the discount of a
-# pass, because fewer are better. SWEEPS: paths of so many passes count.
+# pass, because fewer are better. Both were chosen by hand. Paths of so many passes count.
 _DOUBT, _DISCOUNT, _SWEEPS = 3.0, 0.97, 16
 _BOUNDED = 4  # times as many candidates where towing is limited: the order doesn't know what tows
 _CLOSE = 8  # fewest beads along the rope between the two of a random pass
@@ -218,11 +219,9 @@ def _loaded(path: Path) -> PassValues:
 
 
 class TriedPass(NamedTuple):
-    """A pass that a search simulated: from where, which, and where it led."""
+    """A pass that a search simulated: where the rope lay, which pass, and where it led."""
 
-    state: Array
     points: Array
-    code: GaussCode
     move: Pass
     landing: Report
 
@@ -236,60 +235,61 @@ class PassPlan(NamedTuple):
         tried: all passes that were simulated, in this order, also where they led into dead ends.
     """
 
-    passes: list[TriedPass]
+    passes: list[Pass]
     spent: int
     tried: list[TriedPass]
 
 
+@dataclass(eq=False)
 class PassSearch:
-    """A search for the first path to a goal; see `BatchedSearch`. It takes one slot."""
+    """A search for the first passes that lead to a goal; see `BatchedSearch`. It takes one slot.
 
-    def __init__(
-        self,
-        values: PassValues,
-        goal: GaussCode,
-        config: PassPlannerConfig,
-        bound: TowBound | None = None,
-    ) -> None:
-        """Take the order of passes, the goal, settings and where the rope's centre must stay."""
-        self._values, self._goal, self._config, self._bound = values, goal, config, bound
-        self._candidates = config.candidates * (1 if bound is None else _BOUNDED)
-        self._spent, self._tried = 0, list[TriedPass]()
+    Attributes:
+        values: order of the passes.
+        goal: compared without chirality.
+        config: settings.
+        bound: region in which the rope's centre must stay; None for no limit.
+        spent: pulls simulated so far.
+        tried: passes simulated so far.
+    """
+
+    values: PassValues
+    goal: GaussCode
+    config: PassPlannerConfig
+    bound: TowBound | None = None
+    spent: int = 0
+    tried: list[TriedPass] = field(default_factory=list)
 
     def run(self, state: Array, points: Array) -> Search[PassPlan]:
         """Search from a state of the chain engine at rest, and its points (beads, 3)."""
-        found = yield from self._plan(state, points, see(points[None])[0], self._config.steps)
-        return PassPlan(found, self._spent, self._tried)
+        (sight,) = see(points[None])
+        passes = yield from self._passes(state, points, sight, self.config.steps)
+        return PassPlan(passes, self.spent, self.tried)
 
-    def _plan(
-        self, state: Array, points: Array, sight: Sight, left: int
-    ) -> Search[list[TriedPass]]:
-        here, goal = sight.diagram, self._goal
-        chance = self._values.reach(goal, here)
-        for move, _ in islice(self._values.passes(goal, sight), self._candidates):
-            if self._spent >= self._config.budget:
+    def _passes(self, state: Array, points: Array, sight: Sight, left: int) -> Search[list[Pass]]:
+        here, goal = sight.diagram, self.goal
+        chance = self.values.reach(goal, here)
+        candidates = self.config.candidates * (1 if self.bound is None else _BOUNDED)
+        for move, _ in islice(self.values.passes(goal, sight), candidates):
+            if self.spent >= self.config.budget:
                 break
             # A generator yields what it wants simulated, so that many searches share the ropes.
-            trial = Trial(state, move, min(LONGEST, left), goal, self._bound)
+            trial = Trial(state, move, min(LONGEST, left), goal, self.bound)
             _, ((_, landing),) = yield Orders({0: trial})
-            self._spent += landing.pulls
-            tried = TriedPass(state, points, here.code, move, landing)
-            self._tried.append(tried)
-            if landing.lost:
-                continue
+            self.spent += landing.pulls
+            self.tried.append(TriedPass(points, move, landing))
             # the goal may be shown before the pass is over, which then ends there
-            if landing.code.matches(goal):
-                return [tried]
-            # Only diagrams nearer to the goal are followed, so a path never comes back to one. All
-            # paths through this landing come before the next pass from here.
-            if landing.pulls < left and landing.code != here.code:
+            if landing.code.matches(goal) and not landing.lost:
+                return [move]
+            # Only diagrams nearer to the goal are followed, so a search never comes back to one.
+            # All that can be done from this landing comes before the next pass from here.
+            remaining = left - landing.pulls
+            if remaining > 0 and not landing.lost and landing.code != here.code:
                 (there,) = see(landing.points[None])
-                if self._values.reach(goal, there.diagram) > chance:
-                    rest = yield from self._plan(
-                        landing.state, landing.points, there, left - landing.pulls
-                    )
+                if self.values.reach(goal, there.diagram) > chance:
+                    rest = yield from self._passes(landing.state, landing.points, there, remaining)
                     if rest:
-                        return [tried, *rest]
+                        return [move, *rest]
         return []
 
 

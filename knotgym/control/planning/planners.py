@@ -3,6 +3,12 @@
 Both search in the chain engine, whichever engine an episode has. All searches of a player run side
 by side. A lane whose next move is being searched for waits while the others go on, so neither
 simulation stands still, and no episode can tell what runs beside it.
+
+After a change run
+
+    knotgym evaluate --policy expert --task tie --nx 2,3 --engine chain --episodes 128
+
+All episodes of nx 2 and 94 % of nx 3 must succeed, and with `--policy planner` all of both.
 """
 
 from __future__ import annotations
@@ -33,6 +39,7 @@ from knotgym.topology.gauss import GaussCode
 
 Ids = NDArray[np.int64]
 SLOTS = 12  # most slots that a search of a policy of passes takes
+_FEW = 8  # lanes; fewer don't wait for each other
 _SPARE = 2  # ropes to search in, per rope of the batch
 _TOWING = 0.9  # share of the limit on towing that passes go to: engines differ a little
 
@@ -285,8 +292,8 @@ class PassPlayer(Player):
         self._search(passing[over & ~settled])
         self._last_resort.look(ids[self._by_pulls[ids]])
         self.desk.tick()
-        # Many pulls together take less time: the ropes wait until most searches are done.
-        while 4 * np.count_nonzero(self.desk.thinking[ids]) > len(ids):
+        # Many pulls together take less time: most of many ropes wait until searches are done.
+        while 4 * np.count_nonzero(self.desk.thinking[ids]) > len(ids) > _FEW:
             self.desk.tick()
         ready = ids[~self.desk.thinking[ids]]
         beads, forces = follower.beads[ready], follower.forces(points, ready)
@@ -321,7 +328,7 @@ class PassPlayer(Player):
     def decided(self, index: int, found: PassPlan) -> None:
         """Go on after a search."""
         if found.passes:
-            self.lead(index, found.passes[0].move)
+            self.lead(index, found.passes[0])
         else:
             self.give_up(index)
 

@@ -31,7 +31,8 @@ from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
-HARD_NX = 7  # hauls are allowed from so many crossings on, where guidance knows very little
+# Hauls, tried on the hard unknots of docs/drawing.md: without them none of 64 Culprits came undone.
+HARD_NX = 7  # they are allowed from so many crossings on, where guidance knows very little
 _HAULED_NX = 3  # a hard rope is hauled only from states of at least this many crossings
 _HAULS = 0.6  # share of a hard rope's macro-actions that are hauls
 _FAILURES = 2  # plans from one state that may lead no nearer to the goal, until it begins again

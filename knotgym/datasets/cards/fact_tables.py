@@ -8,7 +8,7 @@ from knotgym.datasets.image_table import GRADES
 from knotgym.states.splits import IMAGE_SPLITS
 
 
-class Table(NamedTuple):
+class CardTable(NamedTuple):
     """A table.
 
     Attributes:
@@ -45,7 +45,7 @@ def table(head: Sequence[object], rows: Iterable[Iterable[object]]) -> list[str]
     return [table_row(*one) for one in (head, ["---"] * len(head), *rows)]
 
 
-def state_tables(facts: Mapping[str, Any], report: Mapping[str, Any]) -> dict[str, Table]:
+def state_tables(facts: Mapping[str, Any], report: Mapping[str, Any]) -> dict[str, CardTable]:
     """Return the tables of a state file that have rows, by name.
 
     `facts` is `state_card.summary`, `report` that of the manifest.
@@ -73,7 +73,7 @@ def state_tables(facts: Mapping[str, Any], report: Mapping[str, Any]) -> dict[st
         for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     ]
     tables = {
-        "states": Table(
+        "states": CardTable(
             "states",
             ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"),
             states,
@@ -81,7 +81,7 @@ def state_tables(facts: Mapping[str, Any], report: Mapping[str, Any]) -> dict[st
             " c / a: positive and negative crossings; actions: fewest / median / most to reach a"
             " state",
         ),
-        "overlap": Table(
+        "overlap": CardTable(
             "train and test",
             ("nx", "test states", "code in train", "diagram in train", "nearest, mm"),
             overlap_rows(facts["nx"]),
@@ -91,7 +91,7 @@ def state_tables(facts: Mapping[str, Any], report: Mapping[str, Any]) -> dict[st
             " from a test state to a train state of any nx, root mean square over the beads,"
             " minimized over those symmetries and rotations about z",
         ),
-        "spread": Table(
+        "spread": CardTable(
             "spread",
             ("nx", "apart", "shapes", "gyration", "height", "visits", "bare"),
             spread_rows(facts["nx"]),
@@ -102,13 +102,13 @@ def state_tables(facts: Mapping[str, Any], report: Mapping[str, Any]) -> dict[st
             " crossings of two states, 25 for random positions; bare: beads, longest stretch where"
             " no state has a crossing",
         ),
-        "quality": Table(
+        "quality": CardTable(
             "quality",
             ("measure", "unit", "min", "median", "max"),
             quality,
             left=("measure", "unit"),
         ),
-        "rejected": Table(
+        "rejected": CardTable(
             "rejected",
             ("nx", "reason", "rejected"),
             rejected,
@@ -119,12 +119,12 @@ def state_tables(facts: Mapping[str, Any], report: Mapping[str, Any]) -> dict[st
     return {name: one for name, one in tables.items() if one.rows}
 
 
-def image_tables(facts: Mapping[str, Any]) -> dict[str, Table]:
+def image_tables(facts: Mapping[str, Any]) -> dict[str, CardTable]:
     """Return the tables of a perception table by name; `facts` is `image_card.summary`."""
     parts = {**{f"nx {nx}": one for nx, one in facts["nx"].items()}, **facts["splits"]}
     whole = ("pictures", "codes", "codes_with_chirality")
     return {
-        "counts": Table(
+        "counts": CardTable(
             "pictures",
             ("", "pictures", "codes", "chiral", "of a code", "accepted"),
             [
@@ -140,13 +140,13 @@ def image_tables(facts: Mapping[str, Any]) -> dict[str, Table]:
             " quality limits of generated states",
             left=("",),
         ),
-        "grades": Table(
+        "grades": CardTable(
             "splits and grades",
             ("", *IMAGE_SPLITS, *GRADES),
             [(name, *one["split"].values(), *one["grade"].values()) for name, one in parts.items()],
             left=("",),
         ),
-        "quality": Table(
+        "quality": CardTable(
             "quality",
             ("measure", "5 %", "median", "95 %"),
             [

@@ -6,7 +6,7 @@ slash.
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from knotgym.common.tables import Column, Schema, Table
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episode_outcomes import outcomes
 from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
-from knotgym.datasets.image_table import TABLES, arrow, encode, schema
+from knotgym.datasets.image_table import arrow, encode, schema
 
 _AT_ONCE = 256  # episodes converted at once
 _TEXTS = (
@@ -40,39 +40,6 @@ _KEPT = tuple(
     if column.name not in ("visits", "signs") and not column.optional
 )
 ROWS_OF_STEPS = Schema("steps", (*_TEXTS, *_PLACES, *_KEPT, _IMAGE))
-
-
-class TableColumn(NamedTuple):
-    """One column of a Parquet file; `kind` is its type in the notation of `image_table.COLUMNS`."""
-
-    name: str
-    kind: Any
-    unit: str  # "" for none
-    doc: str
-
-
-def columns_of_table(table: Table) -> list[TableColumn]:
-    """Return the columns in which `write_parquet` stores a table."""
-    out = []
-    for column in table.schema.columns:
-        values, shape = table[column.name], ""
-        if column.name == "image":
-            kind: Any = "image"
-        elif values.ndim > 1:
-            kind = [values.dtype.name, int(np.prod(values.shape[1:]))]
-            shape = f", {values.shape[1:]}" if values.ndim > 2 else ""
-        else:
-            kind = "string" if values.dtype.kind == "U" else values.dtype.name
-        out.append(
-            TableColumn(column.name.replace("/", "_"), kind, column.unit, column.doc + shape)
-        )
-    return out
-
-
-def picture_columns() -> list[TableColumn]:
-    """Return the columns of a perception table."""
-    columns = TABLES["pictures"].items()
-    return [TableColumn(name, column["type"], "", column["doc"]) for name, column in columns]
 
 
 def step_tables(dataset: EpisodeDataset, pictures: bool) -> Iterator[Table]:
@@ -117,38 +84,40 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
     return Table(ROWS_OF_STEPS, columns)
 
 
-def write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, list[TableColumn]]:
-    """Append tables of equal columns to one file; return its rows and columns."""
-    parquet, writer, rows = arrow("pyarrow.parquet"), None, 0
-    columns: list[TableColumn] = []
+def write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
+    """Append tables of equal columns to one file; return its rows and a page of its columns."""
+    parquet, writer, rows, page = arrow("pyarrow.parquet"), None, 0, ""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         for table in tables:
             made = _arrow_table(table)
             if writer is None:
-                columns = columns_of_table(table)
                 writer = parquet.ParquetWriter(path, made.schema, compression="zstd")
+                page = table.schema.page()
             writer.write_table(made, row_group_size=1000)
             rows += table.rows
     finally:
         if writer is not None:
             writer.close()
-    return rows, columns
+    return rows, page
 
 
 def _arrow_table(table: Table) -> Any:
     """Convert a table; its schema holds the features by which Hugging Face reads pictures."""
-    pa, columns = arrow(), columns_of_table(table)
-    kinds = schema({column.name: column.kind for column in columns})
-    arrays = []
-    for column, values in zip(columns, table.values(), strict=True):
-        if column.kind == "image":
-            pictures = [{"bytes": encode(image), "path": None} for image in values]
-            arrays.append(pa.array(pictures, kinds.field(column.name).type))
+    pa, kinds, arrays = arrow(), {}, []
+    for name, values in table.items():
+        flat = np.ascontiguousarray(values).reshape(len(values), -1)
+        if name == "image":
+            kind: Any = "image"
+            column = pa.array([{"bytes": encode(one), "path": None} for one in values])
         elif values.ndim > 1:
-            flat = pa.array(np.ascontiguousarray(values).ravel())
-            kind = kinds.field(column.name).type
-            arrays.append(pa.FixedSizeListArray.from_arrays(flat, type=kind))
+            kind = [values.dtype.name, flat.shape[1]]
+            column = pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
         else:
-            arrays.append(pa.array(values.tolist() if column.kind == "string" else values))
-    return pa.Table.from_arrays(arrays, schema=kinds)
+            kind = "string" if values.dtype.kind == "U" else values.dtype.name
+            column = pa.array(values.tolist() if kind == "string" else values)
+        kinds[name.replace("/", "_")] = kind
+        arrays.append(column)
+    wanted = schema(kinds)
+    cast = [one.cast(field.type) for one, field in zip(arrays, wanted, strict=True)]
+    return pa.Table.from_arrays(cast, schema=wanted)

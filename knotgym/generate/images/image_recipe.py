@@ -109,10 +109,10 @@ class _Plan(NamedTuple):
             if not codes[nx]:
                 raise InvalidInput(f"no diagram of {' or '.join(knots)} has {nx} crossings")
         quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
-        return cls(quota, held_out(config, codes), states, splits_of(config, states, set(quota)))
+        return cls(quota, held_out(config, codes), states, _splits_of(config, states, set(quota)))
 
 
-def splits_of(config: ImagesConfig, states: States, wanted: set[Quota]) -> NDArray[np.str_]:
+def _splits_of(config: ImagesConfig, states: States, wanted: set[Quota]) -> NDArray[np.str_]:
     """Return the split of the ropes that start in each state, str (n,).
 
     Near-duplicates, up to mirror images, reversal and renumbering, are in one split. It is "" for

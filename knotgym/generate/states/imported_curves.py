@@ -26,7 +26,7 @@ from knotgym.generate.states.state_rows import row_of, stacked, states_of
 from knotgym.quality.limits import UNITS, Limits, Quality
 from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array, Rope, RopeConfig
-from knotgym.rope.relaxation import RelaxationConfig, relaxed
+from knotgym.rope.relaxation import relaxed
 from knotgym.rope.simulation import Simulation
 from knotgym.states.schema import IMPORT
 from knotgym.states.state_file import States
@@ -162,7 +162,7 @@ def _candidate(curve: Array, rounds: int, code: GaussCode, rope: Rope) -> Array 
         rough = rope.from_curve(curve, max_overlap=np.inf if rounds else 0.001)
     except InvalidInput:
         return None
-    points = relaxed(rough, rounds, rope, RelaxationConfig()) if rounds else rough
+    points = relaxed(rough, rounds, rope) if rounds else rough
     return points if points is not None and label(points) == code else None
 
 

@@ -48,18 +48,43 @@ class Frame(NamedTuple):
     points: Array
 
 
-class Lives(NamedTuple):
-    """What `live` saw.
+class Lives(Policy):
+    """The policy of some ropes' lives, and what was seen of them.
 
     Attributes:
+        name: of the policy.
+        config: the pulls that a life consists of.
+        keys: of the ropes' random streams.
         start_qpos: float64 (ropes, nq), where the records begin, at rest.
         actions: float32 (ropes, pulls, 6), each at the position of the bead that it pulls.
         frames: of all ropes, in order of steps.
     """
 
-    start_qpos: Array
-    actions: NDArray[np.float32]
-    frames: list[Frame]
+    name = "life"
+
+    def __init__(
+        self, config: PlayConfig, keys: Sequence[tuple[int, ...]], start_qpos: Array
+    ) -> None:
+        self.config, self.keys, self.start_qpos = config, keys, start_qpos
+        self.frames: list[Frame] = []
+        self.actions = np.zeros((len(keys), config.pulls, 6), dtype=np.float32)
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        return task
+
+    def player(self, batch: EpisodeBatch) -> "_Living":
+        return _Living(self, batch)
+
+    def play(self, engine: str) -> "Lives":
+        """Play the lives once, side by side."""
+        schema = STARTS.sized(nq=self.start_qpos.shape[1])
+        rows = schema.empty(len(self.keys))
+        rows["seed"][:], rows["start_qpos"][:] = np.arange(len(self.keys)), self.start_qpos
+        # which goal an endless task has makes no difference; one pull more shows the last frame
+        horizon = self.config.pulls + 1
+        task = TaskConfig(task="unknot", nx=1, engine=engine, endless=True, horizon=horizon)
+        rollouts(self, task, Table(schema, rows), lanes=len(self.keys), keep=None)
+        return self
 
 
 def coil(rope: Rope) -> Array:
@@ -85,33 +110,15 @@ def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> Li
         walk = PlayConfig(
             settle=0, random=config.settle, opening=0, rounds=0, first=config.settle, every=1
         )
-        for frame in _lived(walk, engine, start, keys).frames:
+        for frame in Lives(walk, keys, start.copy()).play(engine).frames:
             start[frame.rope] = frame.qpos  # a rope that was lost on the way stays a coil
-    lived = _lived(config, engine, start, keys)
-    return Lives(start, lived.actions, lived.frames)
-
-
-class _Life(Policy):
-    """The policy of lives; it keeps what `live` returns."""
-
-    name = "life"
-
-    def __init__(self, config: PlayConfig, keys: Sequence[tuple[int, ...]]) -> None:
-        self.config, self.keys = config, keys
-        self.frames: list[Frame] = []
-        self.actions = np.zeros((len(keys), config.pulls, 6), dtype=np.float32)
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        return task
-
-    def player(self, batch: EpisodeBatch) -> "_Living":
-        return _Living(self, batch)
+    return Lives(config, keys, start).play(engine)
 
 
 class _Living(Player):
     """Plays the phases of a life in each lane, one after the other."""
 
-    def __init__(self, life: _Life, batch: EpisodeBatch) -> None:
+    def __init__(self, life: Lives, batch: EpisodeBatch) -> None:
         self.planned = np.zeros(batch.count, dtype=np.int64)
         self._life, self._batch = life, batch
         self._simulation, self._rngs = batch.simulation, dict[int, np.random.Generator]()
@@ -199,15 +206,3 @@ class _Living(Player):
 
 def _rest(ids: Ids) -> BeadsAndForces:
     return np.zeros(len(ids), dtype=np.int64), np.zeros((len(ids), 3), dtype=np.float32)
-
-
-def _lived(config: PlayConfig, engine: str, start: Array, keys: Sequence[tuple[int, ...]]) -> _Life:
-    """Play lives from starts float64 (ropes, nq)."""
-    schema, life = STARTS.sized(nq=start.shape[1]), _Life(config, keys)
-    rows = schema.empty(len(keys))
-    rows["seed"][:], rows["start_qpos"][:] = np.arange(len(keys)), start
-    # which goal an endless task has makes no difference; one pull more shows the last frame
-    horizon = config.pulls + 1
-    task = TaskConfig(task="unknot", nx=1, engine=engine, endless=True, horizon=horizon)
-    rollouts(life, task, Table(schema, rows), lanes=len(keys), keep=None)
-    return life

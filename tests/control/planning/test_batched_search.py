@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from knotgym.control.planning import BatchedSearch, Orders, Report, Search, Trial
+from knotgym.control.planning.batched_search import BatchedSearch, Orders, Report, Search, Trial
 from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import Pass, pass_straight, propose_haul
 from knotgym.rope.towing import TowBound

@@ -110,15 +110,17 @@ def test_planners_choose_pulls_alone() -> None:
 
 
 def test_an_episode_that_begins_anew_forgets_its_search() -> None:
-    task, ids = replace(TASK, nx=3), np.arange(1)
-    batch = EpisodeBatch(task)
-    player = PassPlanner().player(batch)
-    for _ in range(2):
+    batch, ids, found = EpisodeBatch(TASK), np.arange(1), []
+    player = PullPlanner().player(batch)
+    for patience in (1, 3, 10_000):
         batch.begin(ids, [1])
         player.begin(ids, [np.random.default_rng(0)])
-        assert not len(player.act(ids).ids)  # it thinks
-    while not len((pulls := player.act(ids)).ids):
+        while patience and not len(player.act(ids).ids):
+            patience -= 1
+        found.append((patience > 0, int(player.planned[0])))
+    alone = PullPlanner().player(batch)
+    batch.begin(ids, [1])
+    alone.begin(ids, [np.random.default_rng(0)])
+    while not len(alone.act(ids).ids):
         pass
-    alone = rollouts(PassPlanner(), task, [1])
-    assert pulls.beads[0] == alone.steps["bead"][0]
-    assert player.planned[0] <= alone.episodes["planned"][0]
+    assert found == [(False, 0), (False, 0), (True, int(alone.planned[0]))]

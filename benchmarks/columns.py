@@ -1,0 +1,68 @@
+"""Measure a set of a million states: bytes, opening, stretches of states, batches of transitions.
+
+    python benchmarks/columns.py
+
+The set repeats 400 random episodes of 50 pulls. Rates are per CPU second, the file in the operating
+system's cache. The table of docs/loading.md is from here.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import episode_seed, rollouts
+from knotgym.datasets.episode_dataset import open_episodes, write_episodes
+from knotgym.envs.tasks import TaskConfig
+from knotgym.loaders import Sequences, Transitions
+
+TASK = TaskConfig(task="tie", engine="chain", observation="state")
+LENGTH, EPISODES, REPEATED = 50, 400, 50
+
+
+def rate(call: Callable[[], object], seconds: float = 2.0) -> float:
+    """Return the calls of a function per CPU second."""
+    call()
+    began, count = time.process_time(), 0
+    while time.process_time() - began < seconds:
+        call()
+        count += 1
+    return count / (time.process_time() - began)
+
+
+def main() -> None:
+    seeds = [episode_seed(0, number) for number in range(EPISODES)]
+    part = rollouts(make_policy(PolicyConfig(policy="random")), TASK, seeds)
+    rng = np.random.default_rng(0)
+    with tempfile.TemporaryDirectory() as room:
+        path = Path(room) / "episodes.h5"
+        write_episodes(path, [part] * REPEATED, TASK)
+        episodes = open_episodes(path).episodes
+        size, pulls = path.stat().st_size, int(episodes.episodes["length"].sum())
+        print(f"{episodes.steps.rows} states, {size / 1e9:.2f} GB, {size / pulls:.0f} bytes a pull")
+        print(f"opening: {1000 / rate(lambda: open_episodes(path)):.0f} ms of CPU time")
+        seen, copy = episodes.steps["observation"], np.empty((64, TASK.beads, 3), np.float32)
+
+        def stretch() -> None:
+            first = int(rng.integers(len(seen) - 64))
+            np.copyto(copy, seen[first : first + 64])
+
+        print(f"stretches of 64 observations: {rate(stretch):.0f} a CPU second")
+        sequences = Sequences(path, LENGTH)
+
+        def sequence() -> None:
+            one = sequences[int(rng.integers(len(sequences)))]
+            np.copyto(copy[:LENGTH], one["observation"])
+
+        print(f"Sequences of {LENGTH}: {rate(sequence):.0f} a CPU second")
+        opened = Transitions(path)
+        batches = rate(lambda: opened.batch(rng.integers(len(opened), size=256)))
+        print(f"Transitions.batch of 256: {256 * batches:.0f} transitions a CPU second")
+
+
+if __name__ == "__main__":
+    main()
