@@ -7,7 +7,7 @@ from contextlib import ExitStack, suppress
 from knotgym.cli.collect_command import MINARI_ROOT
 from knotgym.cli.options import Given, command, extra
 from knotgym.common.errors import MissingExtra, install_command
-from knotgym.play.page import PageConfig
+from knotgym.play.page_config import PageConfig
 
 
 @command(

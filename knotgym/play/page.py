@@ -27,14 +27,12 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from knotgym.common.configuration import Seed, Whole, configuration
 from knotgym.common.errors import Failed, KnotgymError, one_line
-from knotgym.envs.tasks import TaskConfig
+from knotgym.play.page_config import PageConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.scene import SCALE, RopeScene
 from knotgym.play.session import Session
 from knotgym.rendering.diagram import draw_diagram
-from knotgym.rope.engines import CHAIN
 from knotgym.rope.model import Array
 
 FRAMES = 30  # shown per second
@@ -59,27 +57,6 @@ background to turn, scroll to zoom.
 
 `W` `A` `S` `D` and the arrows move the camera.
 """
-
-
-@configuration
-class PageConfig:
-    """What is played, and where the page is served.
-
-    Attributes:
-        task: the environment.
-        seed: random seed; episode i is the one that `knotgym evaluate` plays with the same seed.
-        policy: policy that gives hints and can take over, as in evaluate.
-        player: who plays, in a few words; stored with what is recorded.
-        host: host; any but the loopback asks for a token.
-        port: port of the page.
-    """
-
-    task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
-    seed: Seed = 0
-    policy: str = "expert"
-    player: str = ""
-    host: str = "127.0.0.1"
-    port: Whole = 8080
 
 
 class Tab:

@@ -15,7 +15,8 @@ import pytest
 
 from knotgym.common.errors import Failed
 from knotgym.envs.tasks import TaskConfig
-from knotgym.play.page import Page, PageConfig, require_port
+from knotgym.play.page import Page, require_port
+from knotgym.play.page_config import PageConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.watch import WatchPage
 
