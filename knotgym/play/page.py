@@ -1,6 +1,6 @@
 """The page that `knotgym play` serves: each browser tab has a rope of its own.
 
-A tab's events (drags, buttons, keys) only leave a wish in its `Player`, and one thread per tab acts
+A tab's events (drags, buttons, keys) only leave a wish in its `Tab`, and one thread per tab acts
 on the latest wish. So a tab that sends thousands of messages a second delays nobody else's rope,
 and nothing that a browser sends is used as a path, a name to import, or a size.
 
@@ -62,7 +62,7 @@ background to turn, scroll to zoom.
 
 
 @configuration
-class PlayConfig:
+class PageConfig:
     """What is played, and where the page is served.
 
     Attributes:
@@ -82,10 +82,10 @@ class PlayConfig:
     port: Whole = 8080
 
 
-class Player:
+class Tab:
     """One tab: its session, its scene and its panel."""
 
-    def __init__(self, client: Any, config: PlayConfig, recorder: Recorder | None) -> None:
+    def __init__(self, client: Any, config: PageConfig, recorder: Recorder | None) -> None:
         self._client, self._config, self._recorder = client, config, recorder
         self.wish: Callable[[], None] | None = None
         self._drag: tuple[int, Array] | None = None  # bead, and where to, metres
@@ -312,7 +312,7 @@ class Page:
         players: the tabs that play, by viser's number of the client.
     """
 
-    def __init__(self, config: PlayConfig, recorder: Recorder | None = None) -> None:
+    def __init__(self, config: PageConfig, recorder: Recorder | None = None) -> None:
         """Serve the page.
 
         Raises:
@@ -362,7 +362,7 @@ class Page:
             self._server.stop()
 
     def _open(self, client: Any) -> Any:
-        return Player(client, self._config, self._recorder)
+        return Tab(client, self._config, self._recorder)
 
     def _connected(self, client: Any) -> None:
         if not self.token:

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.tables import Column, Schema, Table, read, write
-from knotgym.control.planning.diagrams import IMAGES, Diagram
+from knotgym.control.planning.sights import IMAGES, Diagram
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
@@ -55,7 +55,7 @@ OUTCOMES = Schema(
 _NAMES = [column.name for column in OUTCOMES.columns]
 
 
-class Row(NamedTuple):
+class MoveRow(NamedTuple):
     """An outcome: move `label` was made `tried` times at `before`, and led `seen` times there."""
 
     before: Diagram
@@ -78,7 +78,7 @@ class Moves:
         before, after: eight int64 arrays by outcome, one for each image.
     """
 
-    def __init__(self, rows: Iterable[Row] = ()) -> None:
+    def __init__(self, rows: Iterable[MoveRow] = ()) -> None:
         self.nodes: list[Diagram] = []
         self.index: dict[Diagram, int] = {}
         self.nx: list[int] = []
@@ -86,7 +86,7 @@ class Moves:
         self.rows = np.zeros((0, 5), np.int64)
         self._arrange(rows)
 
-    def extended(self, rows: Iterable[Row]) -> Moves:
+    def extended(self, rows: Iterable[MoveRow]) -> Moves:
         """Return a table with more rows; this one stays as it is."""
         more = copy.copy(self)
         more.nodes, more.index = self.nodes.copy(), self.index.copy()
@@ -175,7 +175,7 @@ class Moves:
         table._arrange(())
         return table, others
 
-    def _arrange(self, rows: Iterable[Row]) -> None:
+    def _arrange(self, rows: Iterable[MoveRow]) -> None:
         new = [(self._add(row.before), row.label, self._add(row.after), *row[3:]) for row in rows]
         table = np.concatenate([self.rows, np.array(new, np.int64).reshape(-1, 5)])
         self.rows = table = table[np.lexsort((table[:, 2], table[:, 1], table[:, 0]))]
@@ -206,7 +206,7 @@ class Moves:
 def pooled(
     counts: Iterable[tuple[Diagram, int, Diagram | None, int]],
     image: Callable[[int, int, int], int],
-) -> list[Row]:
+) -> list[MoveRow]:
     """Make rows from counts, summed over each node's own symmetries.
 
     What is counted for a move holds for its image under every symmetry that leaves its node as it
@@ -225,7 +225,7 @@ def pooled(
                 tried[before, there] += seen
                 if after is not None:
                     outcomes[before, there, after.image(k)] += seen
-    return [Row(*key, seen, tried[key[:2]]) for key, seen in outcomes.items()]
+    return [MoveRow(*key, seen, tried[key[:2]]) for key, seen in outcomes.items()]
 
 
 def _bits(numbers: Iterable[int]) -> int:
