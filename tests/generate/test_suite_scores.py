@@ -3,35 +3,43 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from knotgym.control.planner_config import PlannerConfig
 
 from knotgym.common.errors import InvalidFile
-from knotgym.control.policy_config import PolicyConfig
+from knotgym.common.tables import Table
+from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
+from knotgym.datasets.episodes import RECORDED
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
-from knotgym.generate.episodes.evaluate import PlayedEpisode, as_text, report, sources_of
+from knotgym.generate.episodes.evaluate import as_text, report, sources_of
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.episodes.suite_scores import best_learner, read_scores, score_tables
+from knotgym.generate.episodes.suite_scores import read_scores, score_tables
 from knotgym.runs.intervals import cluster_interval
 
 STARTS = 8
 
 
 def told(
-    path: Path, seed: int, successes: int, episodes: int, budget: int = 20000, **rules: Any
+    path: Path, seed: int, successes: int, episodes: int, budget: int = 60000, **rules: Any
 ) -> Path:
     """A file of `knotgym evaluate --out`, whose first episodes succeed."""
-    policy = PolicyConfig(planner=PlannerConfig(budget=budget))
+    policy = PolicyConfig(planner=PullPlannerConfig(budget=budget))
     task = TaskConfig(task="tie", nx=2, split="test", observation="state", **rules)
     config = EvaluateConfig(
         policies=(policy,), tasks=("tie",), episodes=episodes, seed=seed, task=task
     )
-    played = [
-        PlayedEpisode(number % STARTS, number % 5, number < successes, 20, -2.5, 0, 0.0, False)
-        for number in range(episodes)
-    ]
-    result = evaluation._result(policy, task, played)
+    number, count = np.arange(episodes), np.zeros(episodes, dtype=np.int64)
+    columns = {
+        "start": number % STARTS,
+        "goal": number % 5,
+        "success": number < successes,
+        "length": count + 20,
+        "total": count - 2.5,
+        "planned": count,
+        "failed": count > 0,
+    }
+    result = evaluation._result(policy, task, Table(RECORDED.only(*columns), columns))
     path.write_text(as_text(report(config, [result], sources_of(config))), encoding="utf-8")
     return path
 
@@ -56,19 +64,6 @@ def test_files_of_one_cell_with_other_seeds_are_counted_together(tmp_path: Path)
     clusters = [[number % count for number, _ in episodes] for count in (STARTS, 5)]
     assert row["interval"] == list(cluster_interval(success, *clusters))
     assert read_scores(files[::-1]) == [row]
-
-
-def test_the_best_learner_of_a_set_was_trained_on_it_and_tested_on_its_setup(
-    tmp_path: Path,
-) -> None:
-    name = "knotgym/tie-nx2/expert-v0"
-    files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 1, 32, 64, hold=2)]
-    (other,) = read_scores([told(tmp_path / "c", 1, 64, 64)])  # trained on something else
-    rows = [other, *({**row, "training": {"datasets": [name]}} for row in read_scores(files))]
-    best = best_learner(name, rows)
-    assert best is not None and (best["success_rate"], best["episodes"]) == (0.5, 64)
-    for unlike in ("tie-nx3/expert-v0", "tie-nx2/expert-train-code-v0"):
-        assert best_learner(f"knotgym/{unlike}", rows) is None
 
 
 def test_the_same_episodes_twice_are_refused(tmp_path: Path) -> None:
@@ -142,11 +137,11 @@ def test_what_no_evaluation_says_is_refused(name: str, value: Any, tmp_path: Pat
         read_scores([path])
 
 
-@pytest.mark.parametrize("name", ["planning_seconds", "seconds"])
+@pytest.mark.parametrize("name", ["planned_actions", "seconds"])
 def test_numbers_beyond_all_bounds_are_refused(name: str, tmp_path: Path) -> None:
     path = told(tmp_path / "a", seed=0, successes=1, episodes=2)
     said = json.loads(path.read_text())
-    holder = said["results"][0] if name == "planning_seconds" else said.setdefault("training", {})
+    holder = said["results"][0] if name == "planned_actions" else said.setdefault("training", {})
     holder[name] = 10**400
     path.write_text(json.dumps(said))
     with pytest.raises(InvalidFile, match="evaluate --out`"):

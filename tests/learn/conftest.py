@@ -40,8 +40,8 @@ def weights(folder: Path) -> bytes:
 
 @pytest.fixture(scope="session")
 def played() -> Episodes:
-    """Three episodes of macro-actions, as if each had reached its goal."""
-    episodes = rollouts(make_policy(PolicyConfig(policy="scripted")), TASK, [1, 2, 3])
+    """Three episodes of passes, of which one didn't reach its goal."""
+    episodes = rollouts(make_policy(PolicyConfig(policy="expert")), TASK, [1, 2, 3])
     episodes.episodes["success"][:] = np.array([True, True, False])
     return episodes
 
