@@ -32,10 +32,10 @@ from knotgym.control.planning import (
     see,
 )
 from knotgym.control.planning.changes import EXAMPLES, Example
-from knotgym.control.planning.diagrams import IMAGES, canonical_image, first_goal
-from knotgym.control.planning.moves import Moves, Row, pooled
+from knotgym.control.planning.moves import MoveRow, Moves, pooled
 from knotgym.control.planning.pass_policies import PlayPlayer, ScriptedPlayer
 from knotgym.control.planning.passes import COUNTED_NX, template_images, templates
+from knotgym.control.planning.sights import IMAGES, canonical_image, first_goal
 from knotgym.control.rollouts import Ids, Pulls, rollouts
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
@@ -205,10 +205,10 @@ class WatchingPlayer(ScriptedPlayer):
 def make_changes(args: argparse.Namespace) -> None:
     config = TaskConfig(task="tie", nx=2, endless=True, horizon=args.pulls, engine="chain")
     rollouts(Watching(), config, range(args.seed, args.seed + args.episodes), keep=None)
-    made, changes = WatchingPlayer, list[Row]()
+    made, changes = WatchingPlayer, list[MoveRow]()
     for (before, after), seen in made.seen.items():
         if seen >= args.least and max(before.nx, after.nx) <= COUNTED_NX:
-            changes.append(Row(before, len(changes), after, seen, made.tried[before]))
+            changes.append(MoveRow(before, len(changes), after, seen, made.tried[before]))
     moves = Moves(changes)
     rows = [
         (moves.index[row.before], row.label, *example)

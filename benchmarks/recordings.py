@@ -19,7 +19,7 @@ from knotgym.generate.episodes.recordings import (
     recordings,
     write_recordings,
 )
-from knotgym.generate.episodes.suite import SuiteConfig
+from knotgym.generate.episodes.suite_config import SuiteConfig
 
 
 def main() -> None:

@@ -14,7 +14,8 @@ from knotgym.datasets.foreign_file import try_files
 from .small_job import SECONDS
 
 PLANTED = (
-    *("knotgym", "h5py", "numpy", "mujoco", "numba", "cv2", "minari", "gymnasium", "cyclopts", "rich"),
+    *("knotgym", "h5py", "numpy", "mujoco", "numba", "cv2", "minari", "gymnasium", "cyclopts"),
+    "rich",
     *("pickle", "json", "threading", "signal", "selectors", "runpy", "tempfile", "random"),
     *("torch", "safetensors", "yaml", "openai", "distributed", "datasets", "pyarrow", "av"),
     *("sitecustomize", "usercustomize", "mine_too"),

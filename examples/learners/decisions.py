@@ -27,7 +27,7 @@ from knotgym.control.rollouts import Ids, Pulls
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import Episodes, gauss_code
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.marked import Frames, mark
+from knotgym.envs.marked import CanonicalFrames, mark
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_network import CloneNetwork, Inputs, MarkedInputs, inputs
 from knotgym.rope.actions import quantized
@@ -85,7 +85,7 @@ def decision_options(options: argparse.ArgumentParser) -> argparse.ArgumentParse
     return options
 
 
-def observe(points: NDArray[np.floating], goals: list[GaussCode]) -> tuple[Floats, Frames]:
+def observe(points: NDArray[np.floating], goals: list[GaussCode]) -> tuple[Floats, CanonicalFrames]:
     """Return observations float32 (n, size) of ropes (n, beads, 3), and their frames."""
     seen = mark(points, goals)
     flat = [part.flatten(1).float() for part in inputs(seen)]

@@ -7,11 +7,11 @@ from contextlib import ExitStack, suppress
 from knotgym.cli.collect_command import MINARI_ROOT
 from knotgym.cli.options import Given, command, extra
 from knotgym.common.errors import MissingExtra, install_command
-from knotgym.play.page import PlayConfig
+from knotgym.play.page_config import PageConfig
 
 
 @command(
-    {"": PlayConfig},
+    {"": PageConfig},
     "task.task task.nx policy port",
     extra("DATASET", str, "A dataset to watch, by path or id; without one, you pull the rope."),
     extra(
@@ -41,7 +41,7 @@ def play(given: Given) -> None:
     from knotgym.play.watch import WatchPage
     from knotgym.runs.compilation import compile_first
 
-    config, dataset, progress = given.config(PlayConfig), given["dataset"], given.progress
+    config, dataset, progress = given.config(PageConfig), given["dataset"], given.progress
     compile_first(progress, config.task.engine)
     with ExitStack() as stack:
         recorder = None

@@ -5,7 +5,7 @@ from typing import Any
 
 from knotgym.cli.options import EXISTING, Given, command, default_folder, extra
 from knotgym.common.errors import InvalidInput
-from knotgym.prompting.prompted_episodes import PromptConfig
+from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.runs.progress import Progress
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from knotgym.cli.collect_command import MINARI_ROOT
 from knotgym.cli.options import RUN, Given, command, extra
 from knotgym.common.errors import InvalidInput
-from knotgym.generate.episodes.suite import SuiteConfig
+from knotgym.generate.episodes.suite_config import SuiteConfig
 
 
 @command(

@@ -26,9 +26,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.errors import InvalidPolicy, one_line
+from knotgym.common.errors import InvalidPolicy, KnotgymError, one_line
 from knotgym.control.basic_policies import ActionPlayer, Generators
-from knotgym.control.rollouts import Ids, Policy
+from knotgym.control.rollouts import Ids, Player, Policy, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 
@@ -102,6 +102,36 @@ class _OwnPlayer(ActionPlayer):
         return actions
 
 
+class _Guarded:
+    """A user's `Policy`, whose errors are one line."""
+
+    def __init__(self, given: Any, name: str) -> None:
+        self.name, self._given = name, given
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        with _user_code(self.name):
+            found: TaskConfig = self._given.compatible_task(task)
+        return found
+
+    def player(self, batch: EpisodeBatch) -> Player:
+        with _user_code(self.name):
+            return _GuardedPlayer(self._given.player(batch), self.name)
+
+
+class _GuardedPlayer:
+    def __init__(self, player: Any, name: str) -> None:
+        self._player, self._name, self.planned = player, name, player.planned
+
+    def begin(self, ids: Ids, rngs: Generators) -> None:
+        with _user_code(self._name):
+            self._player.begin(ids, rngs)
+
+    def act(self, ids: Ids) -> Pulls:
+        with _user_code(self._name):
+            found: Pulls = self._player.act(ids)
+        return found
+
+
 def load_own(name: str) -> Policy:
     """Import a module and make a policy of its attribute; `name` is module:name.
 
@@ -121,8 +151,7 @@ def load_own(name: str) -> Policy:
     except Exception as error:
         raise _invalid(name, error) from error
     if callable(getattr(given, "player", None)) and not inspect.isclass(given):
-        made: Policy = given
-        return made
+        return _Guarded(given, name)
     return OwnPolicy(given, name)
 
 
@@ -166,6 +195,8 @@ def _user_code(name: str) -> Iterator[None]:
     """Run user code; re-raise what it raises as InvalidPolicy."""
     try:
         yield
+    except KnotgymError:
+        raise
     except Exception as error:
         raise _invalid(name, error) from error
 

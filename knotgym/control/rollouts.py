@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidPolicy
 from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.common.tables import Schema, Table
 from knotgym.datasets.episodes import (
@@ -131,6 +132,9 @@ def rollouts(
         keep: columns of steps to keep; None for none.
         attempt: changes the policy's random draws, not the starts.
         adviser: policy whose pull is stored at every state as `expert_action`, and not made.
+
+    Raises:
+        InvalidPolicy: the policy doesn't fit the task, or its pulls aren't valid.
     """
     task = policy.compatible_task(task)
     todo = seeds.rows if isinstance(seeds, Table) else len(seeds)
@@ -157,7 +161,7 @@ def rollouts(
             return record.whole()
         if advice is not None:
             record.advise(advice.given(playing))
-        pulls = player.act(playing)
+        pulls = _checked(player.act(playing), playing, batch, policy.name)
         if not len(pulls.ids):
             continue
         record.before(pulls)
@@ -170,6 +174,29 @@ def rollouts(
             names = getattr(player, "names", None)
             record.end(index, policy.name if names is None else str(names[index]), planned)
         batch.number[over] = -1
+
+
+def _checked(pulls: Pulls, playing: Ids, batch: EpisodeBatch, name: str) -> Pulls:
+    """Return a player's pulls if they can be made."""
+    try:
+        count = len(pulls.ids)
+        arrays: list[Any] = [(pulls.ids, np.int64, ()), (pulls.beads, np.int64, ())]
+        arrays.append((pulls.forces, np.float32, (3,)))
+        if pulls.macros is not None:
+            arrays.append((pulls.macros, np.int64, (4,)))
+        fits = all(one.dtype == kind and one.shape == (count, *row) for one, kind, row in arrays)
+        # in increasing order, and among those that were asked
+        fits = fits and bool(np.array_equal(pulls.ids, playing[np.isin(playing, pulls.ids)]))
+        fits = fits and bool((np.abs(pulls.forces) <= 1).all())
+        fits = fits and bool(((pulls.beads >= 0) & (pulls.beads < batch.task.beads)).all())
+    except (AttributeError, TypeError):
+        fits = False
+    if not fits:
+        raise InvalidPolicy(
+            f"policy {name} must return Pulls of the ropes that it is asked about: ids and beads"
+            " int64 (n,), forces float32 (n, 3) in [-1, 1]"
+        )
+    return pulls
 
 
 def _fitting(task: TaskConfig) -> int:

@@ -27,7 +27,7 @@ _RGB = ("first", "last", "background")
 _QUALITY = "quality/"
 
 
-class Row(NamedTuple):
+class PictureRow(NamedTuple):
     """A picture to render.
 
     Attributes:
@@ -41,13 +41,13 @@ class Row(NamedTuple):
     source: dict[str, Any]
 
 
-def drawn(rows: Sequence[Row], config: AppearanceConfig) -> dict[str, NDArray[np.uint8]]:
+def drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> dict[str, NDArray[np.uint8]]:
     """Render rows; the result has the bytes of their Parquet file."""
     table = table_of([record(row, config) for row in rows])
     return {"parquet": np.frombuffer(parquet(table), dtype=np.uint8)}
 
 
-def record(row: Row, config: AppearanceConfig) -> dict[str, Any]:
+def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
     """Return all columns of a row by name, `image` as PNG bytes.
 
     Raises:

@@ -35,7 +35,7 @@ TOKENS = 24  # visits of a code in the observation, two per crossing; longer cod
 _FRAME = 13  # numbers that describe the frame: axes 9, centre 3, reverse 1
 
 
-class Frames(NamedTuple):
+class CanonicalFrames(NamedTuple):
     """The canonical frames of n ropes.
 
     Attributes:
@@ -92,7 +92,7 @@ class Marked(NamedTuple):
     marks: NDArray[Any]
     code: NDArray[Any]
     goal: NDArray[Any]
-    frames: Frames
+    frames: CanonicalFrames
 
     def rows(self, index: Any) -> Marked:
         """Return some of the observations."""
@@ -101,7 +101,7 @@ class Marked(NamedTuple):
             self.marks[index],
             self.code[index],
             self.goal[index],
-            Frames(*(column[index] for column in self.frames)),
+            CanonicalFrames(*(column[index] for column in self.frames)),
         )
 
     def plus(self, other: Marked) -> Marked:
@@ -110,7 +110,7 @@ class Marked(NamedTuple):
             np.concatenate(both) for both in zip(self[:4], other[:4], strict=True)
         )
         frames = (np.concatenate(both) for both in zip(self.frames, other.frames, strict=True))
-        return Marked(points, marks, code, goal, Frames(*frames))
+        return Marked(points, marks, code, goal, CanonicalFrames(*frames))
 
 
 def size(beads: int) -> int:
@@ -165,7 +165,7 @@ def split(observations: ArrayLike) -> Marked:
         marks.reshape(count, beads, 2),
         code.reshape(count, TOKENS, 2),
         goal.reshape(count, TOKENS, 2),
-        Frames(
+        CanonicalFrames(
             axes.reshape(count, 3, 3).astype(np.float64),
             centres.astype(np.float64),
             reverse[:, 0] > 0.5,
@@ -173,7 +173,7 @@ def split(observations: ArrayLike) -> Marked:
     )
 
 
-def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_]) -> Frames:
+def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_]) -> CanonicalFrames:
     centres = ropes.mean(axis=1)
     flat = ropes[..., 0] + 1j * ropes[..., 1] - (centres[:, :1] + 1j * centres[:, 1:2])
     wave = np.exp(-2j * np.pi * np.arange(ropes.shape[1]) / ropes.shape[1])
@@ -191,7 +191,7 @@ def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_])
     axes[:, 0, 0], axes[:, 0, 1] = cosine, -sine * mirror
     axes[:, 1, 0], axes[:, 1, 1] = sine, cosine * mirror
     axes[:, 2, 2] = np.where(switch, -1.0, 1.0)
-    return Frames(axes, centres, reverse)
+    return CanonicalFrames(axes, centres, reverse)
 
 
 @lru_cache(maxsize=100_000)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from knotgym.generate.episodes.collect_config import CollectConfig as CollectConfig
     from knotgym.generate.episodes.evaluate import run as evaluate  # noqa: F401
     from knotgym.generate.episodes.evaluate_config import EvaluateConfig as EvaluateConfig
-    from knotgym.generate.episodes.suite import SuiteConfig as SuiteConfig
     from knotgym.generate.episodes.suite import make_suite as make_suite
+    from knotgym.generate.episodes.suite_config import SuiteConfig as SuiteConfig
     from knotgym.generate.images.image_recipe import make_images as make_images
     from knotgym.generate.images.images_config import ImagesConfig as ImagesConfig
     from knotgym.generate.states.generate_config import GenerateConfig as GenerateConfig
@@ -34,7 +34,7 @@ else:
             "GenerateConfig": "knotgym.generate.states.generate_config",
             "ImagesConfig": "knotgym.generate.images.images_config",
             "RunOptions": "knotgym.runs.run_options",
-            "SuiteConfig": "knotgym.generate.episodes.suite",
+            "SuiteConfig": "knotgym.generate.episodes.suite_config",
             "collect": "knotgym.generate.episodes.collect",
             "evaluate": "knotgym.generate.episodes.evaluate:run",
             "make_images": "knotgym.generate.images.image_recipe",

@@ -30,7 +30,7 @@ _TOW = np.ones(3)
 _MISREAD = 0.05
 
 
-class Pull(NamedTuple):
+class PlannedPull(NamedTuple):
     """One step of a plan.
 
     Attributes:
@@ -110,7 +110,7 @@ class _Episode:
     force: Array = field(default_factory=lambda: np.zeros(3))
     step: int = 0
     probes: int = 0
-    plan: list[Pull] = field(default_factory=list)
+    plan: list[PlannedPull] = field(default_factory=list)
     planned: int = 0
     imagined: int = 0
 
@@ -210,9 +210,9 @@ class Agent:
     def _replan(self, episode: _Episode) -> None:
         """Make up to `max_plans` plans and keep the one with the highest estimated success."""
         assert episode.goal is not None
-        best, highest = list[Pull](), -1.0
+        best, highest = list[PlannedPull](), -1.0
         if not episode.goal.visits:  # the goal is a plain loop, to which towing leads
-            best = [Pull(-1, _TOW, REACH * _TOW)] * (episode.horizon - episode.step)
+            best = [PlannedPull(-1, _TOW, REACH * _TOW)] * (episode.horizon - episode.step)
             highest = self._success_rate(episode, best)
         # the episode's budget is a soft limit: every replanning may still use `least_budget`
         left = max(
@@ -231,7 +231,7 @@ class Agent:
             episode.imagined += made.spent
             left -= made.spent
             pulls = [
-                Pull(bead, force)
+                PlannedPull(bead, force)
                 for bead, force in zip(
                     made.beads.tolist(), made.forces.astype(np.float64), strict=True
                 )
@@ -242,7 +242,7 @@ class Agent:
                 best, highest = pulls, success_rate
         episode.plan = best
 
-    def _success_rate(self, episode: _Episode, pulls: list[Pull]) -> float:
+    def _success_rate(self, episode: _Episode, pulls: list[PlannedPull]) -> float:
         """Estimate a plan's success rate on perturbed hypotheses; -1 for an empty plan."""
         if not pulls:
             return -1.0

@@ -49,7 +49,7 @@ class TransitionDataset(Dataset[dict[str, Any]]):
         return {_ONE.get(name, name): _tensor(column) for name, column in several.items()}
 
 
-class EpisodeDataset(Dataset[dict[str, Any]]):
+class TorchEpisodes(Dataset[dict[str, Any]]):
     """Whole episodes."""
 
     def __init__(self, transitions: Transitions) -> None:
@@ -89,7 +89,7 @@ class FrameDataset(Dataset[dict[str, Any]]):
         }
 
 
-KINDS = {"transitions": TransitionDataset, "episodes": EpisodeDataset, "frames": FrameDataset}
+KINDS = {"transitions": TransitionDataset, "episodes": TorchEpisodes, "frames": FrameDataset}
 
 
 def _checked(index: int, length: int) -> int:

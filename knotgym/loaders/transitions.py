@@ -24,7 +24,7 @@ from knotgym.datasets.episodes import (
     within_tow,
 )
 from knotgym.envs.tasks import ACTIONS
-from knotgym.loaders.frames import Frames, Ids
+from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
 from knotgym.rope.actions import decode_actions, force_choices
 
@@ -109,7 +109,9 @@ class Transitions:
         self.action = self.task.action if action is None else action
         self._labels, self._relabelled = labels, relabel is not None
         self._check()
-        self._frames = Frames(self.dataset, observation or self.task.observation, picture, cache)
+        self._frames = DrawnFrames(
+            self.dataset, observation or self.task.observation, picture, cache
+        )
         episodes = self.dataset.episodes
         if relabel is None:
             self.episode, lengths = np.arange(episodes.episodes.rows), episodes.episodes["length"]

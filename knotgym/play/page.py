@@ -1,6 +1,6 @@
 """The page that `knotgym play` serves: each browser tab has a rope of its own.
 
-A tab's events (drags, buttons, keys) only leave a wish in its `Player`, and one thread per tab acts
+A tab's events (drags, buttons, keys) only leave a wish in its `Tab`, and one thread per tab acts
 on the latest wish. So a tab that sends thousands of messages a second delays nobody else's rope,
 and nothing that a browser sends is used as a path, a name to import, or a size.
 
@@ -27,14 +27,12 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from knotgym.common.configuration import Seed, Whole, configuration
 from knotgym.common.errors import Failed, KnotgymError, one_line
-from knotgym.envs.tasks import TaskConfig
+from knotgym.play.page_config import PageConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.scene import SCALE, RopeScene
 from knotgym.play.session import Session
 from knotgym.rendering.diagram import draw_diagram
-from knotgym.rope.engines import CHAIN
 from knotgym.rope.model import Array
 
 FRAMES = 30  # shown per second
@@ -61,31 +59,10 @@ background to turn, scroll to zoom.
 """
 
 
-@configuration
-class PlayConfig:
-    """What is played, and where the page is served.
-
-    Attributes:
-        task: the environment.
-        seed: random seed; episode i is the one that `knotgym evaluate` plays with the same seed.
-        policy: policy that gives hints and can take over, as in evaluate.
-        player: who plays, in a few words; stored with what is recorded.
-        host: host; any but the loopback asks for a token.
-        port: port of the page.
-    """
-
-    task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
-    seed: Seed = 0
-    policy: str = "expert"
-    player: str = ""
-    host: str = "127.0.0.1"
-    port: Whole = 8080
-
-
-class Player:
+class Tab:
     """One tab: its session, its scene and its panel."""
 
-    def __init__(self, client: Any, config: PlayConfig, recorder: Recorder | None) -> None:
+    def __init__(self, client: Any, config: PageConfig, recorder: Recorder | None) -> None:
         self._client, self._config, self._recorder = client, config, recorder
         self.wish: Callable[[], None] | None = None
         self._drag: tuple[int, Array] | None = None  # bead, and where to, metres
@@ -312,7 +289,7 @@ class Page:
         players: the tabs that play, by viser's number of the client.
     """
 
-    def __init__(self, config: PlayConfig, recorder: Recorder | None = None) -> None:
+    def __init__(self, config: PageConfig, recorder: Recorder | None = None) -> None:
         """Serve the page.
 
         Raises:
@@ -362,7 +339,7 @@ class Page:
             self._server.stop()
 
     def _open(self, client: Any) -> Any:
-        return Player(client, self._config, self._recorder)
+        return Tab(client, self._config, self._recorder)
 
     def _connected(self, client: Any) -> None:
         if not self.token:

@@ -32,7 +32,7 @@ from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.play.session import Pull
+from knotgym.play.session import HandPull
 from knotgym.runs.identity import identity
 from knotgym.runs.run import staged
 from knotgym.runs.run_options import Existing
@@ -104,7 +104,7 @@ class Recorder:
         for key in [*self._journal]:
             number, kept = int(key.removeprefix(_KEY)), self._journal[key]
             pulls = [
-                Pull(int(bead), force, bool(helped))
+                HandPull(int(bead), force, bool(helped))
                 for bead, force, helped in zip(*kept.values(), strict=True)
             ]
             # it may have been stored just before the program was killed
@@ -132,7 +132,7 @@ class Recorder:
             self._taken.add(number)
             return number
 
-    def note(self, number: int, pulls: Sequence[Pull]) -> None:
+    def note(self, number: int, pulls: Sequence[HandPull]) -> None:
         """Note the pulls of an episode that is under way."""
         with self._lock:
             columns: dict[str, NDArray[Any]] = {
@@ -142,7 +142,7 @@ class Recorder:
             }
             self._journal.keep(f"{_KEY}{number}", columns)
 
-    def finish(self, number: int, pulls: Sequence[Pull]) -> bool:
+    def finish(self, number: int, pulls: Sequence[HandPull]) -> bool:
         """Add an episode to the dataset; return whether it was stored.
 
         An episode without pulls, or with a policy's, isn't stored; it may be played later.
@@ -155,7 +155,7 @@ class Recorder:
         self._taken.discard(number)
         return stored
 
-    def _store(self, number: int, pulls: Sequence[Pull]) -> None:
+    def _store(self, number: int, pulls: Sequence[HandPull]) -> None:
         played = rollouts(_Played(self._policy, pulls), self._task, [self._seed_of(number)])
         there = [open_episodes(self.folder).episodes] if self.folder.exists() else []
         publish(
@@ -189,7 +189,7 @@ class Recorder:
 class _Played:
     """Repeats the pulls of one episode, then leaves the rope alone."""
 
-    def __init__(self, name: str, pulls: Sequence[Pull]) -> None:
+    def __init__(self, name: str, pulls: Sequence[HandPull]) -> None:
         self.name, self._pulls = name, pulls
 
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
@@ -203,7 +203,7 @@ class _Played:
         return
 
     def act(self, ids: NDArray[np.int64]) -> Pulls:
-        none = Pull(0, np.zeros(3, dtype=np.float32))
+        none = HandPull(0, np.zeros(3, dtype=np.float32))
         step = int(self._batch.steps[0])
         bead, force, _ = self._pulls[step] if step < len(self._pulls) else none
         return Pulls(ids, np.array([bead]), force[None])

@@ -24,7 +24,7 @@ _CONTROL = MacroActionConfig()
 _ROPE = np.zeros(1, dtype=np.int64)  # the only one of a batch
 
 
-class Pull(NamedTuple):
+class HandPull(NamedTuple):
     """A pull that was made.
 
     Attributes:
@@ -99,7 +99,7 @@ class Session:
         """Reset to the start of an episode."""
         self.number = number
         self.batch.begin(_ROPE, [self.episode_seed])
-        self.pulls, self.reward, self.ended = list[Pull](), 0.0, False
+        self.pulls, self.reward, self.ended = list[HandPull](), 0.0, False
         self._acting = None
 
     @property
@@ -118,7 +118,7 @@ class Session:
         wanted = np.asarray(force, dtype=np.float32)
         if wanted.shape == (3,) and np.isfinite(wanted).all():
             self._acting = None
-            self._take(Pull(int(bead) % len(self.points), np.clip(wanted, -1, 1)))
+            self._take(HandPull(int(bead) % len(self.points), np.clip(wanted, -1, 1)))
 
     def pull_towards(self, bead: int, target: ArrayLike) -> bool:
         """Pull a bead towards a point, as the waypoint controller does; False if it is there.
@@ -152,7 +152,7 @@ class Session:
         if self._acting is None or self._acting[0] != policy:
             self._acting = policy, self._player(policy, self.batch)
         pulls = _thought(self._acting[1])
-        self._take(Pull(int(pulls.beads[0]), pulls.forces[0].copy(), helped=True))
+        self._take(HandPull(int(pulls.beads[0]), pulls.forces[0].copy(), helped=True))
 
     def foresee(self, policy: str) -> Foreseen:
         """Return what a policy would do from here, until it pulls another bead.
@@ -186,7 +186,7 @@ class Session:
         player.begin(_ROPE, [generator(Stream.POLICY, self.episode_seed, len(self.pulls))])
         return player
 
-    def _take(self, pull: Pull) -> None:
+    def _take(self, pull: HandPull) -> None:
         if self.ended:
             return
         outcome = self.batch.pull(_ROPE, np.array([pull.bead]), pull.force[None])

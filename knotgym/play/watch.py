@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.episode_dataset import columns_of
-from knotgym.play.page import FRAMES, Page, PlayConfig, number
+from knotgym.play.page import FRAMES, Page, number
+from knotgym.play.page_config import PageConfig
 from knotgym.play.scene import RopeScene
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.topology.code_arrays import plain_code
@@ -96,7 +97,7 @@ class Viewer:
 class WatchPage(Page):
     """A page on which every tab watches a dataset."""
 
-    def __init__(self, config: PlayConfig, source: Any) -> None:
+    def __init__(self, config: PageConfig, source: Any) -> None:
         """Serve the page.
 
         Raises:

@@ -11,7 +11,8 @@ from typing import Any
 import knotgym
 from knotgym.common.configuration import read_json
 from knotgym.prompting.chat import Chat
-from knotgym.prompting.prompted_episodes import PromptConfig, flat, packed, play, read, unpacked
+from knotgym.prompting.prompt_config import PromptConfig
+from knotgym.prompting.prompted_episodes import flat, packed, play, read, unpacked
 from knotgym.prompting.prompts import as_text
 from knotgym.prompting.reading_scores import reading_scores
 from knotgym.prompting.summary import summarize

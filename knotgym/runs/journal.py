@@ -278,17 +278,17 @@ def _columns(described: Any, path: Path, at: int) -> tuple[dict[str, _Column], i
     """Return the columns that a record describes, and how many bytes they fill.
 
     Raises:
-        TypeError, ValueError: no such columns are kept.
+        InvalidFile, TypeError, ValueError: no such columns are kept.
     """
     columns, first = dict[str, _Column](), at
     for name, text, shape in described:
         if not isinstance(name, str) or not isinstance(text, str) or len(text) > 16:
-            raise TypeError(name)
+            raise InvalidFile(f"{name!r} is no column")
         dtype, sizes = np.dtype(text), tuple(shape)
         if dtype.kind not in _KINDS or len(sizes) > 32:
-            raise TypeError(f"{name} of type {text}")
+            raise InvalidFile(f"{name} of type {text}")
         if any(type(n) is not int or n < 0 for n in sizes) or prod(n or 1 for n in sizes) > _MOST:
-            raise ValueError(f"{name} of shape {sizes}")
+            raise InvalidFile(f"{name} of shape {sizes}")
         end = at + dtype.itemsize * prod(sizes)
         columns[name] = _Column(path, at, end, dtype, sizes)
         at += _padded(end - at)

@@ -47,7 +47,7 @@ COMMANDS = {
     "generate": Command("generate --nx 0 --count 1 --workers 1 --out {out}/a", "a", True),
     "images": Command("images --nx 0 --count 1 --out {out}/a", "a", True, "pyarrow"),
     "collect": Command(f"collect --policy random --id {ID} --out {{out}}", ID, True),
-    "suite": Command("suite --task tie --nx 2 --policy random --out {out}", ID, True),
+    "suite": Command("suite --task tie --nx 2 --policy random --out {out}", ID),
     "train": Command("train --data {episodes} --out {out}/a", "a", True, "torch"),
     "prompt": Command("prompt --model x --out {out}/a", "a", True, "openai"),
     "evaluate": Command("evaluate --episodes 1 --out {out}/a.json", "a.json", True),

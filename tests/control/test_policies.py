@@ -29,7 +29,7 @@ from knotgym.control.policies import (
 )
 from knotgym.control.policy_config import MIXED, PolicyConfig, PullPlannerConfig
 from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.rollouts import episode_seed, rollouts
+from knotgym.control.rollouts import Pulls, episode_seed, rollouts
 from knotgym.datasets.episode_dataset import write_episodes
 from knotgym.datasets.episodes import PULLS, Episodes, differences
 from knotgym.envs.environment import KnotEnv
@@ -52,8 +52,32 @@ class Counter:
         return [0, 0, 0, self.pulls / 20, float(observation.shape == (600,)), self.side]
 
 
+class Wrong(ConstantPolicy):
+    """A policy whose player returns something else than pulls, or raises."""
+
+    def __init__(self, answer: Any) -> None:
+        super().__init__()
+        self.answer = answer
+
+    def player(self, batch: Any) -> Any:
+        player = super().player(batch)
+        player.act = lambda ids: self.answer(player, ids)  # type: ignore[method-assign]
+        return player
+
+
+def _raise(player: Any, ids: Any) -> None:
+    raise RuntimeError("out of memory")
+
+
 class Own:
     """A module of the user's."""
+
+    none, list_of = Wrong(lambda player, ids: None), Wrong(lambda player, ids: [0] * len(ids))
+    others = Wrong(lambda p, ids: Pulls(ids + 9, ids, np.zeros((len(ids), 3), np.float32)))
+    many = Wrong(lambda p, ids: Pulls(ids, ids, np.zeros((len(ids), 4), np.float32)))
+    strong = Wrong(lambda p, ids: Pulls(ids, ids, np.full((len(ids), 3), 2, np.float32)))
+    absent_bead = Wrong(lambda p, ids: Pulls(ids, ids + 100, np.zeros((len(ids), 3), np.float32)))
+    raising = Wrong(_raise)
 
     counter, made, three, policy = Counter, Counter(), 3, ConstantPolicy([0.0] * 6)
 
@@ -241,6 +265,9 @@ def test_every_episode_has_an_object_of_its_own() -> None:
         ("three", "must be a function of"),
         ("two", "must be a function of"),
         ("absent", "absent"),
+        *((name, "must return Pulls") for name in ("none", "list_of", "others", "many", "strong")),
+        ("absent_bead", "must return Pulls"),
+        ("raising", "own:raising raised RuntimeError: out of memory .test_policies.py, line"),
     ],
 )
 def test_what_user_code_does_wrong_is_one_line_that_names_it(name: str, says: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidFile
-from knotgym.datasets.image_rows import Row, record
+from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import decode, encode, read_table, write_rows
 from knotgym.datasets.image_verification import shard_faults
 from knotgym.rendering.appearance_config import AppearanceConfig
@@ -29,7 +29,7 @@ UNMOVED = {"policy": "random", **dict.fromkeys(("reflect", "switch", "reverse"),
 def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A shard with one picture."""
     states = read_states(shipped(), images=False).taken(np.array([20]))
-    row = Row(states.points[0], "train", {**SOURCE, **UNMOVED})
+    row = PictureRow(states.points[0], "train", {**SOURCE, **UNMOVED})
     path = tmp_path_factory.mktemp("shard") / "train-00000-of-00001.parquet"
     write_rows(path, [record(row, AppearanceConfig())])
     return path

@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from knotgym.datasets.image_rows import Row, record
+from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import COLUMNS, read_rows, write_rows
 from knotgym.datasets.image_verification import row_faults
 from knotgym.generate.images.image_recipe import make_images
@@ -111,7 +111,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     whole |= {"policy": "", **dict.fromkeys(("reflect", "switch", "reverse"), False)}
     sources = [whole | {"rope": number, "row": number} for number in range(len(ropes))]
     rows = [
-        record(Row(points, "test", source), AppearanceConfig())
+        record(PictureRow(points, "test", source), AppearanceConfig())
         for points, source in zip(ropes, sources, strict=True)
     ]
     write_rows(tmp_path / "table.parquet", rows)
@@ -134,7 +134,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
     source |= dict.fromkeys(("reflect", "switch", "reverse"), False)
     look = AppearanceConfig(style="knotbench", vary=("turn",))
     rows = [
-        record(Row(points, "test", source | {"rope": row, "row": row}), look)
+        record(PictureRow(points, "test", source | {"rope": row, "row": row}), look)
         for row, points in enumerate(states.points[chosen])
     ]
     write_rows(tmp_path / "table.parquet", rows)

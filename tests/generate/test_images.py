@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from knotgym.cli.main import main
 from knotgym.common.errors import Failed, InvalidFile, InvalidInput, MissingExtra
 from knotgym.datasets import image_table as tables
-from knotgym.datasets.image_rows import Row, record
+from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import (
     COLUMNS,
     GRADES,
@@ -184,7 +184,7 @@ def test_a_near_duplicate_in_another_split_is_found(
     train = next(row for row in rows if row["split"] == "train" and row["nx"] == 1)
     points = symmetry.configuration(np.array(train["points"]).reshape(-1, 3))
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
-    planted = Row(points, "test", {**train["source"], "rope": 10**6, "row": 10**6})
+    planted = PictureRow(points, "test", {**train["source"], "rope": 10**6, "row": 10**6})
     write_rows(tmp_path / "data.parquet", [train, record(planted, AppearanceConfig())])
     [fault] = image_faults(tmp_path / "data.parquet")
     assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault

@@ -15,15 +15,8 @@ from knotgym.datasets.episode_dataset import FILE, open_episodes, write_episodes
 from knotgym.datasets.episodes import Episodes, differences
 from knotgym.generate.episodes import suite as module
 from knotgym.generate.episodes.collect import run_facts
-from knotgym.generate.episodes.suite import (
-    POLICIES,
-    SETUPS,
-    SPLITS,
-    STATES,
-    SuiteConfig,
-    core_seconds,
-    make_suite,
-)
+from knotgym.generate.episodes.suite import SETUPS, core_seconds, make_suite
+from knotgym.generate.episodes.suite_config import POLICIES, SPLITS, STATES, SuiteConfig
 from knotgym.generate.episodes.suite_facts import describe_set
 from knotgym.runs.run_options import RunOptions
 

@@ -15,7 +15,8 @@ import pytest
 
 from knotgym.common.errors import Failed
 from knotgym.envs.tasks import TaskConfig
-from knotgym.play.page import Page, PlayConfig, require_port
+from knotgym.play.page import Page, require_port
+from knotgym.play.page_config import PageConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.watch import WatchPage
 
@@ -79,7 +80,7 @@ class Tab:
 @pytest.fixture
 def page() -> Iterator[Page]:
     task = TaskConfig(task="tie", nx=2, observation="state")
-    with Page(PlayConfig(task=task, port=free_port())) as page:
+    with Page(PageConfig(task=task, port=free_port())) as page:
         yield page
 
 
@@ -171,7 +172,7 @@ def test_no_tab_can_open_a_tunnel_to_a_public_host(
 
 
 def test_every_other_host_asks_for_a_token(page: Page) -> None:
-    config = PlayConfig(task=page._config.task, host="0.0.0.0", port=free_port())
+    config = PageConfig(task=page._config.task, host="0.0.0.0", port=free_port())
     with Page(config) as guarded:
         assert len(guarded.token) >= 16
         clients: list[Any] = []
@@ -208,7 +209,7 @@ def test_a_dataset_is_watched(browser: Chromium, tmp_path: Path) -> None:
     task = TaskConfig(task="tie", nx=1, observation="state", horizon=4)
     with Recorder(task, 0, "knotgym/tie-nx1/human-v0", root=tmp_path) as recorder:
         recorder.finish(0, [np.full(6, 0.5, dtype=np.float32)])
-    with WatchPage(PlayConfig(task=task, port=free_port()), recorder.folder) as page:
+    with WatchPage(PageConfig(task=task, port=free_port()), recorder.folder) as page:
         browser.visit(page.address)
         until(lambda: page.players)
         viewer = page.players[0]

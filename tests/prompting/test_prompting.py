@@ -18,8 +18,8 @@ from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import decode, encode
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.chat import ChatConfig
+from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import run_prompts, sample_prompt
-from knotgym.prompting.prompted_episodes import PromptConfig
 from knotgym.prompting.prompts import first
 from knotgym.prompting.reading_scores import reading_scores
 from knotgym.prompting.transcripts import read_transcripts

@@ -10,8 +10,8 @@ import pytest
 from knotgym.datasets.image_table import decode, encode
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.chat import ChatConfig
+from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import sample_prompt
-from knotgym.prompting.prompted_episodes import PromptConfig
 from knotgym.prompting.prompts import MODES, READ, STATEFUL, first
 from knotgym.topology.crossings import label
 

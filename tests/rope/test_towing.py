@@ -103,7 +103,7 @@ def test_verify_names_an_episode_that_went_on_beyond_the_bound(
     towed: Episodes, states_path: str, tmp_path: Path
 ) -> None:
     write_episodes(tmp_path / "e.h5", [towed], bounded(states_path, tow_limit=LIMIT / 2))
-    assert any("truncated differs" in fault for fault in verify(tmp_path / "e.h5"))
+    assert any("length differs" in fault for fault in verify(tmp_path / "e.h5"))
 
 
 @pytest.mark.parametrize("limit", [0, -0.1, float("nan")])

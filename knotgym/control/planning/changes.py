@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.tables import Column, Schema
-from knotgym.control.planning.diagrams import REVERSE, SWITCH, Diagram, see
-from knotgym.control.planning.moves import Moves, Row
+from knotgym.control.planning.moves import MoveRow, Moves
 from knotgym.control.planning.passes import DATA
+from knotgym.control.planning.sights import REVERSE, SWITCH, Diagram, see
 from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.rope.macro_actions import (
     MacroAction,
@@ -287,13 +287,13 @@ def load_guide(path: Path, strange: float = 30.0) -> Guide:
     return Guide(moves, dict(examples), strange)
 
 
-def _single_moves(codes: list[GaussCode], label: int) -> tuple[list[Row], Examples]:
+def _single_moves(codes: list[GaussCode], label: int) -> tuple[list[MoveRow], Examples]:
     """Rows of single moves that lead to codes, numbered from `label`, as if each was seen once."""
-    rows, examples = list[Row](), Examples()
+    rows, examples = list[MoveRow](), Examples()
     for code in codes:
         for number, (before, cost, known) in enumerate(_leading_to(code), label + len(rows)):
             # in as many tries as give this cost
-            rows.append(Row(Diagram(before), number, Diagram(code), 1, round(cost - DOUBT)))
+            rows.append(MoveRow(Diagram(before), number, Diagram(code), 1, round(cost - DOUBT)))
             examples[Diagram(before), number] = known
     return rows, examples
 

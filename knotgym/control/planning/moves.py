@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.tables import Column, Schema, Table, read, write
-from knotgym.control.planning.diagrams import IMAGES, Diagram
+from knotgym.control.planning.sights import IMAGES, Diagram
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
@@ -55,7 +55,7 @@ OUTCOMES = Schema(
 _NAMES = [column.name for column in OUTCOMES.columns]
 
 
-class Row(NamedTuple):
+class MoveRow(NamedTuple):
     """An outcome: move `label` was made `tried` times at `before`, and led `seen` times there."""
 
     before: Diagram
@@ -78,7 +78,7 @@ class Moves:
         before, after: eight int64 arrays by outcome, one for each image.
     """
 
-    def __init__(self, rows: Iterable[Row] = ()) -> None:
+    def __init__(self, rows: Iterable[MoveRow] = ()) -> None:
         self.nodes: list[Diagram] = []
         self.index: dict[Diagram, int] = {}
         self.nx: list[int] = []
@@ -86,7 +86,7 @@ class Moves:
         self.rows = np.zeros((0, 5), np.int64)
         self._arrange(rows)
 
-    def extended(self, rows: Iterable[Row]) -> Moves:
+    def extended(self, rows: Iterable[MoveRow]) -> Moves:
         """Return a table with more rows; this one stays as it is."""
         more = copy.copy(self)
         more.nodes, more.index = self.nodes.copy(), self.index.copy()
@@ -111,17 +111,24 @@ class Moves:
 
         Args:
             shown: float64 by node, V without any move.
-            reward, weight: by move and by outcome, or eight of them, one for each image.
+            reward, weight: by move and by outcome, or eight of them, one for each image; those of
+                images under symmetries of `shown` must agree.
             sweeps: how often the equation is applied, at most; fewer times if it holds before.
         """
+        # Symmetries that leave `shown` as it is leave all values as they are. So one image of each
+        # class is computed, and the others are read off. Every goal has such a symmetry,
+        # because a reflection changes only chirality.
+        own = [k for k in range(IMAGES) if (shown == shown[self._image[k]]).all()]
+        first = [k for k in range(IMAGES) if k == min(k ^ one for one in own)]
         values = shown
         for _ in range(sweeps if len(self.start) else 0):
             new = shown.copy()
-            for k in range(IMAGES):
+            for k in first:
                 chance = weight if isinstance(weight, np.ndarray) else weight[k]
                 paid = reward[k] if isinstance(reward, list) else reward
                 sums = np.add.reduceat(chance * values[self.after[k]], self.start) + paid
                 np.maximum.at(new, self.before[k][self.start], sums)
+            new = np.max([new[self._image[one]] for one in own], axis=0)
             if (new == values).all():
                 break
             values = new
@@ -175,7 +182,7 @@ class Moves:
         table._arrange(())
         return table, others
 
-    def _arrange(self, rows: Iterable[Row]) -> None:
+    def _arrange(self, rows: Iterable[MoveRow]) -> None:
         new = [(self._add(row.before), row.label, self._add(row.after), *row[3:]) for row in rows]
         table = np.concatenate([self.rows, np.array(new, np.int64).reshape(-1, 5)])
         self.rows = table = table[np.lexsort((table[:, 2], table[:, 1], table[:, 0]))]
@@ -183,6 +190,7 @@ class Moves:
         _, self.start = np.unique(table[:, 0] << 32 | table[:, 1], return_index=True)
         self.label, origins = table[self.start, 1], table[self.start, 0]
         first = np.array(self._first, np.int64)
+        self._image = [first[np.arange(len(first)) ^ k] for k in range(IMAGES)]
         self.before = [first[table[:, 0] ^ k] for k in range(IMAGES)]
         self.after = [first[table[:, 2] ^ k] for k in range(IMAGES)]
         edges = [*np.flatnonzero(np.diff(origins, prepend=-1)).tolist(), len(origins)]
@@ -206,7 +214,7 @@ class Moves:
 def pooled(
     counts: Iterable[tuple[Diagram, int, Diagram | None, int]],
     image: Callable[[int, int, int], int],
-) -> list[Row]:
+) -> list[MoveRow]:
     """Make rows from counts, summed over each node's own symmetries.
 
     What is counted for a move holds for its image under every symmetry that leaves its node as it
@@ -225,7 +233,7 @@ def pooled(
                 tried[before, there] += seen
                 if after is not None:
                     outcomes[before, there, after.image(k)] += seen
-    return [Row(*key, seen, tried[key[:2]]) for key, seen in outcomes.items()]
+    return [MoveRow(*key, seen, tried[key[:2]]) for key, seen in outcomes.items()]
 
 
 def _bits(numbers: Iterable[int]) -> int:

@@ -20,7 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
-from knotgym.control.planning.diagrams import (
+from knotgym.control.planning.moves import Moves
+from knotgym.control.planning.sights import (
     IMAGES,
     REVERSE,
     SWITCH,
@@ -30,7 +31,6 @@ from knotgym.control.planning.diagrams import (
     first_goal,
     see,
 )
-from knotgym.control.planning.moves import Moves
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope.macro_actions import LONGEST, Pass
 from knotgym.rope.model import Array

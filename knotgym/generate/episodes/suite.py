@@ -13,33 +13,31 @@ take, and one card for all.
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.configuration import Seed, configuration, read_json
-from knotgym.common.errors import Failed, InvalidFile, InvalidInput
-from knotgym.control.policy_config import PolicyConfig
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import Failed, InvalidFile
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import table
-from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import collect, dataset_folder, require_collectable
-from knotgym.generate.episodes.collect_config import CollectConfig, plain_id
+from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.recordings import RECORDINGS, recordings, replay
 from knotgym.generate.episodes.results import reference_scores
+from knotgym.generate.episodes.suite_config import POLICIES, SUITE, SuiteConfig
 from knotgym.generate.episodes.suite_facts import describe_set
-from knotgym.generate.episodes.suite_scores import SUITE, read_scores, score_tables
-from knotgym.rope.engines import ENGINES, MUJOCO
+from knotgym.generate.episodes.suite_scores import read_scores, score_tables
+from knotgym.rope.engines import ENGINES
 from knotgym.runs.executors import cores
 from knotgym.runs.progress import Progress, duration
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import minari_root
 
-POLICIES, STATES, SPLITS = (tuple(SUITE[name]) for name in ("policies", "states", "splits"))
 SETUPS = tuple(product(SUITE["tasks"], SUITE["nx"]))
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
@@ -47,87 +45,6 @@ _PLAY = (
     *("id", "reached the goal, %", "planned pull by pull, %"),
     *("goal codes, train", "test", "in both", "classes in both"),
 )
-
-
-@configuration
-class SuiteConfig:
-    """Which part of the benchmark to make; all of it by default, see `data/suite.toml`.
-
-    Attributes:
-        tasks: tasks, comma-separated: unknot, tie, convert.
-        nx: numbers of crossings, from 2 to 4: 3 or 2,3.
-        policies: policies, comma-separated: random, noisy, expert, play.
-        splits: splits, comma-separated: train, whose states are held out from test, and train-code,
-            which shares no code with test-code.
-        states: sets of states, comma-separated: readable, random-walk.
-        episodes: policy -> episodes per dataset; by default those of `data/suite.toml`.
-        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
-            Every engine but MuJoCo has ids of its own.
-        observation: observation to store: pixels, state, both or symbolic. Pictures can be drawn
-            from any of them.
-        seed: random seed of every dataset; not 0, the default of `evaluate`, whose episodes on the
-            train split would then start like those of the datasets.
-        recorded: rebuild datasets from the recordings that are included, by stepping alone. Setups
-            without a recording are left out; random episodes follow from the seed.
-    """
-
-    tasks: tuple[str, ...] = tuple(SUITE["tasks"])
-    nx: tuple[int, ...] = tuple(SUITE["nx"])
-    policies: tuple[str, ...] = POLICIES
-    splits: tuple[str, ...] = SPLITS
-    states: tuple[str, ...] = STATES
-    episodes: Mapping[str, int] = field(default_factory=dict)
-    engine: str = MUJOCO
-    observation: str = SUITE["observation"]
-    seed: Seed = SUITE["seed"]
-    recorded: bool = False
-
-    def __post_init__(self) -> None:
-        for name in ("tasks", "nx", "policies", "splits", "states"):
-            some, known = getattr(self, name), SUITE[name]
-            wrong = [one for one in some if one not in known]
-            if wrong or not some:
-                raise InvalidInput(
-                    f"the suite's {name} must be among {', '.join(map(str, known))}; got"
-                    f" {', '.join(map(str, wrong)) or 'none'}"
-                )
-        if unknown := [one for one in self.episodes if one not in POLICIES]:
-            raise InvalidInput(
-                f"episodes are set for {', '.join(POLICIES)}; got {', '.join(unknown)}"
-            )
-        for _ in self.sets():  # raises if a size, seed or observation is invalid
-            pass
-
-    def sets(self) -> Iterator[CollectConfig]:
-        """Yield the requested datasets in the order in which they are made.
-
-        The split by state and readable states come first; within them, one setup is completed
-        before the next.
-        """
-        seed_mark = () if self.seed == SUITE["seed"] else (f"seed{self.seed}",)
-        every = product(self.splits, self.states, self.tasks, self.nx, self.policies)
-        for split, states, task, nx, name in every:
-            policy = PolicyConfig(policy=name)
-            own = None if states == STATES[0] else states
-            setup = TaskConfig(
-                task=task,
-                nx=nx,
-                split=split,
-                states=own,
-                engine=self.engine,
-                observation=self.observation,
-                **SUITE["settings"].get(task, {}),
-                **SUITE["settings"].get(name, {}),
-            )
-            sizes = SUITE["episodes"] | SUITE["episodes"].get(task, {})
-            size = sizes[name][SUITE["nx"].index(nx)]
-            yield CollectConfig(
-                task=setup,
-                policy=policy,
-                episodes=self.episodes.get(name, size),
-                seed=self.seed,
-                dataset_id=plain_id(setup, policy, own or "", *seed_mark),
-            )
 
 
 def core_seconds(config: CollectConfig, recorded: bool = False) -> float:

@@ -2,9 +2,7 @@
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.resources import files
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -15,11 +13,9 @@ from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+from knotgym.generate.episodes.suite_config import SUITE
 from knotgym.runs.intervals import cluster_interval
 
-SUITE: dict[str, Any] = tomllib.loads(
-    (files("knotgym.generate.episodes") / "data" / "suite.toml").read_text("utf-8")
-)
 # Episodes that agree in all of these fields are pooled: LINE selects a table row, CELL a cell.
 LINE = ("policy", "settings", "policy_sha256", "code_sha256", "versions")
 CELL = ("states", "states_sha256", "split", "task", "nx")

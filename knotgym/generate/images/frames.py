@@ -33,7 +33,7 @@ from knotgym.topology.symmetry import Symmetry
 SYMMETRIES = 12  # drawn for each frame
 
 
-class Rope(NamedTuple):
+class PicturedRope(NamedTuple):
     """A rope that is pulled.
 
     Attributes:
@@ -49,7 +49,7 @@ class Rope(NamedTuple):
 
 def frames_of(
     config: ImagesConfig,
-    ropes: Sequence[Rope],
+    ropes: Sequence[PicturedRope],
     start_qpos: Array,
     wanted: dict[str, Collection[int]],
 ) -> Result:
@@ -111,7 +111,7 @@ def symmetry_of(fields: NDArray[np.int64]) -> Symmetry:
 
 
 def _observed(
-    config: ImagesConfig, ropes: Sequence[Rope], start_qpos: Array
+    config: ImagesConfig, ropes: Sequence[PicturedRope], start_qpos: Array
 ) -> dict[tuple[int, int], Array]:
     """Return the points of frames by index of the rope and pulls, in that order."""
     task = TaskConfig(task="unknot", nx=1, engine=config.engine, horizon=config.pulls, endless=True)

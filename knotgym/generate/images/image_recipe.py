@@ -16,10 +16,10 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.finished_folders import finish_images
-from knotgym.datasets.image_rows import Row, drawn
+from knotgym.datasets.image_rows import PictureRow, drawn
 from knotgym.datasets.image_table import arrow, shard_name
 from knotgym.generate.images.choice import Chooser, Quota
-from knotgym.generate.images.frames import Rope, frames_of
+from knotgym.generate.images.frames import PicturedRope, frames_of
 from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.compilation import compile_first
@@ -159,7 +159,10 @@ class _Waves:
     """
 
     def __init__(self, config: ImagesConfig, plan: _Plan) -> None:
-        self.ropes, self.chooser = list[Rope](), Chooser(plan.quota, plan.held_out, config.extreme)
+        self.ropes, self.chooser = (
+            list[PicturedRope](),
+            Chooser(plan.quota, plan.held_out, config.extreme),
+        )
         self._config, self._plan = config, plan
         self._quota_of = list[Quota]()  # that each rope is for
         # by quota: ropes that were pulled for it, and pictures that they gave
@@ -172,16 +175,16 @@ class _Waves:
         config, first = self._config, len(self.ropes)
         rng = generator(Stream.IMAGE_WAVE, config.seed, self._wave)
         lacking = self.chooser.lacking()
-        # 10 % more ropes than the yield so far suggests, smoothed by 1 rope and 4 pictures
+        # 10 % more ropes than the yield so far suggests, smoothed by 1 rope and 2 pictures
         wanted = {
-            key: int(np.ceil(1.1 * count * (self._pulled[key] + 1) / (self._gave[key] + 4)))
+            key: int(np.ceil(1.1 * count * (self._pulled[key] + 1) / (self._gave[key] + 2)))
             for key, count in lacking.items()
         }
         total = max(config.most_ropes, sum(wanted.values()))
         for key, count in wanted.items():
             few = max(1, count * config.most_ropes // total)
             for start in rng.choice(self._starts(*key), size=few).tolist():
-                self.ropes.append(Rope(len(self.ropes), start, key[0]))
+                self.ropes.append(PicturedRope(len(self.ropes), start, key[0]))
                 self._quota_of.append(key)
             self._pulled[key] += few
         missing = {split: {nx for one, nx in lacking if one == split} for split in IMAGE_SPLITS}
@@ -241,9 +244,9 @@ class _Waves:
         raise Failed(f"no state is left for {split} with nx {nx}; start from more states")
 
 
-def _files(config: ImagesConfig, waves: _Waves) -> dict[str, list[Row]]:
+def _files(config: ImagesConfig, waves: _Waves) -> dict[str, list[PictureRow]]:
     """Return the rows of every file by its name; each split's rows are in random order."""
-    files: dict[str, list[Row]] = {}
+    files: dict[str, list[PictureRow]] = {}
     number = 0
     for place, split in enumerate(IMAGE_SPLITS):
         chosen = [one for one in waves.chooser.chosen if one.split == split]
@@ -261,6 +264,6 @@ def _files(config: ImagesConfig, waves: _Waves) -> dict[str, list[Row]]:
                     "seed": config.seed,
                     "row": number,
                 }
-                files[name].append(Row(chosen[at].points, split, source))
+                files[name].append(PictureRow(chosen[at].points, split, source))
                 number += 1
     return files

@@ -56,7 +56,7 @@ class ImagesConfig:
     appearance: AppearanceConfig = AppearanceConfig()
     rows_per_file: Count = 500
     ropes: Count = 64
-    most_ropes: Count = 2048
+    most_ropes: Count = 32_768
     idle: Count = 6
 
     def __post_init__(self) -> None:

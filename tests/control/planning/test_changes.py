@@ -3,8 +3,8 @@ import pytest
 
 from knotgym.control.planning import CHANGES, shipped_guide
 from knotgym.control.planning.changes import Example, Guide, Proposals
-from knotgym.control.planning.diagrams import Diagram
-from knotgym.control.planning.moves import Moves, Row
+from knotgym.control.planning.moves import MoveRow, Moves
+from knotgym.control.planning.sights import Diagram
 from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.rope.model import Rope
 from knotgym.topology.diagrams import with_chirality
@@ -63,7 +63,7 @@ def test_an_image_of_an_example_is_undone_by_the_same_symmetry() -> None:
 def test_proposals_imitate_what_made_a_change() -> None:
     points, rng = Rope().loop(), np.random.default_rng(0)
     examples = [Example(1, 0.3, 0.5)]
-    row = Row(Diagram(FLAT), 0, Diagram(KINK), 5, 10)
+    row = MoveRow(Diagram(FLAT), 0, Diagram(KINK), 5, 10)
     guide = Guide(Moves([row]), {(Diagram(FLAT), 0): examples})
     changes = guide.to(KINK, FLAT).nearer(FLAT)
     config = PullPlannerConfig(guided=1.0, template_noise=0.0)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidFile, MissingFile
-from knotgym.control.planning.diagrams import IMAGES, Diagram
-from knotgym.control.planning.moves import Moves, Row, pooled
+from knotgym.control.planning.moves import MoveRow, Moves, pooled
+from knotgym.control.planning.sights import IMAGES, Diagram
 from knotgym.topology.diagrams import chiralities, planar_codes
 from knotgym.topology.gauss import GaussCode
 
@@ -29,7 +29,9 @@ def random_table(seed: int) -> Moves:
         before = Diagram(CODES[rng.integers(len(CODES))])
         tried = int(rng.integers(10, 30))
         for after in rng.choice(len(CODES), size=int(rng.integers(1, 5)), replace=False):
-            rows.append(Row(before, label, Diagram(CODES[after]), int(rng.integers(1, 3)), tried))
+            rows.append(
+                MoveRow(before, label, Diagram(CODES[after]), int(rng.integers(1, 3)), tried)
+            )
     return Moves(rows)
 
 
@@ -67,7 +69,7 @@ def test_certain_moves_make_shortest_paths(seed: int) -> None:
     table = random_table(seed)
     # one outcome a move: each is tried until it succeeds
     single = Moves(
-        Row(table.nodes[b], n, table.nodes[a], seen, tried)
+        MoveRow(table.nodes[b], n, table.nodes[a], seen, tried)
         for n, (b, _, a, seen, tried) in enumerate(table.rows.tolist())
     )
     far = {node: math.inf for node in single.nodes}
@@ -110,7 +112,7 @@ def test_more_rows_leave_a_table_alone() -> None:
     table = random_table(1)
     nodes, rows = len(table.nodes), len(table.rows)
     new = Diagram(GaussCode.parse("1+c,1-c,2+c,2-c,3+c,3-c,4+c,4-c"))
-    more = table.extended([Row(new, 99, table.nodes[0], 1, 2)])
+    more = table.extended([MoveRow(new, 99, table.nodes[0], 1, 2)])
     assert (len(table.nodes), len(table.rows)) == (nodes, rows) and new not in table.index
     assert len(more.rows) == rows + 1 and new in more.index
 

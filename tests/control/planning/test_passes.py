@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from knotgym.control.planning import EVERY_CODE, PASSES, pass_values
-from knotgym.control.planning.diagrams import IMAGES, Diagram, see
 from knotgym.control.planning.moves import Moves, pooled
 from knotgym.control.planning.passes import PassValues, template_images, templates
+from knotgym.control.planning.sights import IMAGES, Diagram, see
 from knotgym.rope.macro_actions import Pass
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import GaussCode

@@ -34,7 +34,7 @@ Ids = NDArray[np.int64]
 _AT_ONCE = 256  # pictures drawn between two writes
 
 
-class Frames:
+class DrawnFrames:
     """The frames of one dataset as one kind of observation."""
 
     def __init__(self, dataset: EpisodeDataset, observation: str, picture: Any, cache: Any) -> None:

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.control.planning.diagrams import Diagram, canonical_image, see
+from knotgym.control.planning.sights import Diagram, canonical_image, see
 from knotgym.rope.model import Array
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.symmetry import Symmetry

@@ -1,0 +1,26 @@
+"""The configuration of `knotgym play`; nothing here computes: the command line reads it."""
+
+from knotgym.common.configuration import Seed, Whole, configuration
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.engines import CHAIN
+
+
+@configuration
+class PageConfig:
+    """What is played, and where the page is served.
+
+    Attributes:
+        task: the environment.
+        seed: random seed; episode i is the one that `knotgym evaluate` plays with the same seed.
+        policy: policy that gives hints and can take over, as in evaluate.
+        player: who plays, in a few words; stored with what is recorded.
+        host: host; any but the loopback asks for a token.
+        port: port of the page.
+    """
+
+    task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
+    seed: Seed = 0
+    policy: str = "expert"
+    player: str = ""
+    host: str = "127.0.0.1"
+    port: Whole = 8080

@@ -1,0 +1,47 @@
+"""The configuration of `knotgym prompt`; nothing here computes: the command line reads it."""
+
+from typing import Literal
+
+from knotgym.common.configuration import Count, NonNegative, Seed, configuration
+from knotgym.common.errors import InvalidInput
+from knotgym.envs.tasks import TaskConfig
+from knotgym.prompting.chat import ChatConfig
+
+
+@configuration
+class PromptConfig:
+    """Settings of a run.
+
+    Attributes:
+        mode: what is asked; open: one answer with all actions; stateless: one action per request;
+            stateful: the same, with past pictures and answers; read: the Gauss code of a picture.
+        chat: settings of the client.
+        task: the environment; its horizon limits the actions, and its image_size is that of each
+            picture. Unused in mode read.
+        episodes: number of episodes, or of pictures from the start of the split.
+        seed: random seed of the episodes. Episode i is the same in every mode and in `evaluate`.
+        window: past turns included in mode stateful.
+        tell_centre: tell the model the world coordinates of the picture's centre.
+        prompt_price: price of a million prompt tokens.
+        completion_price: price of a million completion tokens.
+        pictures: in mode read, the split of the pictures, then the SHA-256 of them all.
+        side_by_side: concurrent requests to the server; makes no difference to them.
+    """
+
+    mode: Literal["open", "stateless", "stateful", "read"] = "stateless"
+    chat: ChatConfig
+    task: TaskConfig = TaskConfig(task="tie", image_size=256)
+    episodes: Count = 100
+    seed: Seed = 0
+    window: Count = 4
+    tell_centre: bool = False
+    prompt_price: NonNegative | None = None
+    completion_price: NonNegative | None = None
+    pictures: tuple[str, ...] = ()
+    side_by_side: Count = 4
+
+    def __post_init__(self) -> None:
+        if (self.prompt_price is None) != (self.completion_price is None):
+            raise InvalidInput("give the prices of both prompt and completion tokens, or neither")
+        if self.task.views != ("top",) or self.task.depth:
+            raise InvalidInput("prompts support only the view from the top, without depth")
