@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from knotgym.common.atomic_files import (
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.control import verification
 from knotgym.datasets.episode_dataset import open_episodes
-from knotgym.datasets.episode_outcomes import outcomes
 from knotgym.datasets.episode_verification import expanded
 from knotgym.datasets.episodes import differences
 from knotgym.datasets.foreign_file import try_files
@@ -33,10 +32,11 @@ from knotgym.datasets.located import (
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.page.page_data import page_data
 from knotgym.datasets.page.page_writer import write_page
+from knotgym.generate.episodes.evaluate import film as film_of
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Array, rope_of
+from knotgym.rope.model import rope_of
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
 from knotgym.states.state_file import (
@@ -46,6 +46,7 @@ from knotgym.states.state_file import (
     states_at,
 )
 
+Image: TypeAlias = NDArray[np.uint8]
 _LARGE = 4_000_000  # bytes; larger tables are checked faster by several processes than by one
 
 
@@ -146,31 +147,17 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
     require_output(out, folder=False, overwrite=overwrite)
     require_film(out)
     kind, path = resolve_dataset(named, "states", "episodes")
-    scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
-    if scene.difference:
-        raise Failed(
-            f"row {row} of {named} ends in another state when replayed: {scene.difference}"
-        )
+    frames, steps, difference = (_state_film if kind == "states" else _episode_film)(path, row)
+    if difference:
+        raise Failed(f"row {row} of {named} ends in another state when replayed: {difference}")
     progress.stage("writing")
-    steps = len(scene.pulls)
-    headings = [f"step {step} of {steps}" for step in range(steps + 1)]
-    frames = film_frames([*scene.ropes], scene.goal, headings, scene.pulls, scene.reached)
     with atomic_write(out, overwrite=overwrite) as temporary:
         write_film(temporary, frames)
     return f"bit for bit the same, {steps} steps"
 
 
-class _Scene(NamedTuple):
-    """A replay: what it shows, and how it differs from what is stored."""
-
-    ropes: Array
-    pulls: list[tuple[int, Array]]
-    goal: Array
-    reached: NDArray[np.bool_]
-    difference: str
-
-
-def _state_scene(path: Path, row: int) -> _Scene:
+def _state_film(path: Path, row: int) -> tuple[list[Image], int, str]:
+    """Replay a state; return frames, their number of steps, and how the end differs."""
     states = read_states(states_at(path), images=False)
     _require_row(row, len(states))
     if not {"start_qpos", "actions", "steps"} <= states.source.keys():
@@ -186,28 +173,20 @@ def _state_scene(path: Path, row: int) -> _Scene:
         pulls.append((int(beads[0]), forces[0] / rope.max_force))
         simulation.act(action[None])
         ropes.append(simulation.points[0].copy())
-    off = np.abs(ropes[-1] - end).max()
-    difference = f"beads differ by up to {off:.3g} m per coordinate" if off else ""
-    reached = np.arange(len(ropes)) == len(pulls)
-    return _Scene(np.array(ropes), pulls, end, reached, difference)
+    steps, off = len(pulls), np.abs(ropes[-1] - end).max()
+    headings = [f"step {step} of {steps}" for step in range(steps + 1)]
+    frames = film_frames(ropes, end, headings, pulls, np.arange(steps + 1) == steps)
+    return frames, steps, f"beads differ by up to {off:.3g} m per coordinate" if off else ""
 
 
-def _episode_scene(path: Path, row: int) -> _Scene:
+def _episode_film(path: Path, row: int) -> tuple[list[Image], int, str]:
+    """Replay an episode; see `_state_film`."""
     dataset = open_episodes(path)
     _require_row(row, dataset.episodes.episodes.rows)
     stored = dataset.select([row])
-    (own, steps) = made = expanded(stored, verification.replay).episodes
-    pulls = [
-        (int(bead), force.astype(np.float64))
-        for bead, force in zip(steps["bead"][:-1], steps["force"][:-1], strict=True)
-    ]
-    return _Scene(
-        steps["observation"].astype(np.float64),
-        pulls,
-        own["goal_points"][0].astype(np.float64),
-        outcomes(made, dataset.task).reached,
-        "; ".join(differences(made, stored.episodes)[:3]),
-    )
+    made = expanded(stored, verification.replay).episodes
+    steps, difference = int(made.episodes["length"][0]), differences(made, stored.episodes)
+    return film_of(made, dataset.task), steps, "; ".join(difference[:3])
 
 
 def _require_row(row: int, count: int) -> None:

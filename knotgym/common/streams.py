@@ -56,7 +56,7 @@ class Stream(IntEnum):
     LEARN_PLACES = 52  # the start positions of ropes that are kept
     LEARN_CLONE = 53  # step of training the clone
     LEARN_HELD_OUT = 54  # the episodes held out of a clone's training
-    DEMONSTRATION = 58  # task, episode: its start, its goal, and the passes before it
+    DEMONSTRATION = 58  # task, nx, episode: the seed of a demonstration for a clone
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play
     DEMONSTRATED = 66  # state, attempt: the seed of the episode that ends in its code
