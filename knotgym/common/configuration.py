@@ -134,21 +134,6 @@ def as_json(config: Any) -> dict[str, Any]:
     return found
 
 
-def updated(config: Config, changes: Mapping[str, Any]) -> Config:
-    """Return a copy of a configuration with some fields replaced, in nested ones field by field.
-
-    `changes` have the form that `as_json` returns.
-
-    Raises:
-        InvalidInput: an unknown field, or a value of the wrong type or out of range.
-
-    >>> from knotgym.envs.tasks import TaskConfig
-    >>> updated(TaskConfig(task="tie"), {"nx": 3}).nx
-    3
-    """
-    return _validated(type(config), merged(as_json(config), changes))
-
-
 def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
     """Make a configuration of class `kind` from JSON, as `as_json` returns it or less.
 

@@ -40,9 +40,6 @@ class Existing:
             )
 
 
-REFUSE_EXISTING = Existing()
-
-
 @configuration
 class RunOptions(Existing):
     """Execution options; they don't change the output, but a shard makes a part of it.

@@ -17,7 +17,6 @@ from knotgym.common.configuration import (
     choice,
     configuration,
     from_json,
-    updated,
 )
 from knotgym.common.errors import InvalidInput, KnotgymError
 from knotgym.drawing.drawing_config import DrawingConfig, LayoutRelaxationConfig
@@ -108,11 +107,6 @@ def test_a_missing_field_is_named() -> None:
 def test_values_left_out_have_the_defaults_of_their_place() -> None:
     assert from_json(Outer, {"inner": {"range": [1, 2]}}).inner == Inner(size=7, range=(1, 2))
     assert from_json(Outer, {"other": {}}).other == Inner(size=3)
-
-
-def test_an_update_keeps_what_it_does_not_name() -> None:
-    config = updated(Outer(seed=4), {"inner": {"size": 2}})
-    assert config == Outer(seed=4, inner=Inner(size=2))
 
 
 @pytest.mark.parametrize("kind", CONFIGURATIONS)
