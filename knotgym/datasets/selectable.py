@@ -5,11 +5,11 @@ an episode file or a Parquet file; or, of episodes, a Minari dataset.
 """
 
 import json
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,31 +39,14 @@ class Destination(NamedTuple):
     overwrite: bool = False
 
 
-class Selectable(Protocol):
-    """A dataset to select from.
-
-    Attributes:
-        digested: the file whose checksum identifies the source.
-        columns: name -> one value per row.
-        ids: int64 (n,), how `delete` names the rows.
-        splits: name -> bool (n,), the rows of each split.
-        earlier: the selections by which the source itself was made.
-    """
-
-    digested: Path
-    earlier: Selections
-
-    @property
-    def columns(self) -> dict[str, NDArray[Any]]: ...
-    @property
-    def ids(self) -> Rows: ...
-    @property
-    def splits(self) -> dict[str, NDArray[np.bool_]]: ...
-    def keys(self) -> list[list[Hashable]]:
-        """Return for each row what it shares with rows that must stay in the same part."""
-
-    def write(self, rows: Rows, made: Selections, path: Path) -> None:
-        """Write rows to a new file."""
+# Each kind has:
+#   digested    the file whose checksum identifies the source
+#   earlier     the selections by which the source itself was made
+#   columns     name -> one value per row
+#   ids         int64 (n,), how `delete` names the rows
+#   splits      name -> bool (n,), the rows of each split
+#   keys()      for each row what it shares with rows that must stay in the same part
+#   write()     write rows to a new file
 
 
 class _States:
@@ -214,6 +197,9 @@ class _Episodes:
         )
 
 
+Selectable = _States | _Pictures | _Episodes
+
+
 def opened(source: str | Path) -> Selectable:
     """Open a dataset by its path, name or id.
 
@@ -221,9 +207,9 @@ def opened(source: str | Path) -> Selectable:
         MissingFile, InvalidInput: as in `resolve_dataset`.
     """
     kind, path = resolve_dataset(str(source))
-    kinds: dict[str, Callable[[Path], Selectable]]
-    kinds = {"states": _States, "images": _Pictures, "episodes": _Episodes}
-    return kinds[kind](path)
+    if kind == "states":
+        return _States(path)
+    return _Pictures(path) if kind == "images" else _Episodes(path)
 
 
 def require_target(given: Selectable, target: Destination) -> None:

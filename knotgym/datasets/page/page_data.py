@@ -30,6 +30,7 @@ MOST_STATES = 1500  # about 1.3 kB each
 MOST_PICTURES = 400  # about 8 kB more each
 MOST_FRAMES = 7000  # states of all episodes, about 1.1 kB each
 MOST_STEPS = 1000  # steps of one episode
+_SHOWN = ("nx", "gauss_code", "gauss_code_chiral", "split", "knot")
 _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 
 
@@ -120,12 +121,7 @@ def _states(states: States, notices: list[str]) -> dict[str, Any]:
         "beads": states.points.shape[1],
         "states": [
             {
-                "row": i,
-                "nx": int(states.nx[i]),
-                "code": str(states.gauss_code_chiral[i]),
-                "plain": str(states.gauss_code[i]),
-                "split": str(states.split[i]),
-                "knot": str(states.knot[i]),
+                **_row(i, {name: states.table[name][i] for name in _SHOWN}),
                 "q": [_number(states.quality[name][i]) for name in quality],
                 "x": _crossings(states.points[i]),
                 "steps": int(source["steps"][i]) if "steps" in source else None,
@@ -139,8 +135,7 @@ def _states(states: States, notices: list[str]) -> dict[str, Any]:
 
 def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
     """Collect a perception table: states with their pictures."""
-    columns = ["gauss_code", "gauss_code_chiral", "nx", "knot", "points", "split", "quality"]
-    table = read_table(source, columns=[*columns, "grade", "image"])
+    table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image"])
     rows = sampled(len(table), MOST_PICTURES)
     _notice(notices, rows, len(table), "pictures")
     taken = table.take(rows).to_pylist()
@@ -156,12 +151,7 @@ def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
         ),
         "states": [
             {
-                "row": i,
-                "nx": row["nx"],
-                "code": row["gauss_code_chiral"],
-                "plain": row["gauss_code"],
-                "split": row["split"],
-                "knot": row["knot"],
+                **_row(i, row),
                 "grade": row["grade"],
                 "q": [_number(row["quality"][name]) for name in measures],
                 "x": _crossings(own),
@@ -171,6 +161,13 @@ def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
             for i, row, own in zip(rows, taken, points, strict=True)
         ],
     }
+
+
+def _row(number: int, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what states and pictures have in common."""
+    shown: dict[str, Any] = {"row": number, "nx": int(row["nx"])}
+    shown |= {"code": str(row["gauss_code_chiral"]), "plain": str(row["gauss_code"])}
+    return {**shown, "split": str(row["split"]), "knot": str(row["knot"])}
 
 
 def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:

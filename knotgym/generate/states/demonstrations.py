@@ -33,7 +33,7 @@ from knotgym.topology.knot_table import diagram_of, type_of
 HORIZON = 200  # actions, more than any demonstration needs
 _STARTS = 8  # drawn states that episodes start from, in both splits together
 _TOGETHER = 12  # episodes of a call, about
-_EXPERT = 2  # rollouts of the expert before the planner's turn
+_EXPERT = 4  # rollouts of the expert before the planner's turn, which takes longer
 
 
 class Demonstrated(NamedTuple):

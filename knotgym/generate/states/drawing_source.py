@@ -206,7 +206,8 @@ def _drawn(
     if actions is None:
         rejected["simulation failed"] += 1
         return None
-    points, qpos = simulation.points[0].copy(), simulation.qpos(_ONE)[0]
+    qpos = simulation.qpos(_ONE)[0]
+    points = rope.points(qpos)
     judgement = judge(points, [config.limits], code=code)
     rejected.update(judgement.faults)
     if judgement.faults:

@@ -162,8 +162,9 @@ class _Living(Player):
         if not len(seen):
             return
         columns = self._batch.number[seen].tolist(), self._batch.steps[seen].tolist()
-        where = self._simulation.qpos(seen), self._simulation.points[seen]
-        self._life.frames += map(Frame, *columns, *where)
+        # where a reset lays the rope; the chain engine's own vertices differ by rounding
+        qpos = self._simulation.qpos(seen)
+        self._life.frames += map(Frame, *columns, qpos, self._simulation.rope.points(qpos))
 
     def _random(self, ids: Ids) -> BeadsAndForces:
         actions = self._drawn[ids, self._batch.steps[ids]]
