@@ -75,7 +75,7 @@ def train(
     if not opened and not getattr(config, "demonstrations", 0):
         raise InvalidInput(
             "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations be"
-            " made for a clone, as in --demonstrations 1000"
+            " made for a clone, as in --set clone.demonstrations=1000"
         )
     columns = "observation", "bead", "force", "share"
     read = digest([one.episodes.steps[name] for one in opened for name in columns])

@@ -115,12 +115,18 @@ def test_parquet_tables_hold_every_number(states_path: str, huggingface: Path) -
 
 
 @needs_arrow
-def test_the_folder_has_card_citation_and_gallery(huggingface: Path) -> None:
-    assert {"README.md", "CITATION.cff", "gallery.png", "data"} == {
+def test_the_folder_has_card_citation_gallery_and_croissant(huggingface: Path) -> None:
+    assert {"README.md", "CITATION.cff", "gallery.png", "croissant.json", "data"} == {
         path.name for path in huggingface.iterdir()
     }
     card = (huggingface / "README.md").read_text(encoding="utf-8")
     assert "license: cc-by-4.0" in card and "| `goal_gauss_code` |" in card
+    described = json.loads((huggingface / "croissant.json").read_text(encoding="utf-8"))
+    assert described["license"].endswith("by/4.0/")
+    assert described["rai:personalSensitiveInformation"]
+    fields = {one["@id"]: one for records in described["recordSet"] for one in records["field"]}
+    assert fields["states/train/gauss_code"]["dataType"] == "sc:Text"
+    assert fields["states/train/points"]["repeated"]
 
 
 HOSTILE = (
@@ -229,6 +235,21 @@ def test_datasets_reads_the_folder(huggingface: Path, tmp_path: Path) -> None:
     )
     found = output_of(script, tmp_path, HF_HOME=str(tmp_path / "hf"), HF_HUB_OFFLINE="1")
     assert found == "['train'] 300\n"
+
+
+@clients
+@needs_arrow
+def test_croissant_is_valid_and_a_record_comes_back(huggingface: Path, tmp_path: Path) -> None:
+    if find_spec("mlcroissant") is None:
+        pytest.skip("mlcroissant isn't installed")
+    script = (
+        "import mlcroissant\n"
+        f"one = mlcroissant.Dataset(jsonld={str(huggingface / 'croissant.json')!r})\n"
+        "print(len(one.metadata.ctx.issues.errors))\n"
+        "row = next(iter(one.records('states/train')))\n"
+        "print(len(row['states/train/points']))"
+    )
+    assert output_of(script, tmp_path).split() == ["0", "300"]
 
 
 @clients

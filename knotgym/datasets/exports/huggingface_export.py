@@ -1,17 +1,19 @@
 """Export a dataset as a folder to upload to Hugging Face.
 
     README.md           the card, with the YAML front matter for the site and `load_dataset`
+    croissant.json      a machine-readable description, with responsible-AI fields
     CITATION.cff
     gallery.png         contact sheet of states
     data/CONFIG/SPLIT-00000-of-00001.parquet      configs: states and steps
 
-Load it with `load_dataset(FOLDER, "steps")`. The site makes the Croissant description of a dataset
-from its Parquet files. Floats keep their full precision, but only the Minari dataset (`--to
-minari`) has everything that is needed to replay an episode. A folder of pictures is ready to upload
-as it is: it has its card and Parquet files already.
+Load it with `load_dataset(FOLDER, "steps")`. Floats keep their full precision, but only the Minari
+dataset (`--to minari`) has everything that is needed to replay an episode. A folder of pictures is
+ready to upload as it is: it has its card and Parquet files already.
 """
 
+import json
 import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -30,6 +32,7 @@ from knotgym.datasets.cards.citation import (
 )
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of
+from knotgym.datasets.exports.croissant import croissant
 from knotgym.datasets.exports.parquet_tables import step_tables, write_parquet
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.image_table import arrow
@@ -70,7 +73,16 @@ def to_huggingface(
             raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
         write_text(folder / "CITATION.cff", citation_file(source.title))
         gallery = (folder / "gallery.png").is_file()
-        write_text(folder / "README.md", _card(source.title, files, gallery))
+        rows = Counter[str]()
+        for file in files:
+            rows[file.config] += file.rows
+        description = (
+            f"{', '.join(f'{count} {config}' for config, count in rows.items())} of a closed rope"
+            f" in MuJoCo, labelled with Gauss codes; made by knotgym {knotgym.__version__}."
+        )
+        write_text(folder / "README.md", _card(source.title, description, files, gallery))
+        described = croissant(folder, source.title, description)
+        write_text(folder / "croissant.json", json.dumps(described, indent=1))
 
 
 def _written(source: Sources, folder: Path) -> Iterator[_File]:
@@ -101,11 +113,10 @@ def _path(folder: Path, config: str, split: str) -> Path:
     return folder / f"data/{config}/{split}-00000-of-00001.parquet"
 
 
-def _card(title: str, files: Sequence[_File], gallery: bool) -> str:
-    counts, configs, tables = list[str](), list[str](), list[str]()
+def _card(title: str, description: str, files: Sequence[_File], gallery: bool) -> str:
+    configs, tables = list[str](), list[str]()
     for config in dict.fromkeys(file.config for file in files):
         own = [file for file in files if file.config == config]
-        counts.append(f"{sum(file.rows for file in own)} {config}")
         configs += [f"- config_name: {config}", *([] if configs else ["  default: true"])]
         configs += ["  data_files:"]
         for file in own:
@@ -121,10 +132,7 @@ def _card(title: str, files: Sequence[_File], gallery: bool) -> str:
         size=next((name for most, name in _SIZES if total < most), "1M<n<10M"),
         configs=configs,
         title=plain(title),
-        description=(
-            f"{', '.join(counts)} of a closed rope in MuJoCo, labelled with Gauss codes; made by"
-            f" knotgym {knotgym.__version__}."
-        ),
+        description=description,
         gallery="![pictures of the rope](gallery.png)" if gallery else "",
         first=files[0].config,
         tables=tables[1:],

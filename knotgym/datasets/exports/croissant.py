@@ -1,0 +1,77 @@
+"""Croissant: a machine-readable description of a folder of Parquet files, for dataset search.
+
+Source: MLCommons Croissant 1.0 and Croissant RAI 1.0. `croissant.json` has what is the same for
+every dataset: the context that mlcroissant writes, licence, and the responsible-AI fields.
+"""
+
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from knotgym.common.atomic_files import sha256
+from knotgym.datasets.cards.citation import BIBTEX
+from knotgym.datasets.image_table import arrow
+
+_TYPES = {"string": "sc:Text", "bool": "sc:Boolean", "float": "sc:Float", "double": "sc:Float"}
+
+
+def croissant(folder: Path, name: str, description: str) -> dict[str, Any]:
+    """Describe the tables data/CONFIG/SPLIT-*.parquet of a folder; the result is JSON."""
+    fixed = json.loads((files("knotgym.datasets.exports") / "croissant.json").read_text("utf-8"))
+    paths = [path.relative_to(folder) for path in sorted(folder.glob("data/*/*.parquet"))]
+    return {
+        **fixed,
+        "name": re.sub(r"[^\w-]+", "-", name),
+        "description": description,
+        "citeAs": BIBTEX,
+        "distribution": [
+            {
+                "@type": "cr:FileObject",
+                "@id": path.as_posix(),
+                "name": path.as_posix(),
+                "contentUrl": path.as_posix(),
+                "contentSize": f"{(folder / path).stat().st_size} B",
+                "encodingFormat": "application/x-parquet",
+                "sha256": sha256(folder / path),
+            }
+            for path in paths
+        ],
+        "recordSet": [_records(folder, path) for path in paths],
+    }
+
+
+def _records(folder: Path, path: Path) -> dict[str, Any]:
+    parquet = arrow("pyarrow.parquet").ParquetFile(folder / path)
+    split = path.name.partition("-")[0]
+    where = f"{path.parent.name}/{split}"
+    fields = [_field(where, path.as_posix(), column) for column in parquet.schema_arrow]
+    return {
+        "@type": "cr:RecordSet",
+        "@id": where,
+        "name": where,
+        "description": f"{parquet.metadata.num_rows} rows of split {split}.",
+        "field": [field for field in fields if field],
+    }
+
+
+def _field(where: str, path: str, column: Any) -> dict[str, Any]:
+    """Describe a column; {} for structs other than pictures, which Croissant would flatten."""
+    kind, repeated, picture = str(column.type), False, "struct<bytes: binary" in str(column.type)
+    if kind.startswith(("list<", "fixed_size_list<", "large_list<")):
+        kind, repeated = str(column.type.value_type), True
+    if not picture and "<" in kind:
+        return {}
+    source: dict[str, Any] = {"fileObject": {"@id": path}, "extract": {"column": column.name}}
+    if picture:
+        source["transform"] = {"jsonPath": "bytes"}
+    return {
+        "@type": "cr:Field",
+        "@id": f"{where}/{column.name}",
+        "name": f"{where}/{column.name}",
+        "description": f"The column {column.name}, explained in README.md.",
+        "dataType": "sc:ImageObject" if picture else _TYPES.get(kind, "sc:Integer"),
+        **({"repeated": True} if repeated else {}),
+        "source": source,
+    }
