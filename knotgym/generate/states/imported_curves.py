@@ -32,7 +32,7 @@ from knotgym.states.schema import IMPORT
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import UNKNOWN, knot_type
+from knotgym.topology.knots import UNKNOWN, knot_type, possible_types
 
 # Heights are scaled, which changes no code, and the curve is relaxed; the first to pass is kept.
 _HEIGHTS, _ROUNDS = (1.0, 0.4, 0.15), (0, 1, 2, 4, 8, 16, 32, 64)
@@ -128,7 +128,11 @@ def _laid(
             " intricate for this rope"
         )
     if knot_type(code) == UNKNOWN:
-        raise InvalidInput(f"{curve.name}: its knot, of {code.nx} crossings, can't be certified")
+        several = possible_types(code)
+        which = f"; it is one of {', '.join(several)}, which share polynomials" if several else ""
+        raise InvalidInput(
+            f"{curve.name}: its knot, of {code.nx} crossings, can't be certified{which}"
+        )
     stream, rest = key(Stream.IMPORT, seed, code.nx, number), np.zeros((_REST, 6), dtype=np.float32)
     why = "its strands can't be moved apart"
     for height, rounds in product(_HEIGHTS, _ROUNDS):
