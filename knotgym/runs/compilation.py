@@ -1,5 +1,7 @@
 """Compilation before a run, so that its processes don't all wait for the same kernels."""
 
+from collections.abc import Callable
+
 from knotgym.rope.engines import CHAIN, MUJOCO, compile_engine, is_compiled
 from knotgym.runs.executors import cores, executor
 from knotgym.runs.progress import Progress
@@ -13,28 +15,30 @@ def compile_first(
     workers: int = 1,
     *,
     draws: bool = False,
-    plans: bool = False,
+    plan: Callable[[], None] | None = None,
 ) -> None:
     """Compile an engine's kernels, if they aren't; beside them, those that paint pictures.
 
     Both take about as long, so two processes compile them; with one worker (0: one per core),
     pictures wait until one is painted. A run that draws states also needs the kernels that draw
-    and measure them, and one that plans those of the chain engine; each of its workers would
-    compile them.
+    and measure them, and one that plans in the chain engine those that `plan`, a function of a
+    module, uses; otherwise each of its workers would compile them.
     """
-    engines = [CHAIN, engine] if plans and engine != CHAIN else [engine]
+    engines = [CHAIN, engine] if plan is not None and engine != CHAIN else [engine]
     if not all(map(is_compiled, engines)):
         progress.stage("compiling, only on the first run")
         count = min(2, workers or cores())
         others = [_DRAWINGS, _MEASURES, _PICTURES] if draws else [_PICTURES]
         with executor(count) as pool:
-            # the chain engine takes longest, so it comes first
+            # the chain engine takes longest, so it comes first, with what needs it
             first, *more = engines
-            list(pool.map(_compile, [first, *others, *more] if count > 1 else engines))
+            later = [*others, *more] if count > 1 else more
+            tasks = [(first, plan), *((name, None) for name in later)]
+            list(pool.map(_compile, *zip(*tasks, strict=True)))
     progress.stage("starting")
 
 
-def _compile(kernels: str) -> None:
+def _compile(kernels: str, then: Callable[[], None] | None) -> None:
     import numpy as np
 
     from knotgym.rope.model import Rope
@@ -60,3 +64,5 @@ def _compile(kernels: str) -> None:
         rope.qpos(points)
     else:
         compile_engine(kernels)
+    if then is not None:
+        then()

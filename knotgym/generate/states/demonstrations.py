@@ -25,6 +25,7 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows, joined
+from knotgym.rope.engines import CHAIN
 from knotgym.runs.run import Call, Recipe
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import States, demonstrations_id
@@ -146,6 +147,12 @@ def demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int)
     played = rollouts(policy, task, starts, attempt=attempt)
     reached = played.select(played.episodes["success"])
     return {f"{table.schema.name}/{name}": one for table in reached for name, one in table.items()}
+
+
+def compile_planning() -> None:
+    """Compile what the expert needs, by two pulls of an episode in the chain engine."""
+    task = TaskConfig(task="tie", nx=2, engine=CHAIN, horizon=2, observation="state")
+    rollouts(make_policy(PolicyConfig(policy="expert")), task, [0])
 
 
 def task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:

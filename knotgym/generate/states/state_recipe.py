@@ -17,6 +17,7 @@ from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.finished_folders import finish_states
 from knotgym.generate.states.demonstrations import (
+    compile_planning,
     demonstrated,
     demonstrated_nx,
     publish_demonstrations,
@@ -58,8 +59,8 @@ def make_states(
     made_by = identity(asked)
 
     def prepare(progress: Progress) -> None:
-        engine, plans = config.engine_used, config.demonstrations
-        compile_first(progress, engine, options.workers, draws=True, plans=plans)
+        plan = compile_planning if config.demonstrations else None
+        compile_first(progress, config.engine_used, options.workers, draws=True, plan=plan)
 
     return run(
         lambda place: state_recipe(config, place, made_by),
