@@ -33,7 +33,7 @@ from knotgym.topology.knot_table import diagram_of, type_of
 
 HORIZON = 200  # actions, more than any demonstration needs
 _STARTS = 8  # drawn states that episodes start from, in both splits together
-_TOGETHER = 12  # episodes of a call, about
+_TOGETHER = 5  # episodes of a call, about; small, because one that is hard takes long
 _EXPERT = 4  # rollouts of the expert before the planner's turn, which takes longer
 
 
