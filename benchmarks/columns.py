@@ -6,6 +6,7 @@ The set repeats 400 random episodes of 50 pulls. Rates are per CPU second, the f
 system's cache. The table of docs/loading.md is from here.
 """
 
+import argparse
 import tempfile
 import time
 from collections.abc import Callable
@@ -35,6 +36,9 @@ def rate(call: Callable[[], object], seconds: float = 2.0) -> float:
 
 
 def main() -> None:
+    argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args()
     seeds = [episode_seed(0, number) for number in range(EPISODES)]
     part = rollouts(make_policy(PolicyConfig(policy="random")), TASK, seeds)
     rng = np.random.default_rng(0)

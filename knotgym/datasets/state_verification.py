@@ -25,7 +25,7 @@ from knotgym.rope.engines import MUJOCO, require_engine, simulation
 from knotgym.rope.model import Array, Rope, rope_of
 from knotgym.states.derivation import row_faults
 from knotgym.states.near_duplicates import pairs_within, repeated
-from knotgym.states.schema import RANDOM_WALK, STATES
+from knotgym.states.schema import DRAWING, IMPORT, PLAY, RANDOM_WALK, STATES
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.state_file import States, read_states
@@ -36,6 +36,13 @@ _REQUIRED = {c.name for c in STATES.columns} - {"image", "source/actions"}
 _BATCH = 64  # rows replayed in one simulation
 # metres; tolerance for a start that is drawn again from its seed: other processors round
 # differently and the relaxation amplifies that. Replays from the stored start must be exact.
+# the streams that the seeds of rows are keys of, by the policy that led to them
+_STREAMS = {
+    DRAWING: Stream.DRAWING,
+    PLAY: Stream.PLAYED_ROPE,
+    RANDOM_WALK: Stream.RANDOM_WALK,
+    IMPORT: Stream.IMPORT,
+}
 _REDRAWN = 1e-4
 # metres; the chain engine's qpos are computed from its points, and back with rounding
 _CONVERTED = 1e-9
@@ -164,8 +171,10 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
         yield f"split is {str(stored['split'])!r}"
     try:
         actions_of(states, row)
-        if stored["source/policy"] == RANDOM_WALK and not stored["source/dataset"]:
-            walk = _key(stored["source/seed"], Stream.RANDOM_WALK)[2], stored["source/steps"]
+        stream = _STREAMS.get(str(stored["source/policy"]))
+        seed = stored["source/seed"] if stream is None else _key(stored["source/seed"], stream)
+        if stream == Stream.RANDOM_WALK and not stored["source/dataset"]:
+            walk = seed[2], stored["source/steps"]
             if walk != (stored["source/trajectory"], stored["source/step"]):
                 yield f"it isn't step {walk[1]} of rope {walk[0]}, as its seed says"
     except InvalidInput as error:

@@ -419,7 +419,7 @@ def test_a_reset_keeps_the_code_that_was_asked_for(
 @pytest.mark.parametrize("nx", [0, 1, 2, 3, 4])
 def test_2000_resets_of_curated_states_keep_the_code(nx: int) -> None:
     env = KnotEnv("unknot" if nx else "tie", nx=nx or 2, observation="state")
-    labels = env.episodes._starts.gauss_code_chiral
+    labels = env.episodes.starts.gauss_code_chiral
     kept = 0
     for seed in range(2000):
         info = env.reset(seed=seed)[1]

@@ -25,6 +25,7 @@ from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "examples"
 SCRIPTS = [
+    FOLDER / "to_lerobot.py",
     FOLDER / "learners" / "chunked.py",
     FOLDER / "learners" / "clone.py",
     FOLDER / "learners" / "goal_conditioned.py",
@@ -70,7 +71,8 @@ def test_every_example_says_how_to_use_it(
         ("safetensors.torch", safetensors.torch),
     ):
         monkeypatch.setitem(sys.modules, name, module)
-    for name in ("d3rlpy", "d3rlpy.dataset", "d3rlpy.models", "structlog"):
+    lerobot = ("lerobot", "lerobot.datasets", "lerobot.datasets.lerobot_dataset")
+    for name in ("d3rlpy", "d3rlpy.dataset", "d3rlpy.models", "structlog", *lerobot):
         monkeypatch.setitem(sys.modules, name, mock.MagicMock())
     monkeypatch.setitem(sys.modules, "d3rlpy.models.encoders", encoders)
     known = set(sys.modules)
@@ -107,7 +109,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     rope: Rope, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ropes = [rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)]
-    whole = dict.fromkeys(COLUMNS["source"], 0)
+    whole: dict[str, object] = dict.fromkeys(COLUMNS["source"], 0)
     whole |= {"policy": "", **dict.fromkeys(("reflect", "switch", "reverse"), False)}
     sources = [whole | {"rope": number, "row": number} for number in range(len(ropes))]
     rows = [

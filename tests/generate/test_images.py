@@ -367,14 +367,19 @@ def test_a_summary_of_pictures_fits_eighty_columns_heads_whole(
     assert sum(line.startswith(" train ") for line in lines) == 2  # rows have their names
 
 
-@pytest.mark.parametrize("command", ["page", "export"])
-def test_a_folder_of_pictures_is_one_thing_to_every_command(
-    command: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_folder_of_pictures_has_a_page(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = ("--out", tmp_path / "made.html")
-    more = ("--to", "huggingface") if command == "export" else ()
-    assert knotgym("dataset", command, folder, *more, *out) == 0
+    assert knotgym("dataset", "page", folder, "--out", tmp_path / "made.html") == 0
     assert "made.html: " in capsys.readouterr().out and (tmp_path / "made.html").exists()
+
+
+def test_a_folder_of_pictures_is_uploaded_as_it_is(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ("--to", "huggingface", "--out", tmp_path / "hub")
+    assert knotgym("dataset", "export", folder, *out) == 2
+    assert "is ready to upload as it is" in capsys.readouterr().err
 
 
 def test_an_unknown_kind_or_split_is_refused(folder: Path) -> None:

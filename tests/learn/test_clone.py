@@ -112,4 +112,4 @@ def test_settings_that_do_not_fit_are_one_line() -> None:
         ({"hindsight": 1}, "no field 'hindsight'"),
     ):
         with pytest.raises(InvalidInput, match=message):
-            CloneConfig(**changes)  # type: ignore[arg-type]
+            CloneConfig(**changes)

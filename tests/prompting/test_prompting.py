@@ -128,7 +128,12 @@ def test_a_run_is_resumed_and_the_key_is_nowhere(tmp_path: Path) -> None:
 
     server, out = ChatServer(answer), tmp_path / "run"
     with server.serving():
-        settings = {"episodes": 3, "seed": 5, "prompt_price": 2.0, "completion_price": 4.0}
+        settings: dict[str, Any] = {
+            "episodes": 3,
+            "seed": 5,
+            "prompt_price": 2.0,
+            "completion_price": 4.0,
+        }
         own = config(server.url, **settings)
         with pytest.raises(Failed) as refused:
             run_prompts(own, out, QUIET)

@@ -43,7 +43,8 @@ def toy(place: Path) -> Recipe[str]:
 
 
 def made_toy(out: Path, options: RunOptions) -> Path:
-    return run(toy, out, {"config": {"toy": 0}}, options)
+    identity = {"config": {"toy": 0}}
+    return run(toy, out, identity, options, made_by=lambda at: identity if at.exists() else None)
 
 
 CHAIN = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=5)

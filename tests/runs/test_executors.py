@@ -15,7 +15,7 @@ import pytest
 
 from knotgym.common.errors import Failed, InvalidInput, MissingExtra
 from knotgym.runs.executors import executor
-from knotgym.runs.run import Journal
+from knotgym.runs.journal import Journal
 from knotgym.runs.run_options import RunOptions
 
 from ..small_job import SECONDS
@@ -46,10 +46,10 @@ def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (("mpi", "", 0), "--executor takes local or dask, got 'mpi'"),
-        (("local", "tcp://a:1", 0), "--scheduler tcp://a:1 is for --executor dask"),
-        (("dask", "", 0), "--executor dask needs the address"),
-        (("dask", "tcp://a:1", 2), "--workers 2 is for --executor local"),
+        (("mpi", "", 0), "executor must be one of local, dask, got 'mpi'"),
+        (("local", "tcp://a:1", 0), "a scheduler is for Dask"),
+        (("dask", "", 0), "Dask needs the address of a scheduler"),
+        (("dask", "tcp://a:1", 2), "--workers 2 is for local processes"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

@@ -3,6 +3,7 @@
 import os
 import random
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, Occup
 from knotgym.runs.journal import Journal
 
 RUN = {"config": {"seed": 0}}
-RESULT = {
+RESULT: dict[str, Any] = {
     "whole": np.arange(7, dtype=np.uint16),
     "text": np.array(["a", "über"]),
     "none": np.empty((0, 3)),

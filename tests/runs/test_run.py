@@ -22,7 +22,8 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import Failed, InvalidInput, Occupied
-from knotgym.runs.run import Call, Journal, Recipe, compute, run, staging_folder
+from knotgym.runs.journal import Journal
+from knotgym.runs.run import Call, Recipe, compute, run, staging_folder
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
 
@@ -193,7 +194,7 @@ def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
 
 def test_a_failure_before_any_result_leaves_nothing(tmp_path: Path) -> None:
     def recipe(_: Path) -> Recipe[None]:
-        yield [Call("one 1", int, ("no number",))]
+        yield [Call("one 1", drawn, ("no number", 0, 1.0))]
 
     with pytest.raises(ValueError, match="no number"):
         run(recipe, tmp_path / "a", {}, QUIET)
