@@ -196,7 +196,7 @@ def test_a_failure_before_any_result_leaves_nothing(tmp_path: Path) -> None:
     def recipe(_: Path) -> Recipe[None]:
         yield [Call("one 1", drawn, ("no number", 0, 1.0))]
 
-    with pytest.raises(ValueError, match="no number"):
+    with pytest.raises(ValueError, match="unrecognized seed"):
         run(recipe, tmp_path / "a", {}, QUIET)
     assert list(tmp_path.iterdir()) == []
 
