@@ -92,7 +92,7 @@ def sample_prompt(
     """Return a run's first request as text for people, and its pictures, by name, as PNG."""
 
     def ask(messages: list[dict[str, Any]]) -> Result:
-        raise NotImplementedError
+        raise AssertionError("a sample is never sent")
 
     (asked,) = next(read(config, rows[:1], ask) if rows else play(config, ask))[0].arguments
     return as_text(asked)
