@@ -30,11 +30,6 @@ def train(given: Given) -> None:
 
         knotgym train --learner clone --set clone.demonstrations=2000 --out runs/clone
     """
-    for library in ("torch", "safetensors"):
-        if importlib.util.find_spec(library) is None:
-            raise MissingExtra(library, install_command("learn"), "knotgym train")
-    from knotgym.learn.train_recipe import train as train_learner
-
     learner, out = given["learner"], given["out"]
     if out is None:
         raise InvalidInput("name the folder to write: --out FOLDER")
@@ -48,4 +43,9 @@ def train(given: Given) -> None:
         raise InvalidInput("settings of the clone are for --learner clone")
     else:
         config = given.config(ReaderConfig)
+    for library in ("torch", "safetensors"):
+        if importlib.util.find_spec(library) is None:
+            raise MissingExtra(library, install_command("learn"), "knotgym train")
+    from knotgym.learn.train_recipe import train as train_learner
+
     train_learner(given["data"] or [], out, config, given.run, given.progress)

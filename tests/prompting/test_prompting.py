@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from base64 import b64encode
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -188,15 +189,22 @@ def test_side_by_side_gives_the_same_transcripts(tmp_path: Path) -> None:
 
 
 def test_a_picture_s_code_is_asked_for_and_scored(tmp_path: Path) -> None:
-    picture = encode(decode(first().png)[:16, :16])
-    row = {"image": picture, "gauss_code": "1+,1-,2-,2+", "nx": 2, "grade": "easy"}
-    rows = [{**row, "accepted": k == 0} for k in range(3)]
+    pictures = [encode(decode(first().png)[: 16 + k, :16]) for k in range(3)]
+    row = {"gauss_code": "1+,1-,2-,2+", "nx": 2, "grade": "easy"}
+    rows = [{**row, "image": one, "accepted": not k} for k, one in enumerate(pictures)]
     answers = ["<answer>1+,1-,2-,2+</answer>", "<answer>1+,1-</answer>", "it is a loop"]
-    server = ChatServer(lambda number, body: answers[number])
+
+    def answer(number: int, body: Any) -> str:  # requests are sent side by side
+        sent = json.dumps(body)
+        held = [b64encode(one).decode() in sent for one in pictures]
+        return answers[held.index(True)]
+
+    server = ChatServer(answer)
     with server.serving():
         run_prompts(config(server.url, "read"), tmp_path / "run", QUIET, rows=rows)
     told = read_transcripts(tmp_path / "run" / "transcripts.jsonl")
-    assert [hashes(one["messages"][0])[1] for one in server.requests] == [told[0]["picture"]] * 3
+    asked = {hashes(one["messages"][0])[1] for one in server.requests}
+    assert asked == {one["picture"] for one in told}
     assert [one["fault"] for one in told] == ["", "", "no block"]
     scores = reading_scores(told)
     assert [*scores] == ["all", "nx 2", "easy", "accepted", "accepted, nx 2"]

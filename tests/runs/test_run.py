@@ -27,6 +27,7 @@ from knotgym.runs.run import Call, Recipe, compute, run, staging_folder
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
 
+from ..scripts import ROOT
 from .recipes import RECIPES, drawn, made_toy, toy
 
 QUIET = RunOptions(workers=1, quiet=True)
@@ -57,7 +58,10 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Unbroken:
 
 
 @every_recipe
-def test_two_processes_make_the_same_bytes(name: str, tmp_path: Path, unbroken: Unbroken) -> None:
+def test_two_processes_make_the_same_bytes(
+    name: str, tmp_path: Path, unbroken: Unbroken, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))  # workers import the recipes by name
     out = RECIPES[name](tmp_path / name, replace(QUIET, workers=2))
     assert content(out) == unbroken(name)
     assert list(tmp_path.iterdir()) == [out]
