@@ -22,11 +22,11 @@ PLANTED = (
 )
 COMMANDS = {
     "help": "--help",
-    "collect": "collect --policy random --task unknot --nx 1 --episodes 9 --horizon 2 --out out"
+    "collect": "collect --policy random --task unknot --nx 1 --episodes 9 --set task.horizon=2"
+    " --out out --workers 2 --quiet",
+    "evaluate": "evaluate --policy random --task unknot --nx 1 --episodes 9 --set task.horizon=2"
     " --workers 2 --quiet",
-    "evaluate": "evaluate --policy random --task unknot --nx 1 --episodes 9 --horizon 2"
-    " --workers 2 --quiet",
-    "own policy": "evaluate --policy mine:act --task unknot --nx 1 --episodes 9 --horizon 2"
+    "own policy": "evaluate --policy mine:act --task unknot --nx 1 --episodes 9 --set task.horizon=2"
     " --workers 2 --quiet",
     "verify": "dataset verify states.h5",
     "show": "dataset show states.h5",
