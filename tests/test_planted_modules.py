@@ -26,8 +26,8 @@ COMMANDS = {
     " --out out --workers 2 --quiet",
     "evaluate": "evaluate --policy random --task unknot --nx 1 --episodes 9 --set task.horizon=2"
     " --workers 2 --quiet",
-    "own policy": "evaluate --policy mine:act --task unknot --nx 1 --episodes 9 --set task.horizon=2"
-    " --workers 2 --quiet",
+    "own policy": "evaluate --policy mine:act --task unknot --nx 1 --episodes 9"
+    " --set task.horizon=2 --workers 2 --quiet",
     "verify": "dataset verify states.h5",
     "show": "dataset show states.h5",
     "page": "dataset page states.h5 --out page.html",
