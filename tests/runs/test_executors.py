@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from knotgym.runs.executors import executor
 from knotgym.runs.journal import Journal
 from knotgym.runs.run_options import RunOptions
 
+from ..scripts import ROOT
 from ..small_job import SECONDS
 from .recipes import RECIPES
 
@@ -103,7 +105,9 @@ class Cluster:
         words = [sys.executable, "-m", f"distributed.cli.dask_{kind}", "--host", "127.0.0.1"]
         words += ["--no-dashboard", "--scheduler-file", str(self.file), *options]
         quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self.processes.append(subprocess.Popen(words, **quiet, cwd=self.file.parent))
+        # workers import the recipes by name
+        path = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self.processes.append(subprocess.Popen(words, **quiet, cwd=self.file.parent, env=path))
         return self.processes[-1]
 
 
