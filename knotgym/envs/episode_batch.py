@@ -45,7 +45,7 @@ class EpisodeBatch:
         task: settings of the task.
         simulation: the ropes.
         starts, goals: the states that starts and goals are sampled from.
-        number: int64 (count,), which episode of a run this is, for whoever plays; -1 for none.
+        number: int64 (count,), number of the episode in its run; -1 for none.
         seed: int64 (count,), the seed of each episode; -1 if it began from a generator.
         start_row, goal_row: int64 (count,), rows of `starts` and `goals`; -1 until the first reset.
         start_qpos: float64 (count, nq), generalized positions that each rope was laid at.

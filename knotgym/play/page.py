@@ -306,7 +306,7 @@ class Page:
         self._lock = threading.Lock()
 
         class LocalServer(viser.ViserServer):
-            """A server that opens no tunnel, whoever asks for it."""
+            """A server that never opens a tunnel, even on request."""
 
             def request_share_url(self, verbose: bool = True) -> None:
                 return None

@@ -121,7 +121,7 @@ class Desk:
         self._bench: ChainSimulation | None = None
 
     def begin(self, ids: Ids) -> None:
-        """Start anew in lanes in which episodes begin."""
+        """Reset the lanes in which episodes begin."""
         self.forget(ids)
         self.planned[ids] = 0
 
@@ -313,7 +313,7 @@ class PassPlayer(Player):
         self._follower.release(ids)
 
     def lead(self, index: int, move: Pass) -> None:
-        """Act a pass out in a lane, whoever chose it."""
+        """Carry out a pass in a lane, whichever planner chose it."""
         points, ids = self.batch.simulation.points, np.array([index])
         self._moves[index], self._taken[index] = move, 0
         self._follower.begin_passes(ids, [move], points)

@@ -25,7 +25,7 @@ class Tally:
 
 
 def tally(episodes: Table, keep_failed: bool = True) -> Tally:
-    """Add up episodes, of which the failed ones may be dropped."""
+    """Add up episodes; failed ones may be dropped from the set."""
     success, lengths = episodes["success"], episodes["length"]
     kept = success | keep_failed
     return Tally(
