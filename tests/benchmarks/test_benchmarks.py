@@ -119,7 +119,7 @@ def test_evaluations_make_the_table_of_learners(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="repeats episodes of random, readable, test, tie, 2"):
         made(one, one)
     told = json.loads(one.read_text())
-    told["digests"]["versions"]["code"] = "0" * 64
+    told["versions"]["code"] = "0" * 64
     one.write_text(json.dumps(told))
     with pytest.raises(SystemExit, match="measured with code 00000000, and this checkout has"):
         made(one)

@@ -1,4 +1,4 @@
-"""Digests of everything that episodes depend on; results and datasets hold them.
+"""Digests of the files that episodes depend on; results and datasets hold them.
 
 Only runs with equal digests are resumed or pooled.
 """
@@ -11,7 +11,6 @@ from knotgym.control.policies import policy_digests
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.task_states import SHIPPED, task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.runs.identity import identity
 from knotgym.states.state_file import shipped, ships, states_file
 
 
@@ -32,9 +31,3 @@ def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> di
         "states": {origin: sha256(path) for origin, path in sorted(files.items())},
         "policies": {one.policy: policy_digests(one) for one in policies},
     }
-
-
-def digests(source: dict[str, Any]) -> dict[str, Any]:
-    """Return `sources` with the `versions` of all code and the fingerprint of the `rope`."""
-    whole = identity({}, source)
-    return {**whole["source"], "versions": whole["versions"], "rope": whole["rope"]}
