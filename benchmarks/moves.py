@@ -183,7 +183,7 @@ class WatchingPlayer(ScriptedPlayer):
                     self.count(*self._before[key], Diagram(code))
                 if self.begun[index]:
                     move = self.moves[index]
-                    target = -2.0 if move.kind == "spread" else -1.0
+                    target = -1.0 if move.side else -2.0  # a spread keeps its height
                     if move.target >= 0:
                         target = sight.position((move.target - base) % beads)
                     example = Example(move.side, sight.position((move.bead - base) % beads), target)

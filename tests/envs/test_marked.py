@@ -93,7 +93,8 @@ def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Sy
             follower = WaypointFollower(len(rows), MacroActionConfig())
             passes = np.stack([led, past, way], axis=1)[rows]
             follower.begin_passes(np.arange(len(rows)), passes, ropes[rows])
-            pulls.append(follower.forces(ropes[rows], np.arange(len(rows))))
+            forces = follower.forces(ropes[rows], np.arange(len(rows)))
+            pulls.append(forces.astype(np.float64))
         assert np.allclose(symmetry.vectors(pulls[0]), pulls[1], atol=0.01)
 
 

@@ -36,7 +36,8 @@ def test_the_same_seed_draws_the_same_macro_actions(rope: Rope) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_only_passes_and_curls_have_a_strand_to_pass(rope: Rope, kind: str) -> None:
     rng = np.random.default_rng(0)
-    config = replace(CONFIG, shares=tuple(float(one == kind) for one in KINDS))
+    none, one, two, three = (float(one == kind) for one in KINDS)
+    config = replace(CONFIG, shares=(none, one, two, three))
     moves = [propose(rope.loop(), rng, config) for _ in range(100)]
     apart = [(move.target - move.bead) % 100 for move in moves]
     near = [min(one, 100 - one) for one in apart]

@@ -57,7 +57,7 @@ def dense(
         for axis, k in ((side[i], across), (np.cross(t, side[i]), across), (t, along)):
             speed = axis @ centre @ now
             add(axis[None] @ centre, 2 * k * abs(speed), speed / 2)
-        fast = np.linalg.norm(apart @ now)
+        fast = float(np.linalg.norm(apart @ now))
         add(apart, 2 * turn * fast / length**3, apart @ now / 2)
         add(spun, 2 * roll * abs(spin[i]), spin[i] / 2)
         # what the compiled code adds for the chord's own direction, which STRETCH keeps at 0
