@@ -265,7 +265,7 @@ def test_the_command_makes_a_dataset_of_every_crossing_number(tmp_path: Path) ->
         made = columns_of(folder)
         env: Any = gym.make("knotgym/Tie-v0", nx=nx, max_goals=2).unwrapped
         assert made.task.max_goals == 2
-        assert {*made.episodes.episodes["goal"]} <= {*env.episodes.rows("goal")}
+        assert {*made.episodes.episodes["goal"]} <= {*env.episodes.rows["goal"]}
         entries = json.loads((folder / "data" / "metadata.json").read_text())
         assert json.loads(entries["env_spec"])["kwargs"]["max_goals"] == 2
         assert json.loads(entries["eval_env_spec"])["kwargs"]["max_goals"] is None

@@ -23,7 +23,7 @@ from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_outcomes import outcomes
 from knotgym.datasets.episodes import STEPS, Episodes, merged
-from knotgym.envs.task_states import state_origins
+from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
@@ -104,7 +104,7 @@ def require_playable(config: EvaluateConfig) -> None:
     """
     for policy, task in config.setups():
         make_policy(policy).compatible_task(task)
-        state_origins(task)
+        task_sides(task)
 
 
 def sources_of(config: EvaluateConfig) -> dict[str, Any]:
@@ -272,7 +272,7 @@ def result_of(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
     named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
     listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
     low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
-    origins = state_origins(task)
+    starts, goals = task_sides(task)
     return Result(
         policy=policy.policy,
         task=task.task,
@@ -288,7 +288,7 @@ def result_of(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
         mean_return=float(played["total"].mean()),
         planned_actions=float(played["planned"].mean()),
         simulation_failures=int(played["failed"].sum()),
-        start_states=origins["start"],
-        goal_states=origins["goal"],
+        start_states=starts.origin,
+        goal_states=goals.origin,
         outcomes=listed,
     )

@@ -9,7 +9,7 @@ from typing import Any
 from knotgym.common.atomic_files import sha256
 from knotgym.control.policies import policy_digests
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.envs.task_states import SHIPPED, state_origins
+from knotgym.envs.task_states import SHIPPED, task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.states.state_file import shipped, ships, states_file
 
@@ -23,10 +23,10 @@ def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> di
     """
     files = {}
     for task in tasks:
-        for origin in state_origins(task).values():
+        for side in task_sides(task):
             # a state file without plain loops borrows the included ones
-            borrowed = origin == SHIPPED and not ships(task.states)
-            files[origin] = shipped() if borrowed else states_file(task.states)
+            borrowed = side.origin == SHIPPED and not ships(task.states)
+            files[side.origin] = shipped() if borrowed else states_file(task.states)
     return {
         "states": {origin: sha256(path) for origin, path in sorted(files.items())},
         "policies": {one.policy: policy_digests(one) for one in policies},

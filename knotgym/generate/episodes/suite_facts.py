@@ -70,9 +70,9 @@ def goal_overlap(task: TaskConfig) -> dict[str, int]:
     """
     sides = []
     for split in (task.split, task.split.replace("train", "test")):
-        states, _, nx = task_sides(replace(task, split=split))[1]
-        rows = states.rows(nx, split)
-        sides.append({GaussCode.parse(text) for text in states.gauss_code[rows].tolist()})
+        goals = task_sides(replace(task, split=split))[1]
+        codes = goals.states.gauss_code[goals.rows].tolist()
+        sides.append({GaussCode.parse(text) for text in codes})
     classes = [{first_goal(code)[0] for code in codes} for codes in sides]
     return {
         "train": len(sides[0]),
