@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.code_arrays import FINITE, read_codes
 from knotgym.topology.crossing_kernel import (
+    ALL,
     OVER_PLACE,
     OVER_Z,
     SIGN,
@@ -29,6 +30,7 @@ from knotgym.topology.crossing_kernel import (
     UNDER_Z,
     X,
     Y,
+    find_hits,
     scan,
 )
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
@@ -101,9 +103,15 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
     return read_codes(_checked(points, 3)).objects()
 
 
-def count_crossings(points: ArrayLike) -> int:
-    """Count the crossings of one rope; see `find_crossings` for the arguments."""
-    return len(_scan(points)[1])
+def count_crossings(points: ArrayLike, most: int = ALL) -> int:
+    """Count the crossings of one rope, to `most` + 1; see `find_crossings` for the arguments.
+
+    A curve of n points may have n^2 / 2 crossings, which are too many to list.
+    """
+    rope = _checked(points, 2)
+    if not np.isfinite(rope).all():
+        raise _not_finite()
+    return len(find_hits(rope, most))
 
 
 def visit_spacing(crossings: Crossings, beads: int) -> float:
@@ -137,8 +145,12 @@ def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
 def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     finite, visits, table = scan(_checked(points, 2))
     if not finite:
-        raise InvalidInput(f"no closed rope: a coordinate is not finite; {FINITE}")
+        raise _not_finite()
     return visits, table
+
+
+def _not_finite() -> InvalidInput:
+    return InvalidInput(f"no closed rope: a coordinate is not finite; {FINITE}")
 
 
 def _gauss_code(visits: NDArray[Any], signs: NDArray[Any]) -> GaussCode:
