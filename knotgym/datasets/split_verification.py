@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import episode_digests
-from knotgym.envs.knot_tasks import start_nx
+from knotgym.envs.task_states import start_nx
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import Rope
 from knotgym.states.near_duplicates import NEAR, distances

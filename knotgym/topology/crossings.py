@@ -22,7 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.code_arrays import FINITE, read_codes
 from knotgym.topology.crossing_kernel import (
-    ALL,
     OVER_PLACE,
     OVER_Z,
     SIGN,
@@ -103,15 +102,13 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
     return read_codes(_checked(points, 3)).objects()
 
 
-def count_crossings(points: ArrayLike, most: int = ALL) -> int:
-    """Count the crossings of one rope, to `most` + 1; see `find_crossings` for the arguments.
+def count_crossings(points: ArrayLike, most: int) -> int:
+    """Count the crossings of one rope, at most to `most` + 1, as n points may have n^2 / 2.
 
-    A curve of n points may have n^2 / 2 crossings, which are too many to list.
+    Args:
+        points: finite; otherwise as for `find_crossings`.
     """
-    rope = _checked(points, 2)
-    if not np.isfinite(rope).all():
-        raise _not_finite()
-    return len(find_hits(rope, most))
+    return len(find_hits(_checked(points, 2), most))
 
 
 def visit_spacing(crossings: Crossings, beads: int) -> float:
@@ -145,12 +142,8 @@ def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
 def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     finite, visits, table = scan(_checked(points, 2))
     if not finite:
-        raise _not_finite()
+        raise InvalidInput(f"no closed rope: a coordinate is not finite; {FINITE}")
     return visits, table
-
-
-def _not_finite() -> InvalidInput:
-    return InvalidInput(f"no closed rope: a coordinate is not finite; {FINITE}")
 
 
 def _gauss_code(visits: NDArray[Any], signs: NDArray[Any]) -> GaussCode:
