@@ -43,7 +43,14 @@ NUMBERS = "0 1 2 3 -1 07 1.5 1e3 nan inf 99999999999999999999 ٣ 1,1 0-2 2-0 0-9
 TEXTS = ["", " ", "tie", "expert", "random", "x" * 5000, "a\nb", "\x1b[2J", "é", "../x", "--nx"]
 TEXTS += ["os:system", "json:loads", "none", "nx = 1", "nx / 0 > 1", "1/3", "train=0.5,test=0.5"]
 TEXTS += ["knotgym/a/b-v0", "a-v0", "minari", "huggingface", "compact", "ogbench", "curves"]
-SETTINGS = ["task.horizon=5", "task.nx=99", "policy.noise=2", "run.shard=4/3", "task.views=x", "a=b"]
+SETTINGS = [
+    "task.horizon=5",
+    "task.nx=99",
+    "policy.noise=2",
+    "run.shard=4/3",
+    "task.views=x",
+    "a=b",
+]
 SETTINGS += ["task.image_size=1000000", "run.executor=dask", "x", "=", "task=3", "task.horizon=1e9"]
 FILES = "missing empty noise link pipe folder states.h5 cut.h5 episodes.h5 minari curve.csv".split()
 FILES += ["table.json", "deep/er/out", "set", "set/states.h5", "x" * 300, ".", "..", ""]
@@ -65,10 +72,11 @@ def grammar() -> dict[str, list[tuple[str, str]]]:
     """Return the options of each command, (what is typed, kind), and its arguments, ("", kind)."""
     found = {}
     for name in NAMES:
-        console = Console(file=io.StringIO(), width=400, force_terminal=False)
+        text = io.StringIO()
+        console = Console(file=text, width=400, force_terminal=False)
         words = [*name.split(), "--help"]
         application()(words, console=console, result_action="return_value")
-        lines = (line.strip("╭╮╰╯│─") for line in console.file.getvalue().splitlines())
+        lines = (line.strip("╭╮╰╯│─") for line in text.getvalue().splitlines())
         shown = "\n".join(lines).partition("Examples:")[0]
         options = [(one, kind) for one, _, kind in OPTION.findall(shown) if one != "--help"]
         found[name] = [*options, *(("", kind) for kind in ARGUMENT.findall(shown))]
@@ -164,7 +172,9 @@ def played(words: list[str], limit: float) -> Outcome:
             stream.seek(0)
             texts.append(stream.read().decode(errors="replace"))
         megabytes = ended[2].ru_maxrss / 1024
-        return Outcome(os.waitstatus_to_exitcode(ended[1]), *texts, round(spent, 1), megabytes)
+        said, printed = texts
+        status = os.waitstatus_to_exitcode(ended[1])
+        return Outcome(status, said, printed, round(spent, 1), megabytes)
 
 
 def listing(folder: Path) -> Mapping[str, tuple[int, int]]:

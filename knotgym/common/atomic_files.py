@@ -21,7 +21,9 @@ from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, Missi
 
 # what identifies a folder as an output of this package, so that --overwrite may replace it, and what
 # else such a folder holds
-_MARKS = "manifest.json policy.json CITATION.cff page.html result.json data/episodes.h5 *.h5".split()
+_MARKS = (
+    "manifest.json policy.json CITATION.cff page.html result.json data/episodes.h5 *.h5".split()
+)
 _BESIDE = (
     "README.md gallery.png minari data croissant.json namespace_metadata.json weights.safetensors"
     " curve.csv curve.png transcripts.jsonl reset.png expert.gif expert.mp4"

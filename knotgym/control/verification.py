@@ -104,11 +104,11 @@ def _start_faults(source: str) -> Iterator[str]:
     config = run.get("config") if isinstance(run, dict) else None
     if not isinstance(config, dict):
         return
-    asked = [config.get(name) for name in ("seed", "episodes")]
-    if not all(type(number) is int and 0 <= number <= _MOST_EPISODES for number in asked):
-        yield f"{dataset.path}: its run's seed and episodes are {asked}, not two numbers"
+    seed, count = config.get("seed"), config.get("episodes")
+    if type(seed) is not int or type(count) is not int or not 0 <= count <= _MOST_EPISODES:
+        yield f"{dataset.path}: its run had seed {seed!r} and {count!r} episodes, not two numbers"
         return
-    of_run = [episode_seed(asked[0], number) for number in range(asked[1])]
+    of_run = [episode_seed(seed, number) for number in range(count)]
     if not ships(task.states):
         task = replace(task, states=str(dataset.states_path()))
     whole = np.flatnonzero(~rows["relabelled"])
