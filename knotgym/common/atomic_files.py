@@ -19,8 +19,7 @@ from pathlib import Path
 
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, Occupied
 
-# what identifies a folder as an output of this package, so that --overwrite may replace it, and what
-# else such a folder holds
+# what identifies a folder as an output of this package, so that --overwrite may replace it
 _MARKS = (
     "manifest.json policy.json CITATION.cff page.html result.json data/episodes.h5 *.h5".split()
 )
