@@ -13,7 +13,6 @@ from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
 from knotgym.control.rollouts import rollouts
 from knotgym.datasets.episode_dataset import write_episodes
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
-from knotgym.envs.reward import Outcome, outcome
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions, arrays
 from knotgym.rope.actions import FORCE_CHOICES, chosen_forces, force_choices, quantized
@@ -55,19 +54,6 @@ def test_a_view_has_its_space_and_survives_in_a_spec(
         assert one.action_space.nvec.tolist() == size
     many = gym.make_vec("knotgym/Tie-v0", num_envs=2, **settings(task, action=view))
     assert many.action_space.sample().shape == (2, len(size))
-
-
-def test_a_macro_action_is_rewarded_for_all_of_its_pulls(
-    task: TaskConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def one_each(task: TaskConfig, reached: Any, *rest: Any) -> Outcome:
-        return outcome(task, reached, *rest)._replace(rewards=np.ones(len(reached)))
-
-    monkeypatch.setattr("knotgym.envs.episode_batch.outcome", one_each)
-    env = gym.make("knotgym/Tie-v0", **settings(task, action="macro"))
-    env.reset(seed=0)
-    _, reward, _, _, info = env.step(np.array([10, 60, 1]))
-    assert reward == info["macro_pulls"] > 1
 
 
 def test_an_unknown_view_is_refused() -> None:
