@@ -97,21 +97,10 @@ def _run(make: Callable[[], App], tokens: list[str], resumable: bool) -> None:
         status = status if isinstance(status, int) else 0
     except CycloptsError as error:
         status = _say(_mistake(error), _MISTAKEN)
-    except Failed as error:
-        status = _say(str(error), _FAILED)
     except KnotgymError as error:
-        status = _say(str(error), _MISTAKEN)
-    except BrokenExecutor:
-        status = _say(
-            "a worker died, perhaps out of memory; --resume continues from the last checkpoint",
-            _FAILED,
-        )
-    except MemoryError:
-        status = _say(
-            "out of memory, here or in a worker; finished work is kept, --resume continues from"
-            " there",
-            _FAILED,
-        )
+        status = _say(str(error), _FAILED if isinstance(error, Failed) else _MISTAKEN)
+    except (BrokenExecutor, MemoryError):
+        status = _say(f"a worker died or memory ran out; finished work is kept{goes_on}", _FAILED)
     except OSError as error:
         # an impossible file name is the user's mistake
         status = _say(_trouble(error), _MISTAKEN if error.errno in _NO_NAME else _FAILED)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from knotgym.cli.options import EXISTING, Given, command, default_folder, extra
+from knotgym.cli.options import EXISTING, Given, command, extra
 from knotgym.common.errors import InvalidInput
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.runs.progress import Progress
@@ -12,16 +12,10 @@ from knotgym.runs.progress import Progress
 @command(
     {"": PromptConfig},
     f"mode chat.model chat.base_url task.task task.nx episodes seed {EXISTING}",
-    extra("PICTURES", Path, "For mode read: a folder of pictures from `knotgym images`."),
-    extra(
-        "split", str, "Split, as for evaluate; default train, as published, or test for pictures."
-    ),
-    extra("out", Path, "Folder to write."),
-    extra(
-        "show",
-        bool,
-        "Print the whole prompt and send nothing; with --out also write its pictures.",
-    ),
+    extra("PICTURES", Path),
+    extra("split", str),
+    extra("out", Path),
+    extra("show", bool),
 )
 def prompt(given: Given) -> None:
     """Evaluate a vision-language model on episodes, or on reading Gauss codes from pictures.
@@ -33,6 +27,12 @@ def prompt(given: Given) -> None:
         knotgym prompt --mode stateless --task tie --nx 2 --model NAME
 
         knotgym prompt --mode read knotgym-data/images-nx0-4 --model NAME --base-url http://127.0.0.1:8000/v1
+
+    Args:
+        pictures: For mode read: a folder of pictures from `knotgym images`.
+        split: Split, as for evaluate; default train, as published, or test for pictures.
+        out: Folder to write.
+        show: Print the whole prompt and send nothing; with --out also write its pictures.
     """
     from knotgym.prompting.prompt_run import run_prompts
     from knotgym.prompting.prompts import READ
@@ -55,9 +55,8 @@ def prompt(given: Given) -> None:
         config = given.config(PromptConfig, more, usual=usual)
     task, model = config.task, config.chat.model
     subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
-    stem = "".join(letter if letter.isalnum() or letter in "-." else "-" for letter in model)
-    mark = f"seed{config.seed}" if config.seed else ""
-    folder = out or default_folder(f"prompt-{config.mode}-{subject}", stem, mark)
+    told = ("mode", "chat.model", "chat.base_url", "task.task", "task.nx", "episodes")
+    folder = given.folder(f"prompt-{config.mode}-{subject}-{model}", *told)
 
     run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
     if not given.quiet:

@@ -12,12 +12,7 @@ from knotgym.generate.episodes.suite_config import SuiteConfig
     {"": SuiteConfig},
     f"tasks=--task nx policies=--policy splits=--split states recorded {RUN}",
     MINARI_ROOT,
-    extra(
-        "episodes",
-        tuple[str, ...],
-        "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default as many"
-        " as the benchmark has.",
-    ),
+    extra("episodes", tuple[str, ...]),
 )
 def suite(given: Given) -> None:
     """Make the fixed benchmark of offline datasets, or a part of it.
@@ -32,6 +27,10 @@ def suite(given: Given) -> None:
         knotgym suite --recorded --task tie --nx 2
 
         knotgym suite --task tie --nx 3 --states readable --policy expert,random --resume
+
+    Args:
+        episodes: Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default
+            as many as the benchmark has.
     """
     from knotgym.generate.episodes.suite import make_suite
 
