@@ -69,8 +69,7 @@ def verify(given: Given) -> None:
 
     path, progress, found = given["path_or_id"], given.progress, 0
     compile_first(progress)
-    for fault in faults(path, progress):
-        found += 1
+    for found, fault in enumerate(faults(path, progress), 1):
         progress.console.print(f"fault: {fault}", soft_wrap=True, highlight=False, markup=False)
     if found:
         raise Failed(f"{path}: {found} faults")

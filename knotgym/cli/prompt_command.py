@@ -1,5 +1,7 @@
 """The command `knotgym prompt`."""
 
+import hashlib
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +53,8 @@ def prompt(given: Given) -> None:
         _show(config, rows, out, given.run.overwrite, given.progress)
         return
     if pictures is not None:
-        more["pictures"] = (split or "test", _digest(rows))
+        digest = hashlib.sha256(b"".join(row["image"] for row in rows)).hexdigest()
+        more["pictures"] = (split or "test", digest)
         config = given.config(PromptConfig, more, usual=usual)
     task, model = config.task, config.chat.model
     subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
@@ -67,8 +70,6 @@ def prompt(given: Given) -> None:
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
     """Return the first `count` pictures of a split; the table is shuffled."""
-    from itertools import islice
-
     from knotgym.common.errors import InvalidFile
     from knotgym.datasets.image_table import read_rows
 
@@ -77,12 +78,6 @@ def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
     if not rows:
         raise InvalidFile(f"{pictures} has no pictures of split {split}")
     return rows
-
-
-def _digest(rows: list[dict[str, Any]]) -> str:
-    import hashlib
-
-    return hashlib.sha256(b"".join(row["image"] for row in rows)).hexdigest()
 
 
 def _show(

@@ -36,14 +36,14 @@ def suite(given: Given) -> None:
 
     more = {}
     if given["episodes"]:
-        more["episodes"] = sizes(given["episodes"], given.get("policies"))
+        more["episodes"] = _sizes(given["episodes"], given.get("policies"))
     make_suite(given.config(SuiteConfig, more), given["out"], given.run, progress=given.progress)
 
 
-def sizes(words: Sequence[str], policies: Sequence[str]) -> dict[str, int]:
+def _sizes(words: Sequence[str], policies: Sequence[str]) -> dict[str, int]:
     """Read "100", for every policy, or "expert=3000,random=100".
 
-    >>> sizes(["100"], ("random", "expert"))
+    >>> _sizes(["100"], ("random", "expert"))
     {'random': 100, 'expert': 100}
     """
     pairs = [word.partition("=") for word in words]

@@ -208,9 +208,9 @@ def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("signal.signal", lambda *_: None)
-    words = "--nx 0 --count 1 --no-demonstrations --workers 1 --quiet --seed 3"
+    words = "generate --nx 0 --count 1 --no-demonstrations --workers 1 --quiet --seed 3"
     with pytest.raises(SystemExit) as ended:
-        cli.main_generate(words.split())
+        cli.main(words.split())
     assert ended.value.code == 0
     assert (tmp_path / "knotgym-data" / "nx0-no-demonstrations-seed3" / "states.h5").is_file()
     assert capfd.readouterr() == ("", "")
