@@ -67,12 +67,13 @@ def verify(given: Given) -> None:
     from knotgym.cli.inspection import checked, faults
     from knotgym.runs.compilation import compile_first
 
-    path, progress, found = given["path_or_id"], given.progress, 0
+    path, progress, count = given["path_or_id"], given.progress, 0
     compile_first(progress)
-    for found, fault in enumerate(faults(path, progress), 1):
-        progress.console.print(f"fault: {fault}", soft_wrap=True, highlight=False, markup=False)
-    if found:
-        raise Failed(f"{path}: {found} faults")
+    for fault in faults(path, progress):
+        _print(given, f"fault: {fault}")
+        count += 1
+    if count:
+        raise Failed(f"{path}: {count} faults")
     progress.say(f"{path}: {checked(path)}: no faults")
 
 
@@ -227,10 +228,12 @@ def import_(given: Given) -> None:
 
     A curve is cut into beads, scaled to the rope's length, relaxed where needed, and judged by the
     limits of generated states. It keeps its Gauss code as seen from +z; its knot is certified. All
-    states are in split train; `dataset split` makes others.
+    states are in split train; `dataset split` makes others. Curves that can't be laid are listed,
+    and the exit status is then 1, or 2 if there is no other curve.
 
     Args:
-        curves: Files of closed curves: .csv (x,y,z or curve,x,y,z), .obj or .npz.
+        curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat, .xyz),
+            .obj, .vect, .json, .npy or .npz.
         out: State file to write, such as states.h5.
     """
     if not given["curves"]:
@@ -242,16 +245,25 @@ def import_(given: Given) -> None:
     out, overwrite = given["out"], given.run.overwrite
     given.progress.stage("relaxing curves")
     require_output(out, folder=False, overwrite=overwrite)
-    states = import_curves([Path(name) for name in given["curves"]], split="train", seed=0)
+    states, refused = import_curves([Path(name) for name in given["curves"]])
     with atomic_write(out, overwrite=overwrite) as temporary:
         write_states(temporary, states)
     knots = ", ".join(sorted(set(states.knot.tolist())))
     given.progress.say(f"{out}: {len(states)} states, of {knots}")
+    _print(given, *(f"refused: {line}" for line in refused))
+    if refused:
+        raise Failed(f"{len(refused)} files or curves were refused; {out} holds {len(states)}")
 
 
 dataset = App(name="dataset", help="Inspect, check and convert datasets.", help_epilogue="", **APP)
 for _one in (show, gallery, verify, merge, replay, page, export, select, split, delete, import_):
     dataset.command(_one)
+
+
+def _print(given: Given, *lines: str) -> None:
+    """Print lines of the result, which --quiet doesn't leave out."""
+    for line in lines:
+        given.progress.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
 def _out(given: Given, name: str) -> Path:
