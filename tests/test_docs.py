@@ -250,12 +250,16 @@ def test_a_newcomer_s_look_ups_are_listed() -> None:
 @pytest.mark.parametrize(
     "path",
     sorted(
-        path
-        for row in tables(ROOT / "CONTRIBUTING.md")["Where do I find ..."]
-        for path in code_words(row[1])
+        {
+            path
+            for heading in ("Where do I find ...", "Common changes")
+            for row in tables(ROOT / "CONTRIBUTING.md")[heading]
+            for path in code_words(" ".join(row))
+            if re.fullmatch(r"[\w/]+\.(py|md)", path)
+        }
     ),
 )
-def test_a_path_in_the_table_of_look_ups_exists(path: str) -> None:
+def test_a_path_in_the_tables_of_look_ups_and_changes_exists(path: str) -> None:
     assert (ROOT / path).is_file()
 
 
