@@ -73,7 +73,7 @@ class Transitions:
             dataset: id or folder of a Minari dataset, `minari.MinariDataset`, or an episode file.
             observation: "pixels", "state", "both", "symbolic" or "marked"; None for the
                 environment's.
-            picture: a `knotgym.rendering.picture.PictureConfig` to render with; None for the
+            picture: a `knotgym.rendering.camera.PictureConfig` to render with; None for the
                 environment's pictures.
             action: "pull", "bead" or "macro"; None for the environment's.
             relabel: None for episodes as they are. "last": the goal becomes the last new code that
