@@ -27,9 +27,8 @@ from knotgym.control.planning import moves
 from knotgym.control.policies import make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollouts
-from knotgym.control.verification import OVERLAPS
 from knotgym.datasets import episode_dataset, image_table
-from knotgym.datasets.cards.fact_tables import overlap_rows
+from knotgym.datasets.cards import state_card
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
@@ -37,7 +36,7 @@ from knotgym.generate.episodes import recordings
 from knotgym.quality.limits import UNITS
 from knotgym.states import schema
 from knotgym.states import state_file as states
-from knotgym.states.state_file import SHIPPED, shipped
+from knotgym.states.state_file import SHIPPED, read_states, shipped
 
 from .scripts import ROOT, run_script
 from .small_job import knotgym as knotgym_command
@@ -406,11 +405,10 @@ def test_the_quick_start_has_the_two_lines_that_upload_what_a_run_made() -> None
 
 def test_what_train_and_test_share_is_as_computed() -> None:
     said = [line for line in (DOCS / "environment.md").read_text().splitlines() if "| `" in line]
-    for name, file in SHIPPED.items():
-        shared = json.loads((shipped().parent / OVERLAPS).read_text())[file]
-        counts = {nx: {"overlap": found} for nx, found in shared.items()}
-        for row in overlap_rows(counts):
-            assert f"| `{name}` | {' | '.join(row)} |" in said
+    for name in SHIPPED:
+        states = read_states(shipped(name), images=False)
+        for row in state_card.tables(states, {})["train and test"].rows:
+            assert f"| `{name}` | {' | '.join(map(str, row))} |" in said
 
 
 def test_every_extra_is_in_the_table_of_the_quick_start() -> None:

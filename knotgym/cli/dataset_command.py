@@ -84,10 +84,10 @@ def gallery(
         out: PNG to write; gallery.png in the folder by default.
     """
     from knotgym.cli.inspection import gallery as draw
-    from knotgym.datasets.located import folder_of
+    from knotgym.datasets.located import locate
 
-    out = out or folder_of(path) / "gallery.png"
-    progress.say(f"{out}: {draw(path, out, 8, overwrite)}")
+    out = out or locate(path).folder / "gallery.png"
+    progress.say(f"{out}: {draw(path, out, overwrite)}")
 
 
 @_command()
@@ -168,9 +168,9 @@ def replay(
         row: Index of the state or episode.
     """
     from knotgym.cli.inspection import film
-    from knotgym.datasets.located import folder_of
+    from knotgym.datasets.located import locate
 
-    out = out or folder_of(path) / "replay.gif"
+    out = out or locate(path).folder / "replay.gif"
     progress.say(f"{out}: {film(path, row, out, overwrite, progress)}")
 
 
@@ -187,9 +187,9 @@ def page(
         out: HTML file to write; page.html in the folder by default.
     """
     from knotgym.cli.inspection import page as write
-    from knotgym.datasets.located import folder_of
+    from knotgym.datasets.located import locate
 
-    out = out or folder_of(path) / "page.html"
+    out = out or locate(path).folder / "page.html"
     progress.stage("writing the page")
     progress.say(f"{out}: {write(path, out, overwrite)}")
 
@@ -251,7 +251,6 @@ def select(
     from knotgym.datasets import subsets
 
     progress.stage("selecting")
-    _require_own(path, out, dataset_id)
     made = subsets.select(
         path,
         where=where,
@@ -287,7 +286,6 @@ def split(
     from knotgym.datasets import subsets
 
     progress.stage("splitting")
-    _require_own(path, out, dataset_id)
     for made in subsets.split(
         path, parts, seed=seed, out=out, dataset_id=dataset_id, overwrite=overwrite
     ):
@@ -313,7 +311,6 @@ def delete(
     from knotgym.datasets import subsets
 
     progress.stage("deleting")
-    _require_own(path, out, dataset_id)
     numbered = subsets.row_numbers(rows)
     made = subsets.delete(path, numbered, out=out, dataset_id=dataset_id, overwrite=overwrite)
     progress.say(f"{made}: {subsets.kept(made)}")
@@ -346,12 +343,3 @@ def import_curves(
         write_states(temporary, states)
     knots = ", ".join(sorted(set(states.knot.tolist())))
     progress.say(f"{out}: {len(states)} states, of {knots}")
-
-
-def _require_own(path: str, out: Path | None, dataset_id: str) -> None:
-    """Refuse linked files, and a plain file in Minari's folder."""
-    from knotgym.datasets.located import refuse_minaris_folder, sources
-
-    sources(path)
-    if out is not None and not dataset_id:
-        refuse_minaris_folder(out)

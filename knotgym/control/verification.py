@@ -8,22 +8,18 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.configuration import read_json
-from knotgym.common.tables import format_of
 from knotgym.control.recorded_policy import RecordedPolicy
 from knotgym.control.rollouts import rollouts
-from knotgym.datasets.episode_dataset import FORMAT as EPISODES_FORMAT
 from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
 from knotgym.datasets.episodes import Episodes
-from knotgym.datasets.image_table import is_images
+from knotgym.datasets.located import locate
 from knotgym.datasets.machine import others
-from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
+from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import read_states, shipped
+from knotgym.states.state_file import read_states
 
 # a phrase in the faults of replays, which may differ on another machine because of rounding
 _REPLAYED = ("bit for bit", "played again")
-OVERLAPS = "overlaps.json"  # beside the shipped sets: file -> nx -> `splits.overlap`
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
 
 
@@ -71,18 +67,16 @@ def faults(
 
 
 def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator[str]:
-    given = Path(source)
-    if is_images(given):
+    found = locate(os.fspath(source))
+    if found.pictures:
         # imported here, because only this check needs pyarrow
         from knotgym.datasets.image_verification import image_faults
 
-        yield from image_faults(given, each, count)
-    elif given.is_dir() and any((given / n).is_file() for n in ("manifest.json", "states.h5")):
-        yield from folder_faults(given, replay, count)
-    elif given.is_file() and format_of(given) != EPISODES_FORMAT:
-        states = read_states(given)
-        yield from state_faults(states, count)
-        stored = read_json(given.with_name(OVERLAPS)) if given.parent == shipped().parent else {}
-        yield from overlap_faults(states, stored.get(given.name, {}), OVERLAPS)
+        yield from image_faults(found.pictures, each, count)
+    elif found.states and found.root.is_dir():
+        yield from folder_faults(found.root, replay, count)
+    elif found.states:
+        yield from state_faults(read_states(found.states), count)
     else:
-        yield from verify_episodes(str(source), replay, count=count)
+        for one in found.episodes:
+            yield from verify_episodes(one, replay, count=count)

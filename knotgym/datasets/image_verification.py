@@ -26,7 +26,7 @@ from knotgym.datasets.image_table import (
     shards,
     stored_digest,
 )
-from knotgym.datasets.manifest_check import listed_faults, read_manifest
+from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.quality.limits import UNAMBIGUOUS, Quality
 from knotgym.rendering.appearance_config import SIZES
 from knotgym.rope.model import Array, Rope
@@ -53,7 +53,8 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
     folder = Path(path)
     arrow()
     if folder.is_dir():
-        yield from _folder_faults(folder)
+        manifest, faults = read_manifest(folder)
+        yield from [*faults, *listed_faults(folder, manifest)]
     readable, files = True, shards(path)
     count("files of pictures", 0, len(files))
     for done, faults in enumerate(each(shard_faults, files), 1):
@@ -125,17 +126,6 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
         yield f"the code is ambiguous in the picture: {', '.join(missed)}"
     if row["image"] != right["image"]:
         yield "image is not the rendering of points with this appearance"
-
-
-def _folder_faults(folder: Path) -> Iterator[str]:
-    """Yield faults of the manifest and checksums, and Parquet files that it doesn't list."""
-    manifest, faults = read_manifest(folder)
-    yield from faults
-    yield from listed_faults(folder, manifest)
-    if manifest:
-        for shard in shards(folder):
-            if f"data/{shard.name}" not in manifest["files"]:
-                yield f"{shard.name} is not in the manifest"
 
 
 def _split_faults(table: Any) -> Iterator[str]:

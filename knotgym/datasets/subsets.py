@@ -26,7 +26,6 @@ def select(
     source: str | Path,
     *,
     where: str = "",
-    split: str = "",
     sample: int | None = None,
     seed: int = 0,
     out: str | Path | None = None,
@@ -39,7 +38,6 @@ def select(
         source: a state file, the folder of a run, an included set, a folder or file of pictures, an
             episode file, or the folder or id of a Minari dataset.
         where: a condition on the columns, see `conditions`; "" for all rows.
-        split: keep the rows of this split only.
         sample: keep this many of them, drawn at random; their order stays.
         seed: of the draw.
         out: the new file; with `dataset_id` the Minari root.
@@ -50,22 +48,17 @@ def select(
 
     Raises:
         InvalidInput: `where` isn't a condition on these columns.
-        InvalidInput: no row is left, fewer than `sample` are, or there is no such split.
+        InvalidInput: no row is left, or fewer than `sample` are.
         Occupied: the output exists.
     """
     given = opened(source)
     chosen = matching_rows(where, given.columns) if where else np.ones(len(given.ids), dtype=bool)
-    if split:
-        splits = given.splits
-        if split not in splits:
-            raise InvalidInput(f"{source} has no split {split!r}; splits are {', '.join(splits)}")
-        chosen = chosen & splits[split]
     rows = np.flatnonzero(chosen)
     if sample is not None:
         if not 0 < sample <= len(rows):
             raise InvalidInput(f"{len(rows)} rows match, can't sample {sample} of them")
         rows = np.sort(generator(Stream.SELECTION, seed).choice(rows, sample, replace=False))
-    how: dict[str, Any] = {"where": where, "split": split, "sample": sample}
+    how: dict[str, Any] = {"where": where, "sample": sample}
     how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
     return write_rows(given, str(source), rows, how, Destination(out, dataset_id, overwrite))
 
@@ -115,7 +108,7 @@ def split(
         beside = out if path is None else path.with_name(f"{path.stem}-{name}{path.suffix}")
         named = re.sub(r"(?=-v\d+$)", f"-{name}", dataset_id)
         targets.append(Destination(beside, named, overwrite))
-        require_target(given, targets[-1])
+        require_target(given, targets[-1], [given.digested])
     how = {"parts": shares, "seed": seed}
     return [
         write_rows(given, str(source), np.flatnonzero(dealt == k), {**how, "part": name}, target)

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from knotgym.datasets.located import Located
 from knotgym.datasets.page.page_data import page_data
 from knotgym.datasets.page.page_writer import page_html
 from knotgym.states.state_file import States, write_states
@@ -184,7 +185,7 @@ def test_markup_in_a_file_is_text_in_the_browser(
 ) -> None:
     write_states(tmp_path / "s.h5", hostile(states))
     (tmp_path / "p.html").write_text(
-        page_html(page_data(HOSTILE, states=tmp_path / "s.h5")), encoding="utf-8"
+        page_html(page_data(HOSTILE, Located(tmp_path, tmp_path / "s.h5"))), encoding="utf-8"
     )
     tab.open(tmp_path / "p.html", "#states/3")
     assert tab.ask("document.querySelectorAll('img').length") == 0

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.datasets.cards.fact_tables import spread_rows
-from knotgym.datasets.cards.state_card import summary
+from knotgym.datasets.cards.state_card import tables
 from knotgym.rope.model import Rope
 from knotgym.states import spread
 from knotgym.states.near_duplicates import distances
@@ -99,9 +98,9 @@ def test_pairs_of_many_are_made_of_some(monkeypatch: pytest.MonkeyPatch) -> None
     assert found["gyration"] == pytest.approx((0.1, 0.2))
 
 
-def test_the_summary_has_the_spread_of_every_nx(states: States) -> None:
-    told = summary(states)["nx"]
+def test_the_card_has_the_spread_of_every_nx(states: States) -> None:
+    rows = tables(states, {})["spread"].rows
+    assert [row[0] for row in rows] == [0, 1, 2, 3, 4]
     loops = states.points[states.nx == 0]
-    assert told["0"]["spread"] == spread_of(loops)
-    assert [row[0] for row in spread_rows(told)] == ["0", "1", "2", "3", "4"]
-    assert told["0"]["spread"]["distance"][1] == distances(loops[0], loops[1:]).min()
+    least = 1000 * distances(loops[0], loops[1:]).min()
+    assert str(rows[0][1]).endswith(f" / {round(least, 1):.3g}")

@@ -26,7 +26,7 @@ def figure_eight() -> NDArray[np.float64]:
 @pytest.mark.parametrize("suffix", ["csv", "obj", "npz"])
 def test_several_curves_come_back_exactly(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"two.{suffix}"
-    write_curves(path, ["a", "b"], np.stack([trefoil(), figure_eight()]))
+    write_curves(path, np.stack([trefoil(), figure_eight()]))
     for curve, right in zip(read_curves(path), (trefoil(), figure_eight()), strict=True):
         assert np.array_equal(curve.points[:300], right)
 
@@ -47,7 +47,7 @@ def test_exported_states_are_imported_again(tmp_path: Path) -> None:
     states = read_states(shipped("hard-unknots"), images=False)
     curves = read_curves(tmp_path / "hard.obj")
     assert len(curves) == len(states)
-    write_curves(tmp_path / "one.npz", ["one"], curves[0].points[None])
+    write_curves(tmp_path / "one.npz", curves[0].points[None])
     again = import_curves([tmp_path / "one.npz"], split="test")
     assert again.gauss_code_chiral[0] == states.gauss_code_chiral[0]
     assert again.split[0] == "test"
