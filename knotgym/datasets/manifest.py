@@ -89,11 +89,11 @@ def write_manifest(
 
 def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
     """Yield listed files that are missing or changed, and data files that aren't listed."""
-    for pattern in ("*.h*5", "*.json", "*.parquet"):
-        for path in sorted(folder.rglob(pattern)) if manifest else ():
-            name = path.relative_to(folder).as_posix()
-            if path.is_file() and name not in {"manifest.json", *manifest["files"]}:
-                yield f"{name} is not in the manifest"
+    found = [path for kind in ("*.h*5", "*.json", "*.parquet") for path in folder.rglob(kind)]
+    for path in sorted(found) if manifest else ():
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name not in {"manifest.json", *manifest["files"]}:
+            yield f"{name} is not in the manifest"
     for name, digest in manifest.get("files", {}).items():
         if not (folder / name).is_file():
             yield f"{name} is missing"
