@@ -37,8 +37,7 @@ def uncounted(stage: str, done: int, total: int) -> None:
 def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) -> EpisodeDataset:
     """Return a dataset with all columns, made by playing its episodes again.
 
-    Of columns that can't be recomputed, goals in hindsight and the numbers of planned pulls, the
-    dataset's own stay.
+    The numbers of planned pulls can't be recomputed: the dataset's own stay.
     """
     parts, task = [], dataset.task
     if not ships(task.states):
@@ -49,11 +48,8 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
             np.arange(first, min(first + _BLOCK, dataset.episodes.episodes.rows))
         )
         made = replay(some, task)
-        goals = made.episodes["goal_points"].copy()
-        hindsight = some.episodes["relabelled"]
-        goals[hindsight] = made.steps["observation"][made.last()][hindsight]
-        own = {name: some.episodes[name] for name in ("relabelled", "planned")}
-        parts.append(made._replace(episodes=made.episodes.replaced(goal_points=goals, **own)))
+        own = made.episodes.replaced(planned=some.episodes["planned"])
+        parts.append(made._replace(episodes=own))
     return replace(dataset, episodes=merged(parts) if parts else dataset.episodes)
 
 
@@ -121,7 +117,6 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "simulation_failures": int(own["failed"].sum()),
         "policies": _counted(own["policy"]),
         "goals": _counted(gauss_codes(own["goal_visits"])),
-        "relabelled": int(own["relabelled"].sum()),
         "bytes": size,
         "bytes_per_step": size / max(1, int(own["length"].sum())),
         "rope": dataset.attributes.get("rope"),
@@ -150,10 +145,9 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
         yield f"{dataset.path}: a pull is of a bead or with a force that doesn't exist"
     if "expert_action" in steps and np.abs(steps["expert_action"]).max(initial=0) > 1:
         yield f"{dataset.path}: an expert's action lies outside [-1, 1]"
-    missing = ~own["relabelled"] & (own["goal"] < 0)
-    if missing.any() or (own["start"] < 0).any():
-        row = int((missing | (own["start"] < 0)).argmax())
-        yield f"{dataset.path}, episode {row}: it names no start, or no goal"
+    missing = (own["goal"] < 0) | (own["start"] < 0)
+    if missing.any():
+        yield f"{dataset.path}, episode {missing.argmax()}: it names no start, or no goal"
 
 
 def _code_faults(dataset: EpisodeDataset, pyknotid: bool, count: Count) -> Iterator[str]:
@@ -165,8 +159,7 @@ def _code_faults(dataset: EpisodeDataset, pyknotid: bool, count: Count) -> Itera
     begins = gauss_codes(steps["visits"][first])
     for row, last in enumerate(episodes.last().tolist()):
         count("codes read again", row, own.rows)
-        # the goal of an episode in hindsight is its last state, whose code has been compared
-        if not own["relabelled"][row] and str(shown[row]) != wanted[row]:
+        if str(shown[row]) != wanted[row]:
             yield f"episode {row}: its goal shows {str(shown[row])!r}, not {wanted[row]!r}"
         if pyknotid:
             second = pyknotid_code(_float64(steps["observation"][last])).chiral
