@@ -53,16 +53,12 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     return replace(dataset, episodes=merged(parts) if parts else dataset.episodes)
 
 
-def verify_episodes(
-    source: Any, replay: Replay | None, *, pyknotid: bool = True, count: Count = uncounted
-) -> Iterator[str]:
+def verify_episodes(source: Any, replay: Replay, *, count: Count = uncounted) -> Iterator[str]:
     """Verify a file of episodes or a Minari dataset.
 
     Args:
         source: what `open_episodes` takes.
-        replay: plays the episodes again, to be compared; None to believe their states.
-        pyknotid: compare each episode's last state with pyknotid, an independent labeller; about
-            10 ms each.
+        replay: plays the episodes again, to be compared.
         count: progress callback.
 
     Yields:
@@ -84,17 +80,14 @@ def verify_episodes(
     yield from split_faults(dataset)
     yield from duplicate_faults(dataset)
     try:
-        columns = dataset
-        if replay is not None:
-            columns = expanded(dataset, replay, count)
-            for fault in differences(columns.episodes, dataset.episodes):
-                yield f"{dataset.path}, {fault}, played again"
+        columns = expanded(dataset, replay, count)
+        for fault in differences(columns.episodes, dataset.episodes):
+            yield f"{dataset.path}, {fault}, played again"
     except KnotgymError as error:
         yield f"{dataset.path}: can't be played again: {one_line(error)}"
         return
-    if not columns.episodes.is_recording:
-        for fault in _code_faults(columns, pyknotid, count):
-            yield f"{dataset.path}, {fault}"
+    for fault in _code_faults(columns, count):
+        yield f"{dataset.path}, {fault}"
     if not dataset.episodes.is_recording:
         yield from minari_faults(dataset)
 
@@ -150,7 +143,7 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
         yield f"{dataset.path}, episode {missing.argmax()}: it names no start, or no goal"
 
 
-def _code_faults(dataset: EpisodeDataset, pyknotid: bool, count: Count) -> Iterator[str]:
+def _code_faults(dataset: EpisodeDataset, count: Count) -> Iterator[str]:
     """Yield where codes aren't those of the vertices, or goals not those that their codes say."""
     episodes = dataset.episodes
     own, steps, first = episodes.episodes, episodes.steps, episodes.offsets[:-1]
@@ -161,13 +154,12 @@ def _code_faults(dataset: EpisodeDataset, pyknotid: bool, count: Count) -> Itera
         count("codes read again", row, own.rows)
         if str(shown[row]) != wanted[row]:
             yield f"episode {row}: its goal shows {str(shown[row])!r}, not {wanted[row]!r}"
-        if pyknotid:
-            second = pyknotid_code(_float64(steps["observation"][last])).chiral
-            if second != chiral[last]:
-                yield (
-                    f"episode {row}, step {own['length'][row]}: pyknotid reads {second!r}, the file"
-                    f" says {chiral[last]!r}"
-                )
+        second = pyknotid_code(_float64(steps["observation"][last])).chiral
+        if second != chiral[last]:
+            yield (
+                f"episode {row}, step {own['length'][row]}: pyknotid reads {second!r}, the file"
+                f" says {chiral[last]!r}"
+            )
         knots = [knot_type(GaussCode.parse(str(code))) for code in (begins[row], wanted[row])]
         if knots[0] != knots[1]:
             yield (

@@ -6,13 +6,11 @@ nothing stored is believed. Splits are checked for overlap. Each fault is report
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidFile, KnotgymError, MissingFile, one_line
 from knotgym.datasets.episode_verification import Count, uncounted
@@ -27,14 +25,13 @@ from knotgym.datasets.image_table import (
     stored_digest,
 )
 from knotgym.datasets.manifest import listed_faults, read_manifest
+from knotgym.datasets.split_verification import leaks
 from knotgym.quality.limits import UNAMBIGUOUS, Quality
 from knotgym.rendering.appearance_config import SIZES
-from knotgym.rope.model import Array, Rope
+from knotgym.rope.model import Rope
 from knotgym.states.derivation import row_faults as state_faults
-from knotgym.states.near_duplicates import pairs_within
 from knotgym.states.splits import IMAGE_SPLITS
 
-_HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m long
 _COLOURS = ("published", "single", "gradient", "lines")
 _RECOMPUTED = ("crossings", "accepted", "grade")
 _DRAWN_WITH, _MOST_DRAWN = ("zoom", "width", "noise", "blur"), 1000.0
@@ -80,7 +77,7 @@ def shard_faults(path: Path) -> list[str]:
         digest = stored_digest(path)
     except (InvalidFile, MissingFile) as error:
         return [str(error)]
-    if digest not in ("", now.hexdigest()):
+    if digest != now.hexdigest():
         faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
     return faults
 
@@ -133,7 +130,7 @@ def _split_faults(table: Any) -> Iterator[str]:
     split, codes, nx = (np.array(table[name].to_pylist()) for name in ("split", "gauss_code", "nx"))
     sources = table["source"].to_pylist()
     numbers = [source["row"] for source in sources]
-    for row, other in _near_across_splits(points_of(table), split):
+    for row, other, _ in leaks(points_of(table), split):
         yield (
             f"rows {numbers[row]} ({split[row]}) and {numbers[other]} ({split[other]}) are"
             " near-duplicates"
@@ -154,13 +151,3 @@ def _split_faults(table: Any) -> Iterator[str]:
         yield "test-nx has pictures with no more crossings than train"
     if len(set(numbers)) != len(numbers):
         yield "two rows have the same number"
-
-
-def _near_across_splits(points: Array, split: NDArray[np.str_]) -> Iterator[tuple[int, int]]:
-    """Yield pairs of rows of different splits that are near-duplicates."""
-    # rows with non-finite or huge coordinates are reported elsewhere and have no distance
-    sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
-    for one, other in combinations(sorted(set(split.tolist())), 2):
-        rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
-        for i, k, _ in pairs_within(points[rows], points[others]):
-            yield int(rows[i]), int(others[k])

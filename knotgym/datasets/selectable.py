@@ -19,7 +19,7 @@ from knotgym.common.atomic_files import atomic_write, require_apart, require_out
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episodes import Episodes, gauss_codes
-from knotgym.datasets.image_table import COLUMNS, arrow, points_of, read_table, shards, write_table
+from knotgym.datasets.image_table import COLUMNS, arrow, parquet, points_of, read_table, shards
 from knotgym.datasets.located import locate_own, refuse_minaris_folder
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.states.near_duplicates import families
@@ -108,7 +108,7 @@ class _PictureRows:
         kept = np.isin(np.arange(len(self.ids)), rows)
         table = read_table(self.path).filter(arrow().array(kept))
         metadata = {**(table.schema.metadata or {}), b"selection": json.dumps(made)}
-        write_table(path, table.replace_schema_metadata(metadata))
+        path.write_bytes(parquet(table.replace_schema_metadata(metadata)))
 
 
 class EpisodeRows:

@@ -4,21 +4,25 @@ A goal is the state that its row names, bit for bit. A start is stirred by reset
 be near the state that its row names, or at least near none of another split.
 """
 
+from collections.abc import Iterator
+from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import episode_digests
 from knotgym.envs.knot_tasks import start_nx
 from knotgym.rope.model import Array, Rope
-from knotgym.states.near_duplicates import NEAR, distances
+from knotgym.states.near_duplicates import NEAR, distances, pairs_within
 from knotgym.states.state_file import States, read_states, shipped
 
 # metres, root mean square over the beads, after the best translation and rotation about z. Reset
 # noise at its default scale stays below 6 mm, and no two states of a curated set are that close.
 _MATCH = NEAR / 2
+_HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m long
 
 
 def split_faults(dataset: EpisodeDataset) -> list[str]:
@@ -52,6 +56,20 @@ def split_faults(dataset: EpisodeDataset) -> list[str]:
                 continue
             faults += [f"{dataset.path}, episode {row}: {fault}"] if fault else []
     return faults
+
+
+def leaks(points: Array, split: NDArray[np.str_]) -> Iterator[tuple[int, int, float]]:
+    """Yield pairs of rows of different splits that are near-duplicates, and their distance.
+
+    Args:
+        points: float64 (n, beads, 3), metres; rows that aren't finite or are huge are passed over.
+        split: (n,).
+    """
+    sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
+    for one, other in combinations(sorted(set(split.tolist()), reverse=True), 2):
+        rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
+        for i, k, apart in pairs_within(points[others], points[rows]):
+            yield int(rows[k]), int(others[i]), apart
 
 
 def duplicate_faults(dataset: EpisodeDataset) -> list[str]:

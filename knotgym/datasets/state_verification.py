@@ -17,6 +17,7 @@ from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
 from knotgym.datasets.episode_verification import Count, Replay, uncounted, verify_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest import listed_faults, read_manifest
+from knotgym.datasets.split_verification import leaks
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
@@ -24,7 +25,7 @@ from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, require_engine, simulation
 from knotgym.rope.model import Array, Rope, rope_of
 from knotgym.states.derivation import row_faults
-from knotgym.states.near_duplicates import pairs_within, repeated
+from knotgym.states.near_duplicates import repeated
 from knotgym.states.schema import DRAWING, IMPORT, PLAY, RANDOM_WALK, STATES
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import States, read_states
@@ -84,9 +85,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         yield "states.h5: its columns don't match content_sha256"
 
 
-def folder_faults(
-    folder: Path, replay: Replay | None = None, count: Count = uncounted
-) -> Iterator[str]:
+def folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.
@@ -231,12 +230,12 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
 
 def _leaks(states: States) -> Iterator[str]:
     """Yield near-duplicates and frames of one rope that are in both train and test."""
-    train, test = (np.flatnonzero(states.split == split) for split in STATE_SPLITS)
-    for i, k, apart in pairs_within(states.points[test], states.points[train]):
+    for row, other, apart in leaks(states.points, states.split):
         yield (
-            f"states.h5 rows {train[k]} (train) and {test[i]} (test) are near-duplicates:"
-            f" {1000 * apart:.1f} mm apart at the best symmetry"
+            f"states.h5 rows {row} ({states.split[row]}) and {other} ({states.split[other]}) are"
+            f" near-duplicates: {1000 * apart:.1f} mm apart at the best symmetry"
         )
+    train, test = (np.flatnonzero(states.split == split) for split in STATE_SPLITS)
     seeds = {tuple(states.source["seed"][row]): row for row in train}
     for row in test:
         other = seeds.get(tuple(states.source["seed"][row]))

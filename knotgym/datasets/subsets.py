@@ -6,7 +6,7 @@ copied, not made again.
 """
 
 import re
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from knotgym.datasets.selectable import Destination, Rows, opened, require_targe
 
 _MOST_ROWS = 10_000_000
 _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
-_PART = re.compile(r"([A-Za-z0-9_]+)=([0-9.]{1,20})")
+_PART = re.compile(r"([A-Za-z0-9_]+)=([0-9]{0,9}\.?[0-9]{1,9})")
 
 
 def select(
@@ -65,7 +65,7 @@ def select(
 
 def split(
     source: str | Path,
-    parts: str | Mapping[str, float],
+    parts: str,
     *,
     seed: int = 0,
     out: str | Path | None = None,
@@ -80,7 +80,7 @@ def split(
 
     Args:
         source: as for `select`.
-        parts: name -> fraction, or "train=0.8,val=0.2"; the fractions add up to 1.
+        parts: names and fractions that add up to 1, such as "train=0.8,val=0.2".
         seed: of the random assignment.
         out: as for `select`; "-NAME" is appended to it, before a suffix.
         dataset_id: as for `select`; "-NAME" is inserted before the version.
@@ -166,17 +166,11 @@ def row_numbers(text: str) -> list[int]:
     return out
 
 
-def _shares(parts: str | Mapping[str, float]) -> dict[str, float]:
-    if isinstance(parts, str):
-        words = [_PART.fullmatch(word.strip()) for word in parts.split(",")]
-        try:
-            pairs = [(word[1], float(word[2])) for word in words if word]
-        except ValueError:
-            pairs = []
-        if len(dict(pairs)) < len(words):
-            raise InvalidInput(f"parts are such as train=0.8,val=0.2, got {parts!r}")
-        parts = dict(pairs)
-    shares = {str(name): float(share) for name, share in parts.items()}
+def _shares(parts: str) -> dict[str, float]:
+    words = [_PART.fullmatch(word.strip()) for word in parts.split(",")]
+    shares = {word[1]: float(word[2]) for word in words if word}
+    if len(shares) < len(words):
+        raise InvalidInput(f"parts are such as train=0.8,val=0.2, got {parts!r}")
     if len(shares) < 2 or min(shares.values()) <= 0 or abs(sum(shares.values()) - 1) > 1e-6:
         raise InvalidInput(f"parts are at least 2 fractions above 0 that add up to 1, got {shares}")
     return shares

@@ -26,6 +26,7 @@ import knotgym as package
 from knotgym.cli import main as cli
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidFile
+from knotgym.control.verification import replay
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.loaders import arrays
 from knotgym.rendering.diagram import draw_diagram
@@ -441,7 +442,7 @@ def test_a_trefoil_is_made_and_certified(tmp_path: Path) -> None:
     states = read_states(tmp_path / "a" / "states.h5")
     assert len(states) == 2 and set(states.knot) == {"3_1"} and set(states.nx) == {3}
     assert {knot_type(label(points)) for points in states.points} == {"3_1"}
-    assert list(folder_faults(tmp_path / "a")) == []
+    assert list(folder_faults(tmp_path / "a", replay)) == []
 
 
 @pytest.mark.slow
@@ -458,4 +459,8 @@ def test_the_command_as_installed_makes_a_folder(tmp_path: Path) -> None:
         str(tmp_path / "a"),
     ]
     run = subprocess.run(words, capture_output=True, text=True)
-    assert run.returncode == 0 and run.stderr == "" and list(folder_faults(tmp_path / "a")) == []
+    assert (
+        run.returncode == 0
+        and run.stderr == ""
+        and list(folder_faults(tmp_path / "a", replay)) == []
+    )

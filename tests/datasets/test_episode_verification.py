@@ -105,7 +105,7 @@ def test_a_changed_column_is_a_fault(
     change(columns[column])
     harmed = getattr(good.episodes, table).replaced(**columns)
     write_episodes(tmp_path / "h.h5", [good.episodes._replace(**{table: harmed})], good.task)
-    assert [*verify_episodes(tmp_path / "h.h5", played, pyknotid=False)]
+    assert [*verify_episodes(tmp_path / "h.h5", played)]
 
 
 def test_a_digest_that_is_not_the_contents_is_a_fault(tmp_path: Path, good: EpisodeDataset) -> None:
@@ -114,18 +114,18 @@ def test_a_digest_that_is_not_the_contents_is_a_fault(tmp_path: Path, good: Epis
     write_episodes(tmp_path / "h.h5", [good.episodes], good.task)
     with h5py.File(tmp_path / "h.h5", "r+") as file:
         file["steps/force"][0] = 0.5
-    assert any("digest" in fault for fault in verify_episodes(tmp_path / "h.h5", None))
+    assert any("digest" in fault for fault in verify_episodes(tmp_path / "h.h5", replay))
 
 
 def test_an_episode_twice_is_a_fault(tmp_path: Path, good: EpisodeDataset) -> None:
     write_episodes(tmp_path / "h.h5", [good.episodes.select([0, 1, 0])], good.task)
-    faults = [*verify_episodes(tmp_path / "h.h5", None, pyknotid=False)]
+    faults = [*verify_episodes(tmp_path / "h.h5", replay)]
     assert [fault for fault in faults if "episode 2: the same as episode 0" in fault]
 
 
 def test_a_damaged_file_is_one_fault(tmp_path: Path) -> None:
     (tmp_path / "h.h5").write_bytes(TINY["expert"].read_bytes()[:4000])
-    assert len([*verify_episodes(tmp_path / "h.h5", None)]) == 1
+    assert len([*verify_episodes(tmp_path / "h.h5", replay)]) == 1
 
 
 def test_a_summary_counts_what_is_there() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from knotgym.common.atomic_files import sha256
+from knotgym.control.verification import replay
 from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.states.state_file import States, read_states, shipped, write_states
 
@@ -154,10 +155,10 @@ def manifest_of(folder: Path) -> Mapping[str, Any]:
 
 
 def test_a_changed_file_and_a_missing_one_are_named(light: Path) -> None:
-    assert list(folder_faults(light)) == []
+    assert list(folder_faults(light, replay)) == []
     (light / "README.md").write_text("other")
     (light / "states.h5").unlink()
-    assert sorted(folder_faults(light)) == [
+    assert sorted(folder_faults(light, replay)) == [
         "README.md is not the file the manifest lists (SHA-256 differs)",
         f"no knotgym-states file at {light / 'states.h5'}",
         "states.h5 is missing",
@@ -168,13 +169,13 @@ def test_a_code_in_both_splits_is_a_fault_where_they_should_share_none(light: Pa
     listed(light, config={**manifest_of(light)["config"], "split_by": "code"})
     (code,) = set(read_states(light / "states.h5").gauss_code)
     fault = f"code {code} is in both splits, which should share no code"
-    assert fault in list(folder_faults(light))
+    assert fault in list(folder_faults(light, replay))
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"files": 3, "config": {}}'])
 def test_a_manifest_that_cannot_be_read_is_a_fault(light: Path, text: str) -> None:
     (light / "manifest.json").write_text(text)
-    assert next(folder_faults(light)).startswith("manifest.json can't be read: ")
+    assert next(folder_faults(light, replay)).startswith("manifest.json can't be read: ")
 
 
 def _change(folder: Path) -> None:

@@ -201,7 +201,7 @@ def test_merged_datasets_name_their_sources(tmp_path: Path) -> None:
             ref_max_score=5.0,
             digests={"policy": str(k)},
         )
-        folders.append(str(publish([episodes([1], k)], TASK, metadata, tmp_path, minari=False)))
+        folders.append(str(publish([episodes([1], k)], TASK, metadata, tmp_path)))
     merge(folders, tmp_path, "knotgym/tie-nx2/both-v0")
     found = open_episodes(tmp_path / "knotgym/tie-nx2/both-v0").metadata or {}
     assert found["description"].startswith("Merged of knotgym/tie-nx2/p0-v0, knotgym/")
