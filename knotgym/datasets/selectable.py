@@ -135,20 +135,13 @@ class EpisodeRows:
         return found | {name: np.full(own.rows, text) for name, text in texts.items()}
 
     def keys(self) -> list[list[Hashable]]:
-        (own, steps), task = self.dataset.episodes, self.dataset.task
-        out: list[list[Hashable]] = []
-        for row, first in enumerate(self.dataset.episodes.offsets[:-1].tolist()):
-            pull = steps["bead"][first].tobytes() + steps["force"][first].tobytes()
-            # cuts of one episode begin alike
-            keys: list[Hashable] = [("cut", own["start_qpos"][row].tobytes(), pull)]
-            # states without crossings are shared by nearly all episodes
-            if task.start_nx:
-                keys.append(("state", int(own["start"][row])))
-            if own["goal_visits"][row].any():
-                goal, shown = int(own["goal"][row]), own["goal_visits"][row].tobytes()
-                keys.append(("state", goal) if goal >= 0 else ("goal", shown))
-            out.append(keys)
-        return out
+        own, untying = self.dataset.episodes.episodes, self.dataset.task.start_nx > 0
+        tied = own["goal_visits"].any(axis=1)
+        # states without crossings are shared by nearly all episodes
+        return [
+            [row for row, crosses in ((start, untying), (goal, tying)) if crosses]
+            for start, goal, tying in zip(own["start"], own["goal"], tied, strict=True)
+        ]
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
         facts = {**self.dataset.facts, "selection": made}

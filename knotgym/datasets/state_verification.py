@@ -236,8 +236,8 @@ def _leaks(states: States) -> Iterator[str]:
             f" near-duplicates: {1000 * apart:.1f} mm apart at the best symmetry"
         )
     train, test = (np.flatnonzero(states.split == split) for split in STATE_SPLITS)
-    seeds = {tuple(states.source["seed"][row]): row for row in train}
-    for row in test:
-        other = seeds.get(tuple(states.source["seed"][row]))
-        if other is not None:
-            yield f"states.h5 rows {other} (train) and {row} (test) come from one rope"
+    seeds = {tuple(states.source["seed"][row]): row for row in train.tolist()}
+    for row in test.tolist():
+        rope = tuple(states.source["seed"][row])
+        if rope in seeds:
+            yield f"states.h5 rows {seeds[rope]} (train) and {row} (test) come from one rope"

@@ -76,7 +76,7 @@ def split(
 
     What belongs together stays together: near-duplicates; rows of one trajectory, walk or family;
     episodes with a common start or goal state that has crossings (all start or end in the few plain
-    loops), and cuts of one episode. The column `split` isn't changed.
+    loops). The column `split` isn't changed.
 
     Args:
         source: as for `select`.

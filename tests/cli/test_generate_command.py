@@ -459,8 +459,5 @@ def test_the_command_as_installed_makes_a_folder(tmp_path: Path) -> None:
         str(tmp_path / "a"),
     ]
     run = subprocess.run(words, capture_output=True, text=True)
-    assert (
-        run.returncode == 0
-        and run.stderr == ""
-        and list(folder_faults(tmp_path / "a", replay)) == []
-    )
+    assert run.returncode == 0 and run.stderr == ""
+    assert list(folder_faults(tmp_path / "a", replay)) == []
