@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import Failed, InvalidInput
-from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
+from knotgym.rope.chain.chain_simulation import ChainSimulation, physics_of
 from knotgym.rope.chain.layout import STATE
 from knotgym.rope.chain.solver import SCHEDULE, advance
 from knotgym.rope.engines import ENGINES, MUJOCO
@@ -194,7 +194,7 @@ def changes_within(
     for share in SCHEDULE:
         x = moved[0, :, :3].copy()
         pulled, stage = (np.array([bead]), force[None]), np.array([share])
-        advance(moved, *pulled, *parameters(rope), duration * share, stage, counts)
+        advance(moved, *pulled, physics_of(rope), duration * share, stage, counts)
         look(0.0, 1.0, label(x), label(moved[0, :, :3]))
     return found
 
@@ -228,6 +228,7 @@ def play(engine: str, way: str, seed: int, ropes: int, length: int) -> dict[str,
     for step in range(length):
         before_action, (beads, forces) = simulation.states(), WAYS[way](simulation, rng, step)
         whole = simulation.step(beads, forces)
+        counts["held back"] += int((simulation.applied_shares < 1).sum())
         wide = gaps(simulation)
         widest = max(widest, float(wide.max()))
         counts["blew up"] += int((~whole).sum())
@@ -255,7 +256,6 @@ def play(engine: str, way: str, seed: int, ropes: int, length: int) -> dict[str,
                 text = f"{before.chiral} became {after.chiral}"
                 breaks.append(_named(way, seed, step, rope, text))
         codes = now
-    counts["held back"] = simulation.steps_reduced
     return {
         "way": way,
         "actions": ropes * length,

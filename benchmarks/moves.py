@@ -40,7 +40,7 @@ from knotgym.control.rollouts import Ids, Pulls, rollouts
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.macro_actions import Pass
-from knotgym.rope.model import base_shifts
+from knotgym.rope.model import sub_chains
 from knotgym.topology.gauss import GaussCode
 
 TASKS = (("tie", 2), ("tie", 3), ("tie", 4), ("convert", 3), ("unknot", 4))
@@ -174,7 +174,7 @@ class WatchingPlayer(ScriptedPlayer):
         pulls, points = super().act(ids), self._batch.simulation.points[ids]
         beads = points.shape[1]
         # the dynamics are nearly the same from the first bead of every sub-chain
-        for base in base_shifts(self._batch.task.rope):
+        for base, _ in sub_chains(self._batch.task.rope):
             sights = see(np.roll(points, -base, axis=1))
             for index, sight in zip(ids.tolist(), sights, strict=True):
                 code, key = sight.diagram.code, (index, base)
@@ -183,7 +183,7 @@ class WatchingPlayer(ScriptedPlayer):
                     self.count(*self._before[key], Diagram(code))
                 if self.begun[index]:
                     move = self.moves[index]
-                    target = -2.0 if move.kind == "spread" else -1.0
+                    target = -1.0 if move.side else -2.0  # a spread keeps its height
                     if move.target >= 0:
                         target = sight.position((move.target - base) % beads)
                     example = Example(move.side, sight.position((move.bead - base) % beads), target)

@@ -1,9 +1,11 @@
 """The table of learners: from files of `knotgym evaluate --out`, beside the published scores.
 
-    python benchmarks/results.py FILE.json...
+    python benchmarks/results.py [--learner NAME] FILE.json...
 
 Puts a row for each cell of the files into `benchmarks/evaluations.csv`, in the place of an earlier
 measurement of the same policy on the same states, and makes `docs/benchmark.md` from all its rows.
+The column `learner` names the row of the page in which a measurement counts: policies with one
+name there are seeds of one learner. Empty it in the CSV where a later measurement supersedes it.
 Files of one cell that were played with different seeds are counted together; the same episodes
 twice, and files without digests, are refused. Without files it makes the page anew.
 """
@@ -18,43 +20,42 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import InvalidFile
-from knotgym.generate.episodes.suite_scores import CELL, LINE, read_scores, score_tables
+from knotgym.datasets.cards.fact_tables import table
+from knotgym.generate.episodes.suite_config import SUITE
+from knotgym.generate.episodes.suite_scores import CELL, LINE, read_scores
 from knotgym.runs.identity import versions
 
 ROOT = Path(__file__).parents[1]
 COUNTS = ("nx", "episodes", "successes", "starts", "goals")
 RATES = ("success_rate", "low", "high")
 TEXTS = ("steps", "seeds", "trained_seconds", "commit", "command")  # the first and third may be ""
-COLUMNS = (*LINE, *CELL, *COUNTS[1:], *RATES, *TEXTS)
+COLUMNS = ("learner", *LINE, *CELL, *COUNTS[1:], *RATES, *TEXTS)
 # rows in which these are the same measure the same thing, the later one with newer code
 SAME = ("policy", "settings", "policy_sha256", *CELL)
 HEAD = """# Benchmark
 
-Made by `python benchmarks/results.py` from files that `knotgym evaluate --out FILE.json` wrote.
-`benchmarks/evaluations.csv` holds the same, with the digests of policy, states and code, the commit
-and the command of each cell. Success is in per cent, with a 95 % interval and the number of
-episodes.
+Success rates in per cent, one row a learner. With one training seed the range is the 95 % interval
+of its rate; with several, the rate is their mean and the range goes from the worst to the best
+seed. `python benchmarks/results.py` makes this page from `benchmarks/evaluations.csv`, which has
+the episodes, digests, commit and command of each measurement, the rows of every seed, and
+measurements that later ones superseded.
 
-The published rows are of the train split of states that aren't published, of 384 episodes (random:
+*Published* rows are of the train split of states that aren't published, of 384 episodes (random:
 256). They stand beside ours for scale; the settings differ. `pretrained` acts on pictures alone, as
 the published learners do, but unlike them it was trained with the simulator's vertices and forces
 as targets, and it plans with a table of 94,955 labelled macro-actions. (The table isn't what
 carries the score: cut to nx 2, 15 of 24 goals are reached; with all of it, 15 of 24.)
-`random` draws its actions, `constant` tows the rope in one direction, and `expert` plans in the
-simulator.
+Clones choose a bead and a strand instead of six numbers, so their scores have a table of their own;
+`pretrained-clone` is one of the three seeds of `clone`.
 
-Offline learners are trained on the datasets of `knotgym suite`, which come with the package as
-recordings: [The suite](suite.md) says which there are, and how hard they are to learn from. Scores
-on the split by code stand in tables of their own.
-
-`settings` are those that differ from the defaults of `knotgym evaluate`; `files` is the digest of
-the files that decide how a policy acts (weights, tables, own code), `code` that of the package. A
-heading has the digest of the state file. Rows with different digests are never counted together.
+Offline learners are trained on episodes like those of [the suite](suite.md).
+[Learners by libraries](library-learners.md) says on which, and what else was tried.
 
 ## Intervals
 
@@ -98,7 +99,7 @@ def commit() -> str:
     return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def as_cell(row: Mapping[str, Any], at: str) -> Row:
+def as_cell(row: Mapping[str, Any], at: str, learner: str) -> Row:
     """A row of `read_scores` as the table has it; measured with the code of commit `at`.
 
     Raises:
@@ -112,6 +113,7 @@ def as_cell(row: Mapping[str, Any], at: str) -> Row:
         )
     trained = row["training"].get("seconds")
     return {
+        "learner": learner,
         **{name: row[name] for name in (*LINE, *CELL, *COUNTS)},
         **dict(zip(RATES, (row["success_rate"], *row["interval"]), strict=True)),
         "steps": row["steps"],
@@ -148,26 +150,54 @@ def table_text(rows: Sequence[Row]) -> str:
 
 
 def page(rows: Sequence[Row]) -> str:
-    """docs/benchmark.md."""
-    shown = [
-        {
-            **row,
-            "interval": (row["low"], row["high"]),
-            "training": {"seconds": row["trained_seconds"]},
-        }
-        for row in rows
-    ]
-    return "\n".join([HEAD, *score_tables(shown)]).rstrip("\n") + "\n"
+    """docs/benchmark.md: a table for each set of states, split and kind of action."""
+    setups = list(product(SUITE["tasks"], SUITE["nx"]))
+    head = ("learner", "seeds", *(f"{task} {nx}" for task, nx in setups))
+    lines = [HEAD]
+    for track in sorted({_track(row) for row in rows if row["learner"]}):
+        in_macros, states, split = track
+        body: list[tuple[object, ...]] = []
+        own = [row for row in rows if row["learner"] and _track(row) == track]
+        for learner in sorted({row["learner"] for row in own}):
+            cells: dict[tuple[str, int], list[Row]] = {}
+            for row in own:
+                if row["learner"] == learner:
+                    cells.setdefault((row["task"], row["nx"]), []).append(row)
+            seeds = max(map(len, cells.values()))
+            body.append((learner, seeds, *(_rate(cells.get(setup, [])) for setup in setups)))
+        if not in_macros:
+            body += [(f"*{name}, published*", "", *own) for name, own in SUITE["published"].items()]
+        title = f"## States {states}, {split} split" + (", macro-actions" if in_macros else "")
+        lines += [title, "", *table(head, body), ""]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _track(row: Row) -> tuple[bool, str, str]:
+    """What has a table of its own: whether actions are macro-actions, the states and the split."""
+    return 'action="macro"' in row["settings"].split("; "), row["states"], row["split"]
+
+
+def _rate(seeds: Sequence[Row]) -> str:
+    """The rate of one seed with its interval; of several, the mean with the worst and the best."""
+    if not seeds:
+        return ""
+    rates = [100 * row["success_rate"] for row in seeds]
+    low, high = (100 * seeds[0]["low"], 100 * seeds[0]["high"])
+    if len(seeds) > 1:
+        low, high = min(rates), max(rates)
+    return f"**{sum(rates) / len(rates):.1f}** ({low:.0f} to {high:.0f})"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("evaluations", type=Path, nargs="*")
+    parser.add_argument("--learner", help="row of the page; by default the policy's name")
     parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "evaluations.csv")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "benchmark.md")
     given = parser.parse_args()
     try:
-        measured = [as_cell(row, commit()) for row in read_scores(given.evaluations)]
+        scores = read_scores(given.evaluations)
+        measured = [as_cell(row, commit(), given.learner or row["policy"]) for row in scores]
     except InvalidFile as error:
         sys.exit(str(error))
     rows = {tuple(str(row[name]) for name in SAME): row for row in read_table(given.out)}

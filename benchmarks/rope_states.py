@@ -7,7 +7,7 @@ import numpy as np
 from knotgym.generate.states.rope_lives import coil
 from knotgym.rope.engines import CHAIN, simulation_of
 from knotgym.rope.model import Array, RopeConfig
-from knotgym.topology.crossings import count_crossings
+from knotgym.topology.crossings import label
 
 ROPES, EVERY = 64, 4  # ropes side by side; pulls between two looks at a rope
 
@@ -24,6 +24,6 @@ def tangled(
         for _ in range(EVERY):
             simulation.act(rng.uniform(-1, 1, (ROPES, 6)).astype(np.float32))
         for points in simulation.points:
-            if given < count and least <= count_crossings(points) <= most:
+            if given < count and least <= label(points).nx <= most:
                 yield points.copy()
                 given += 1

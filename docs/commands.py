@@ -1,11 +1,12 @@
-"""Write the commands' own help into docs/commands.md, below its mark.
+"""Write the commands' own help into docs/commands/, and their list into docs/commands.md.
 
     python docs/commands.py
 
-A test compares the page with the commands.
+A test compares the pages with the commands.
 """
 
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,17 +15,28 @@ from rich.console import Console
 
 from knotgym.cli.main import application
 
-PAGE = Path(__file__).with_suffix(".md")
-MARK = "<!-- commands -->\n"
+DOCS = Path(__file__).parent
+LIST = re.compile(r"(?<=<!-- commands -->\n\n)(?:\|.*\n)*")
 
 
-def whole_page() -> str:
-    """The page as it should be: what stands above the mark, and every command."""
-    head = PAGE.read_text(encoding="utf-8").partition(MARK)[0]
-    sections = [
-        f"## `{' '.join(words)}`\n\n```text\n{help_of(words)}\n```\n" for words in commands()
-    ]
-    return head + MARK + "\n" + "\n".join(sections)
+def pages() -> dict[Path, str]:
+    """Every page as it should be: the list of commands, and one page for each of them."""
+    overview = DOCS / "commands.md"
+    rows = ["| command | what it does |", "| --- | --- |"]
+    found: dict[Path, str] = {}
+    for words in commands():
+        page = f"commands/{words[1]}.md"
+        text = help_of(words)
+        summary = text.split("\n\n")[1].replace("\n", " ")
+        anchor = "#" + "-".join(words) if len(words) > 2 else ""
+        rows.append(f"| [`{' '.join(words)}`]({page}{anchor}) | {summary} |")
+        title = f"# `{' '.join(words[:2])}`\n" if DOCS / page not in found else ""
+        section = f"\n## `{' '.join(words)}`\n" if len(words) > 2 else ""
+        found[DOCS / page] = (
+            found.get(DOCS / page, "") + f"{title}{section}\n```text\n{text}\n```\n"
+        )
+    listed = "\n".join(rows) + "\n"
+    return {overview: LIST.sub(lambda _: listed, overview.read_text("utf-8")), **found}
 
 
 def commands() -> Iterator[tuple[str, ...]]:
@@ -50,4 +62,6 @@ def help_of(words: tuple[str, ...]) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(whole_page(), encoding="utf-8")
+    (DOCS / "commands").mkdir(exist_ok=True)
+    for path, text in pages().items():
+        path.write_text(text, encoding="utf-8")

@@ -159,9 +159,21 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A Minari root that holds the one dataset that the pages load."""
+    tiny = open_episodes(TINY["expert"])
+    metadata = MinariMetadata(
+        dataset_id="knotgym/tie-nx2/expert-v0", algorithm_name="expert", description="Tiny."
+    )
+    root = tmp_path_factory.mktemp("root")
+    publish([tiny.episodes], tiny.task, metadata, root)
+    return root
+
+
+@pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four pictures."""
-    folder = tmp_path_factory.mktemp("pictures") / "nx0-1"
+    folder = tmp_path_factory.mktemp("made") / "pictures"
     typed(
         *("images", "--nx", "0,1", "--count", 4, "--set", "test_nx=none", "--set", "code_share=0"),
         *("--workers", 1, "--quiet", "--out", folder),
@@ -206,10 +218,53 @@ def test_the_example_to_train_learns_a_policy_that_evaluate_takes(
     assert rollouts(policy, task, [0]).episodes["length"][0] == 2
 
 
-@pytest.mark.parametrize("page", ["environment.md", "extending.md", "formats/states.md"])
-def test_examples_that_need_no_dataset_run(page: str) -> None:
-    for block in blocks(DOCS / page):
-        exec(compile(block, page, "exec"), {})
+# Blocks that the fast tests don't run, by a word of theirs. Those of clients.md are run by
+# tests/adapters/test_clients.py.
+ELSEWHERE = {
+    "data.md": "images(",  # below, with pictures
+    "images.md": "read_rows(",
+    "drawn-coverage.md": "write_png(",  # makes the figures of the page, in minutes
+    "hard-unknots.md": "write_png(",
+}
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if blocks(page) and page.name != "clients.md"], ids=page_name
+)
+def test_the_blocks_of_a_page_run(
+    page: Path, minari: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(minari))
+    monkeypatch.chdir(tmp_path)
+    for block in blocks(page):
+        if ELSEWHERE.get(page.name, "\0") not in block:
+            exec(compile(block, page.name, "exec"), {"__name__": page.stem})
+
+
+@pytest.mark.slow
+@needs_arrow
+def test_the_blocks_that_read_pictures_run(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    monkeypatch.chdir(pictures.parent)
+    for page in ("data.md", "formats/images.md"):
+        for block in blocks(DOCS / page):
+            if ELSEWHERE[Path(page).name] in block:
+                exec(compile(block, page, "exec"), {})
+
+
+def test_no_page_is_longer_than_250_lines() -> None:
+    counts = {page_name(page): len(page.read_text(encoding="utf-8").splitlines()) for page in PAGES}
+    assert {page: lines for page, lines in counts.items() if lines > 250} == {}
+
+
+def test_every_page_is_in_the_navigation_and_the_appendix_lists_its_own() -> None:
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("nav:")[1].split("extra_css")[0]
+    assert {*re.findall(r"[\w/-]+\.md", text)} == {
+        str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")
+    }
+    own = re.findall(r"[\w/-]+\.md", text.split("Appendix:")[1])
+    listed = re.findall(r"^\| \[.+?\]\((.+?)\)", (DOCS / "appendix.md").read_text(), re.M)
+    assert own == ["appendix.md", *listed]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
@@ -259,13 +314,15 @@ def test_a_path_in_the_table_of_look_ups_exists(path: str) -> None:
     assert (ROOT / path).is_file()
 
 
-def test_the_page_of_commands_is_what_the_commands_say() -> None:
+def test_the_pages_of_commands_are_what_the_commands_say() -> None:
     place = importlib.util.spec_from_file_location("commands_page", DOCS / "commands.py")
     assert place is not None and place.loader is not None
     page = importlib.util.module_from_spec(place)
     place.loader.exec_module(page)
-    text = (DOCS / "commands.md").read_text(encoding="utf-8")
-    assert text == page.whole_page(), "run python docs/commands.py"
+    made = page.pages()
+    assert {*made} == {DOCS / "commands.md", *(DOCS / "commands").glob("*.md")}
+    for path, text in made.items():
+        assert path.read_text(encoding="utf-8") == text, "run python docs/commands.py"
 
 
 def test_the_page_of_the_environment_names_every_keyword_and_its_default() -> None:
@@ -396,22 +453,22 @@ def test_the_citation_has_the_version_of_the_package() -> None:
     assert all((ROOT / name).is_file() for name in project["license-files"])
 
 
-def test_the_quick_start_has_the_two_lines_that_upload_what_a_run_made() -> None:
-    part = (DOCS / "index.md").read_text(encoding="utf-8").split("A folder to upload")[1]
+def test_the_page_of_data_has_the_two_lines_that_upload_what_a_run_made() -> None:
+    part = (DOCS / "data.md").read_text(encoding="utf-8").split("A folder to upload")[1]
     first, second = re.findall(r"^    (.+)$", part, re.M)[:2]
     assert re.fullmatch(r"knotgym dataset export \S+ --to huggingface --out upload", first)
     assert re.fullmatch(r"hf upload USER/\S+ upload --repo-type dataset", second)
 
 
 def test_what_train_and_test_share_is_as_computed() -> None:
-    said = [line for line in (DOCS / "environment.md").read_text().splitlines() if "| `" in line]
+    said = [line for line in (DOCS / "sets.md").read_text().splitlines() if "| `" in line]
     for name in SHIPPED:
         states = read_states(shipped(name), images=False)
         for row in state_card.tables(states, {})["train and test"].rows:
             assert f"| `{name}` | {' | '.join(map(str, row))} |" in said
 
 
-def test_every_extra_is_in_the_table_of_the_quick_start() -> None:
+def test_every_extra_is_in_the_table_of_the_start_page() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert names(tables(DOCS / "index.md")["Install"]) == project["optional-dependencies"].keys()
 

@@ -32,9 +32,8 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_network import CloneNetwork, Inputs, MarkedInputs, inputs
 from knotgym.rope.actions import quantized
 from knotgym.rope.model import RopeConfig
-from knotgym.topology.crossings import find_crossings
+from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import shifted_base
 
 BEADS = RopeConfig().beads
 BEAD_WIDTH = 32  # of `MarkedInputs.beads`
@@ -159,7 +158,7 @@ def _decided(episodes: Episodes, number: int, base: int, chunk: int) -> list[_Ro
     start, led = steps["macro_start"][:count], steps["macro_side"][:count] != 0
     won = bool(steps["terminated"][count - 1])
     begun = np.flatnonzero(led if chunk == 1 else start).tolist()
-    shown = [shifted_base(find_crossings(points[at]), base).plain for at in (*begun, count)]
+    shown = [label(np.roll(points[at], -base, axis=0)).plain for at in (*begun, count)]
     goal = shown[-1] if base else gauss_code(episodes.episodes["goal_visits"][number]).plain
     ends = [*begun[1:], count][: len(begun)]  # none if the planner led from the start
     rows = []

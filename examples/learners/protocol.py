@@ -86,7 +86,8 @@ def measure(
         models: names of the weights' files in the output folder.
 
     Returns:
-        The content of `evaluation.json`: as from `knotgym evaluate --out`, and `training`.
+        The content of `evaluation.json`: as from `knotgym evaluate --out`, with the report on the
+        training among `learners`.
     """
     files = [given.out / model for model in models]
     register_policy(name, lambda config: policy, files)
@@ -101,7 +102,7 @@ def measure(
     out = given.out / "evaluation.json"
     # one process: the policy is known here alone
     run(config, RunOptions(workers=1, overwrite=True), out=out)
-    written = json.loads(out.read_text(encoding="utf-8")) | {"training": training}
-    out.write_text(json.dumps(written, indent=1), encoding="utf-8")
-    found: dict[str, Any] = written
+    found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+    found["learners"][name] = training
+    out.write_text(json.dumps(found, indent=1), encoding="utf-8")
     return found

@@ -83,7 +83,7 @@ class Goals:
                 f" {task.hold} and {task.failure_reward}"
             )
         self.episodes = episodes
-        self._began = np.zeros_like(episodes.visits)
+        self._began = cut(episodes.visits)
         goal = spaces.Box(-SYMBOLS, SYMBOLS, (1 + SYMBOLS,), np.int16)
         self.space = spaces.Dict(
             {"observation": rope_space(task), "achieved_goal": goal, "desired_goal": goal}
@@ -91,11 +91,7 @@ class Goals:
 
     def begin(self, ids: NDArray[np.int64]) -> None:
         """Store the first codes of the episodes `ids`, which have just begun."""
-        visits = self.episodes.visits
-        if self._began.shape != visits.shape:  # a code has more crossings than any before
-            more = visits.shape[1] - self._began.shape[1]
-            self._began = np.pad(self._began, ((0, 0), (0, more)))
-        self._began[ids] = visits[ids]
+        self._began[ids] = cut(self.episodes.visits[ids])
 
     def observations(self, ids: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """Return the observations of the episodes `ids`: arrays (n, ...)."""
@@ -119,10 +115,8 @@ class Goals:
 
     def _count(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which codes that ropes show may count as a success."""
-        episodes, width = self.episodes, self._began.shape[1]
-        # codes that are wider than any first one differ from it
-        same = (episodes.visits[ids, :width] == self._began[ids]).all(axis=1)
-        same &= 2 * episodes.crossings[ids] <= width
+        episodes = self.episodes
+        same = (cut(episodes.visits[ids]) == self._began[ids]).all(axis=1)
         fits = 2 * episodes.crossings[ids] <= SYMBOLS
         return ~same & fits & ~episodes.towed[ids] & ~episodes.failed[ids]
 

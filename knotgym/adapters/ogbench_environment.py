@@ -34,7 +34,7 @@ class OGBenchEnv(KnotEnv):
         super().__init__(task, render_mode, **{"numeric_infos": True, **settings})
         require_one_side(self.config)
         self.observation_space = rope_space(self.config)
-        rows = self.episodes.rows("start")
+        rows = self.episodes.rows["start"]
         starts = [int(rows[k * len(rows) // TASKS]) for k in range(TASKS)]
         goals = [self.episodes.goal_rows(start) for start in starts]
         self.task_infos = [

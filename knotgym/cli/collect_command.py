@@ -1,6 +1,5 @@
 """The command `knotgym collect`."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, command, extra
@@ -32,7 +31,7 @@ def collect(given: Given) -> None:
     """
     from knotgym.datasets.minari_form import loading_lines
     from knotgym.generate.episodes.collect import collect as run
-    from knotgym.generate.episodes.collect import distinct_id, require_collectable
+    from knotgym.generate.episodes.collect import named, require_collectable
 
     options, out = given.run, given["out"]
     crossings = given["nx"] if "nx" in given.typed else [given.get("task.nx")]
@@ -42,11 +41,10 @@ def collect(given: Given) -> None:
             " single --nx"
         )
     seen = "" if given.has("task.observation") else "state"
-    configs = []
-    for nx in crossings:
-        config = given.config(CollectConfig, {"task.nx": nx}, usual={"seen": seen})
-        named = given.has("dataset_id")
-        configs.append(config if named else replace(config, dataset_id=distinct_id(config)))
+    configs = [
+        named(given.config(CollectConfig, {"task.nx": nx}, usual={"seen": seen}))
+        for nx in crossings
+    ]
     for config in configs:  # refuse any of them before playing the first
         require_collectable(config, out, options)
     for config in configs:

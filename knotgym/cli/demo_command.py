@@ -24,11 +24,11 @@ def demo(given: Given) -> None:
     from knotgym.common.atomic_files import atomic_write, require_output
     from knotgym.control.policy_config import PolicyConfig
     from knotgym.datasets.episode_dataset import open_episodes
-    from knotgym.envs.observations import observe, picture_config
     from knotgym.envs.tasks import TaskConfig
     from knotgym.generate.episodes.collect import collect
     from knotgym.generate.episodes.collect_config import CollectConfig
     from knotgym.generate.episodes.evaluate import film
+    from knotgym.loaders import Transitions
     from knotgym.rendering.video import write_film
     from knotgym.runs.compilation import compile_first
     from knotgym.runs.progress import Progress
@@ -48,9 +48,7 @@ def demo(given: Given) -> None:
         options = RunOptions(workers=1, quiet=True)
         dataset = collect(config, folder / "minari", options, progress=Progress(quiet=True))
         played = open_episodes(dataset)
-        start = played.episodes.steps["observation"][:1].astype(float)
-        goal = played.episodes.episodes["goal_points"][0].astype(float)
-        first = Image.fromarray(observe(start, goal, "pixels", picture_config(config.task))[0])
+        first = Image.fromarray(Transitions(dataset, "pixels").observations(0, 0, 1)[0])
         first.resize((4 * first.width, 4 * first.height), Image.Resampling.NEAREST).save(
             folder / "reset.png"
         )

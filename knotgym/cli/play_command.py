@@ -3,6 +3,7 @@
 import importlib.util
 import time
 from contextlib import ExitStack, suppress
+from functools import partial
 
 from knotgym.cli.collect_command import MINARI_ROOT
 from knotgym.cli.options import Given, command, extra
@@ -36,9 +37,10 @@ def play(given: Given) -> None:
     """
     if importlib.util.find_spec("viser") is None:
         raise MissingExtra("viser", install_command("play"), "knotgym play")
+    from knotgym.play.hand import HandTab
     from knotgym.play.page import Page
     from knotgym.play.recorder import Recorder
-    from knotgym.play.watch import WatchPage
+    from knotgym.play.watch import watching
     from knotgym.runs.compilation import compile_first
 
     config, dataset, progress = given.config(PageConfig), given["dataset"], given.progress
@@ -55,9 +57,8 @@ def play(given: Given) -> None:
             progress.say(f"episodes are recorded in {recorder.folder}")
             if recorder.recovered:
                 progress.say(f"stored {recorder.recovered} episodes of an interrupted session")
-        page = stack.enter_context(
-            Page(config, recorder) if dataset is None else WatchPage(config, dataset)
-        )
+        tab = partial(HandTab, config=config, recorder=recorder)
+        page = stack.enter_context(Page(config, tab if dataset is None else watching(dataset)))
         progress.say(f"open {page.address} in a browser; Ctrl-C ends it")
         if page.token:
             progress.say(f"token: {page.token}")

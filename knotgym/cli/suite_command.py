@@ -1,7 +1,6 @@
 """The command `knotgym suite`."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from knotgym.cli.collect_command import MINARI_ROOT
 from knotgym.cli.options import RUN, Given, command, extra
@@ -19,15 +18,14 @@ from knotgym.generate.episodes.suite_config import SuiteConfig
         "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default as many"
         " as the benchmark has.",
     ),
-    extra("scores", list[str], "Results of `knotgym evaluate --out` to add to the card's table."),
 )
 def suite(given: Given) -> None:
     """Make the fixed benchmark of offline datasets, or a part of it.
 
     It has episodes of four policies for each of nine setups, on two sets of states and two splits,
-    and one card for all. The expected time is printed first. With --recorded, datasets are rebuilt
-    from the pulls that are included, which takes minutes; if this machine gets other episodes, the
-    exit status is 1. With --resume, finished datasets are kept and the others are made.
+    and one card for all. With --recorded, datasets are rebuilt from the pulls that are included,
+    which takes minutes; if this machine gets other episodes, the exit status is 1. With --resume,
+    finished datasets are kept and the others are made.
 
     Examples:
 
@@ -40,8 +38,7 @@ def suite(given: Given) -> None:
     more = {}
     if given["episodes"]:
         more["episodes"] = sizes(given["episodes"], given.get("policies"))
-    config, scores = given.config(SuiteConfig, more), map(Path, given["scores"] or ())
-    make_suite(config, given["out"], given.run, scores=tuple(scores), progress=given.progress)
+    make_suite(given.config(SuiteConfig, more), given["out"], given.run, progress=given.progress)
 
 
 def sizes(words: Sequence[str], policies: Sequence[str]) -> dict[str, int]:

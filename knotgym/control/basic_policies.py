@@ -11,8 +11,7 @@ from knotgym.control.rollouts import Ids, Pulls
 from knotgym.envs.environment import action_space
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.actions import choices
-from knotgym.rope.kinematics import nearest_beads
+from knotgym.rope.actions import choices, nearest_beads
 from knotgym.rope.simulation import ROUNDING
 
 TOGETHER = 32  # rows that a network is given at once, always

@@ -1,12 +1,12 @@
 """Outcomes of episodes, computed again from their codes and the task's reward rule."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.episodes import Episodes, held_for, ranges, within_tow
+from knotgym.envs.reward import outcome
 from knotgym.envs.tasks import TaskConfig
 
 
@@ -33,13 +33,10 @@ def outcomes(episodes: Episodes, task: TaskConfig) -> Outcomes:
     within = within_tow(episodes, task.tow_limit)
     failed = np.zeros(len(shown), dtype=bool)
     failed[last] = own["failed"]
-    # the rule compares with one number of steps for all episodes
-    rule = replace(task.reward_rule, hold=1)
     wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
-    held = held_for(shown & within, episodes) - wanted[episode] + 1
     count = ranges(np.zeros_like(own["length"]), own["length"] + 1)  # pulls before each state
-    found = rule.outcome(held, count, failed, ~within)
-    reached = rule.reached(held, failed)
+    reached = (held_for(shown & within, episodes) >= wanted[episode]) & ~failed
+    found = outcome(task, reached, count, failed, ~within)
 
     def of_pull(values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Move what a state has to the row of the pull that led there."""

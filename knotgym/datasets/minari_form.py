@@ -326,13 +326,19 @@ def _minari_episodes(
 
 def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:
     """Return an episode's observations by path."""
-    from knotgym.envs.observations import observe, picture_config  # needs OpenCV
+    from knotgym.envs.observations import observe, picture_config, pixels  # needs OpenCV
+    from knotgym.rendering.picture import draw
 
     task, (own, table), offsets = dataset.task, dataset.episodes, dataset.episodes.offsets
-    seen = table["observation"][offsets[k] : offsets[k + 1]]
-    points = np.asarray(seen, dtype=np.float64)
-    goal = np.asarray(own["goal_points"][k], dtype=np.float64)
-    shown = observe(points, goal, task.observation, picture_config(task), task.layout)
+    rows = slice(offsets[k], offsets[k + 1])
+    points, visits = table["observation"][rows].astype(np.float64), table["visits"][rows]
+    goal, wanted = own["goal_points"][k].astype(np.float64), own["goal_visits"][[k] * len(visits)]
+
+    def pictures() -> NDArray[np.uint8]:
+        picture = picture_config(task)
+        return pixels(points, [draw(goal, picture)] * len(points), picture)
+
+    shown = observe(task, points, visits, goal, wanted, pictures)
     if not isinstance(shown, dict):
         return {"observations": shown}
     return {f"observations/{name}": array for name, array in shown.items()}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import episode_digests
-from knotgym.envs.knot_tasks import start_nx
+from knotgym.envs.task_states import start_nx
 from knotgym.rope.model import Array, Rope
 from knotgym.states.near_duplicates import NEAR, distances, pairs_within
 from knotgym.states.state_file import States, read_states, shipped

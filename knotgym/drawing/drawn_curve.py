@@ -86,7 +86,7 @@ def _flat(
     of = planar_map(code, outer)
     # the nodes on the rope come first; those inside the faces have done their work
     at = pack_circles(of.triangles, of.rim, of.nodes)[: of.walk.max() + 1]
-    at, walk = relax_layout(at, of.walk, of.left, of.right, shares, config.easing)
+    at, walk = relax_layout(at, of.walk, of.left, of.right, shares)
     visits = np.arange(2 * code.nx) * (len(walk) // (2 * code.nx))
     flat = at[walk]
     return flat / _steps(flat).sum(), visits

@@ -25,10 +25,20 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.drawing.drawing_config import LayoutRelaxationConfig
-
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+FIRST, LATER = 300, 200  # iterations with the segments as given, and after each splitting
+SEGMENTS = 90  # splitting stops at this many segments or more
+# Strengths of the forces, relative to the pressure of a face with share 1.
+TENSION = 1.0  # balances the pressures
+BENDING = 0.0007  # stiffness, per face
+CROSSING = 2.0  # stiffness of the right angles at crossings
+PUSH, REACH = 80000.0, 0.025  # repulsion between strands, per face; within 6 pixels
+# Exponent that makes small faces push harder; with 0, a pressure is share / area, and the larger it
+# is, the more equal the areas become.
+POWER = 1.0
+MOST, STEP = 0.01, 0.4  # largest displacement of a node; fraction of the Newton step that is taken
 
 
 def relax_layout(
@@ -37,7 +47,6 @@ def relax_layout(
     left: Integers,
     right: Integers,
     shares: Array,
-    config: LayoutRelaxationConfig,
 ) -> tuple[Array, Integers]:
     """Relax a diagram drawn with straight segments.
 
@@ -50,23 +59,18 @@ def relax_layout(
             number of segments.
         left, right: int64 (edges,), the faces on either side of each edge.
         shares: float64 (faces,), relative sizes of the faces; 0 for the outer face.
-        config: strengths of the forces and numbers of iterations.
 
     Returns:
         The positions and the walk after relaxation and splitting.
     """
-    strengths = (
-        *(config.tension, config.bending, config.crossing, config.push, config.reach),
-        *(config.power, config.most, config.step),
-    )
-    at = at.copy()
-    iterations = config.first
+    strengths = TENSION, BENDING, CROSSING, PUSH, REACH, POWER, MOST, STEP
+    at, iterations = at.copy(), FIRST
     while True:
         _relax(at, walk, left, right, shares, iterations, strengths)
-        if len(walk) >= config.segments:
+        if len(walk) >= SEGMENTS:
             return at, walk
         at, walk = _split(at, walk)
-        iterations = config.later
+        iterations = LATER
 
 
 def _split(at: Array, walk: Integers) -> tuple[Array, Integers]:
@@ -86,7 +90,7 @@ def _relax(
     iterations: int,
     strengths: tuple[float, float, float, float, float, float, float, float],
 ) -> None:
-    """Run the iterations, changing `at`; `strengths` are fields of the configuration.
+    """Run the iterations, changing `at`; `strengths` are the constants above.
 
     `force` (nodes, 2) sums the forces on each node. `stiff` (nodes,) sums their derivatives by the
     node's own position, without signs or cross terms.

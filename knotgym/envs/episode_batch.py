@@ -6,17 +6,16 @@ What happens in an episode depends on its seed and its pulls, not on the episode
 """
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.envs.marked import join, mark
-from knotgym.envs.observations import SYMBOLS, cut, picture_config, pixels, stacked, state
-from knotgym.envs.reward import Outcome
-from knotgym.envs.task_states import SHIPPED, task_sides
+from knotgym.envs.observations import SYMBOLS, cut, observe, picture_config, pixels
+from knotgym.envs.reward import Outcome, outcome
+from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import draw
 from knotgym.rope.action_views import ActionView
@@ -45,6 +44,7 @@ class EpisodeBatch:
         task: settings of the task.
         simulation: the ropes.
         starts, goals: the states that starts and goals are sampled from.
+        rows: "start" or "goal" -> int64 (n,), the rows of them that are sampled.
         number: int64 (count,), number of the episode in its run; -1 for none.
         seed: int64 (count,), the seed of each episode; -1 if it began from a generator.
         start_row, goal_row: int64 (count,), rows of `starts` and `goals`; -1 until the first reset.
@@ -68,16 +68,12 @@ class EpisodeBatch:
             raise InvalidInput(f"num_envs must be at least 1, got {count}")
         self.task, self.count = task, count
         self.simulation = simulation(task.engine, count, Rope(task.rope), threads)
-        self._view: ActionView | None = None
+        self.view = ActionView(task.action, self.simulation)
         self._picture = picture_config(task)
         starts, goals = task_sides(task)
         self.starts, self.goals = starts.states, goals.states
-        self._start_nx = starts.nx
-        self._rows = {
-            "start": starts.states.rows(starts.nx, task.split),
-            "goal": goals.states.rows(goals.nx, task.split)[: task.max_goals],
-        }
-        self._came_from = {"start_states": starts.origin, "goal_states": goals.origin}
+        self.rows = {"start": starts.rows, "goal": goals.rows}
+        self._nx = {"start": starts.nx, "goal": goals.nx}
         self._goal_rows: dict[str, NDArray[np.int64]] = {}
         self._clearances: dict[int, float] = {}
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
@@ -95,17 +91,13 @@ class EpisodeBatch:
 
     # beginning
 
-    def rows(self, side: str) -> NDArray[np.int64]:
-        """Return the rows of the state file from which the "start" or the "goal" is sampled."""
-        return self._rows[side]
-
     def goal_rows(self, start: int) -> NDArray[np.int64]:
         """Return the goal rows for an episode that starts in row `start`.
 
         Goals that show the start's code already are left out.
         """
-        rows = self._rows["goal"]
-        if self._start_nx != self.task.goal_nx:
+        rows = self.rows["goal"]
+        if self._nx["start"] != self._nx["goal"]:
             return rows
         code = str(self.starts.gauss_code[start])
         if code not in self._goal_rows:
@@ -115,7 +107,7 @@ class EpisodeBatch:
     def side_codes(self, side: str) -> list[GaussCode]:
         """Return the distinct codes of the "start" or "goal" states, without chirality, sorted."""
         states = self.starts if side == "start" else self.goals
-        codes = {*states.gauss_code[self._rows[side]].tolist()}
+        codes = {*states.gauss_code[self.rows[side]].tolist()}
         return [_parsed(str(code)) for code in sorted(codes)]
 
     def begin(
@@ -143,7 +135,7 @@ class EpisodeBatch:
         rngs = [np.random.default_rng(seed) for seed in seeds]
         rows = np.empty((2, len(ids)), dtype=np.int64)
         for row, rng in enumerate(rngs):
-            start = self._choose(own_start, self.rows("start"), "start", rng)
+            start = self._choose(own_start, self.rows["start"], "start", rng)
             rows[:, row] = start, self._choose(own_goal, self.goal_rows(start), "goal", rng)
         starts = rows[0]
         for row in set(starts.tolist()) - self._clearances.keys():
@@ -158,11 +150,11 @@ class EpisodeBatch:
             rngs,
             [self._clearances[row] for row in starts.tolist()],
         )
-        known = [-1 if isinstance(seed, np.random.Generator) else seed for seed in seeds]
         # a seed of the caller's own may be larger than any that is stored
-        fitting = [seed if seed < 2**63 else -1 for seed in known]
-        columns = {"seed": fitting, "start": starts, "goal": rows[1], "start_qpos": qpos}
-        self.restore(ids, columns)
+        known = [
+            -1 if isinstance(seed, np.random.Generator) or seed >= 2**63 else seed for seed in seeds
+        ]
+        self.restore(ids, {"seed": known, "start": starts, "goal": rows[1], "start_qpos": qpos})
 
     def restore(self, ids: Ids, rows: Mapping[str, ArrayLike]) -> None:
         """Begin episodes where others began.
@@ -186,8 +178,7 @@ class EpisodeBatch:
         else:
             goals = [_parsed(str(code)) for code in self.goals.gauss_code[self.goal_row[ids]]]
         self.seek(ids, goals)
-        if self._view is not None:
-            self._view.reset(ids)
+        self.view.reset(ids)
 
     def seek(self, ids: Ids, goals: Sequence[GaussCode]) -> None:
         """Replace the goals' codes of ropes; `goal_row` and the goals' pictures stay."""
@@ -204,8 +195,7 @@ class EpisodeBatch:
         other._widen(width)
         for name in _STATE:
             getattr(self, name)[ids] = getattr(other, name)[rows]
-        if self._view is not None:
-            self._view.reset(ids)
+        self.view.reset(ids)
 
     # acting
 
@@ -233,15 +223,11 @@ class EpisodeBatch:
         self.towed[ids] = towed
         self.steps[ids] += 1
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
-        return self.task.reward_rule.outcome(self._counted(ids), self.steps[ids], failed, towed)
+        return outcome(self.task, self.successes(ids), self.steps[ids], failed, towed)
 
     def successes(self, ids: Ids) -> NDArray[np.bool_]:
         """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
-        return self.task.reward_rule.reached(self._counted(ids), self.failed[ids])
-
-    def _counted(self, ids: Ids) -> NDArray[np.int64]:
-        """Steps held, shifted so that episodes with a `hold` of their own meet the task's rule."""
-        return self.held[ids] + (self.task.hold - self.hold[ids])
+        return (self.held[ids] >= self.hold[ids]) & ~self.failed[ids]
 
     def act(self, actions: ArrayLike, ids: Ids) -> Outcome:
         """Take one action of the task's view in each episode of `ids`, with all of its pulls.
@@ -257,19 +243,12 @@ class EpisodeBatch:
         total = Outcome(np.zeros(len(ids)), *np.zeros((2, len(ids)), dtype=bool))
         rows = np.arange(len(ids))
         while len(rows):
-            outcome = self.pull(ids[rows], *self.view.pulls_of(ids[rows]))
-            self.view.pulled(ids[rows], outcome.terminated | outcome.truncated)
-            for whole, part in zip(total, outcome, strict=True):
+            last = self.pull(ids[rows], *self.view.pulls_of(ids[rows]))
+            self.view.pulled(ids[rows], last.terminated | last.truncated)
+            for whole, part in zip(total, last, strict=True):
                 whole[rows] = part  # rewards before the last pull are 0
             rows = rows[self.view.busy[ids[rows]]]
         return total
-
-    @property
-    def view(self) -> ActionView:
-        """Turns actions of the task's view into pulls."""
-        if self._view is None:
-            self._view = ActionView(self.task.action, self.simulation)
-        return self._view
 
     def tow_bound(self, index: int, share: float = 1.0) -> TowBound | None:
         """Return where rope `index` must stay, at a share of the `tow_limit`; None without one."""
@@ -303,25 +282,20 @@ class EpisodeBatch:
 
     def observations(self, ids: Ids) -> Any:
         """Return the observations of the episodes `ids`: an array (n, ...), or a dict of such."""
-        kind, points = self.task.observation, self.simulation.points[ids]
-        if kind == "symbolic":
-            return cut(np.stack([self.visits[ids], self.wanted[ids]], axis=1))
-        if kind == "marked":
-            return join(mark(points, self.goals_of(ids)))
-        seen: dict[str, NDArray[Any]] = {}
-        if kind != "state":
-            pictures = self._pictures(ids)
-            seen["pixels"] = stacked(pictures) if self.task.layout == "stacked" else pictures
-        if kind != "pixels":
-            seen["state"] = state(points, self.goals.points[self.goal_row[ids]])
-        return seen if kind == "both" else seen[kind]
+        return observe(
+            self.task,
+            self.simulation.points[ids],
+            self.visits[ids],
+            self.goals.points[self.goal_row[ids]],
+            self.wanted[ids],
+            partial(self._pictures, ids),
+        )
 
     def info(self, index: int) -> dict[str, Any]:
         """Return the `info` of episode `index`, the same keys at every step; arrays are copies.
 
         With `numeric_infos` every value is a NumPy array. Codes are int16 (SYMBOLS,), see
-        `observations.cut`; chirality is int16 (SYMBOLS // 2,), one sign per crossing; the
-        origins of states are True for SHIPPED.
+        `observations.cut`; chirality is int16 (SYMBOLS // 2,), one sign per crossing.
         """
         return self.info_rows(np.array([index]))[0]
 
@@ -338,31 +312,24 @@ class EpisodeBatch:
 
     def infos(self, ids: Ids) -> dict[str, NDArray[Any]]:
         """Return the `info` of the episodes `ids` as arrays (n, ...), which are copies."""
-        shown: list[NDArray[Any]]
+        shown: tuple[Any, Any, Any]
         if self.task.numeric_infos:
-            shown = [
-                cut(self.visits[ids]),
-                cut(self.signs[ids], SYMBOLS // 2),
-                cut(self.wanted[ids]),
-            ]
-            origins = [np.full(len(ids), one == SHIPPED) for one in self._came_from.values()]
+            signs = cut(self.signs[ids], SYMBOLS // 2)
+            shown = cut(self.visits[ids]), signs, cut(self.wanted[ids])
         else:
-            codes = self.codes_of(ids)
-            shown = [
-                np.array([_text(code) for code in codes], dtype=object),
-                np.array([_text(code, chiral=True) for code in codes], dtype=object),
-                np.array([_text(goal) for goal in self.goals_of(ids)], dtype=object),
-            ]
-            origins = [np.full(len(ids), one, dtype=object) for one in self._came_from.values()]
-        failed = self.failed[ids]
+            codes, goals = self.codes_of(ids), self.goals_of(ids)
+            texts = map(_text, codes), map(_chiral_text, codes), map(_text, goals)
+            one, two, three = (np.array(list(each), dtype=object) for each in texts)
+            shown = one, two, three
         infos = {
-            **dict(zip(("gauss_code", "gauss_code_chiral", "goal_gauss_code"), shown, strict=True)),
+            "gauss_code": shown[0],
+            "gauss_code_chiral": shown[1],
+            "goal_gauss_code": shown[2],
             "crossings": self.crossings[ids],
             "is_success": self.successes(ids),
-            "simulation_failed": failed,
+            "simulation_failed": self.failed[ids],
             "start": self.start_row[ids],
             "goal": self.goal_row[ids],
-            **dict(zip(self._came_from, origins, strict=True)),
             "bead": self.beads[ids],
             "force": self.forces[ids],
             "applied_share": self.applied_shares[ids],
@@ -397,21 +364,20 @@ class EpisodeBatch:
     def _choose(
         self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator
     ) -> int:
-        nx = self._start_nx if name == "start" else self.task.goal_nx
         # drawn even if unused, so that the noise that follows doesn't depend on options
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:
             return drawn
-        if isinstance(row, np.ndarray) and not row.ndim:  # from numeric infos
-            row = row.item()
-        if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
+        given = np.asarray(row)  # numeric infos hold such arrays
+        if given.dtype.kind not in "iu" or given.ndim or given not in rows:
             few = self.task.max_goals if name == "goal" else None
             first = "" if few is None else f", of the first {few}"
+            shown = ", ".join(map(str, rows[:8])) + (", ..." if len(rows) > 8 else "")
             raise InvalidInput(
-                f"{name} must be a row with nx = {nx} of the {self.task.split} split{first}:"
-                f" {_few(rows)}; got {row!r}"
+                f"{name} must be a row with nx = {self._nx[name]} of the {self.task.split}"
+                f" split{first}: {shown}; got {row!r}"
             )
-        return int(row)
+        return int(given)
 
 
 @lru_cache(maxsize=1024)
@@ -420,10 +386,10 @@ def _parsed(text: str) -> GaussCode:
 
 
 @lru_cache(maxsize=2**14)
-def _text(code: GaussCode, chiral: bool = False) -> str:
-    return code.chiral if chiral else str(code)
+def _text(code: GaussCode) -> str:
+    return str(code)
 
 
-def _few(rows: Sequence[int] | NDArray[np.int64]) -> str:
-    shown = [str(row) for row in rows[:8]]
-    return ", ".join(shown) + (", ..." if len(rows) > 8 else "")
+@lru_cache(maxsize=2**14)
+def _chiral_text(code: GaussCode) -> str:
+    return code.chiral

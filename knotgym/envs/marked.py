@@ -96,21 +96,9 @@ class Marked(NamedTuple):
 
     def rows(self, index: Any) -> Marked:
         """Return some of the observations."""
-        return Marked(
-            self.points[index],
-            self.marks[index],
-            self.code[index],
-            self.goal[index],
-            CanonicalFrames(*(column[index] for column in self.frames)),
-        )
-
-    def plus(self, other: Marked) -> Marked:
-        """Return these observations and others."""
-        points, marks, code, goal = (
-            np.concatenate(both) for both in zip(self[:4], other[:4], strict=True)
-        )
-        frames = (np.concatenate(both) for both in zip(self.frames, other.frames, strict=True))
-        return Marked(points, marks, code, goal, CanonicalFrames(*frames))
+        points, marks, code, goal = (column[index] for column in self[:4])
+        frames = CanonicalFrames(*(column[index] for column in self.frames))
+        return Marked(points, marks, code, goal, frames)
 
 
 def size(beads: int) -> int:

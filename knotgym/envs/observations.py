@@ -4,7 +4,7 @@ The environment, the datasets and the loaders all use this module, so that store
 the environment's byte for byte.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.envs.marked import join, mark
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.picture import PictureConfig, draw, draw_many, picture_of
-from knotgym.topology.code_arrays import visits_of
-from knotgym.topology.crossings import label, label_many
-from knotgym.topology.gauss import GaussCode
+from knotgym.rendering.picture import PictureConfig, draw_many, picture_of
+from knotgym.topology.code_arrays import plain_code
 
 SYMBOLS = 64  # visits of a code in an observation, two per crossing
 
@@ -68,23 +66,11 @@ def state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
     return seen.reshape(len(ropes), -1)
 
 
-def symbols(codes: Sequence[GaussCode], goals: Sequence[GaussCode]) -> NDArray[np.int16]:
-    """Encode the Gauss codes of ropes, each with that of its goal.
-
-    A visit is +label over and -label under, as in `GaussCode.visits`; codes are padded with 0 to
-    SYMBOLS visits, longer ones cut off there.
-
-    Returns:
-        int16 (n, 2, SYMBOLS), in [-SYMBOLS, SYMBOLS].
-
-    >>> symbols([GaussCode((1, -1), "c")], [GaussCode(())])[0, :, :3].tolist()
-    [[1, -1, 0], [0, 0, 0]]
-    """
-    return np.stack([cut(visits_of(codes)), cut(visits_of(goals))], axis=1)
-
-
 def cut(codes: NDArray[np.integer], length: int = SYMBOLS) -> NDArray[np.int16]:
-    """Cut or pad codes (..., visits or signs) with 0 to `length`: int16 (..., length)."""
+    """Cut or pad codes (..., visits or signs) with 0 to `length`: int16 (..., length).
+
+    A visit is +label over and -label under, as in `GaussCode.visits`.
+    """
     padded = np.zeros((*codes.shape[:-1], length), dtype=np.int16)
     shared = min(length, codes.shape[-1])
     padded[..., :shared] = codes[..., :shared]
@@ -92,34 +78,34 @@ def cut(codes: NDArray[np.integer], length: int = SYMBOLS) -> NDArray[np.int16]:
 
 
 def observe(
+    task: TaskConfig,
     points: ArrayLike,
+    visits: NDArray[np.int16],
     goal_points: ArrayLike,
-    observation: str,
-    picture: PictureConfig,
-    layout: str = "beside",
+    goal_visits: NDArray[np.int16],
+    pictures: Callable[[], NDArray[np.uint8]],
 ) -> Any:
-    """Return the observations of n states.
+    """Return the observations of n states, of the kind `task.observation`.
 
     Args:
+        task: settings of the environment.
         points: float64 (n, beads, 3), metres.
-        goal_points: float64 (beads, 3), metres.
-        observation: "pixels", "state", "both", "symbolic" or "marked".
-        picture, layout: settings of the pictures, see `TaskConfig`; used for pixels only.
+        visits: (n, 2 width), the ropes' codes, see `topology.code_arrays`.
+        goal_points: as of `state`.
+        goal_visits: (n, 2 width), the goals' codes.
+        pictures: draws the states as `pixels` does; called only if there are pictures.
 
     Returns:
-        `pixels` (rearranged by `stacked` if layout is "stacked"), `state`, a dict of both,
-        `symbols`, or the joined parts of `mark`.
+        The pictures, rearranged by `stacked` in that layout; `state`; a dict of both; the codes of
+        rope and goal, int16 (n, 2, SYMBOLS), see `cut`; or the joined parts of `mark`.
     """
-    if observation == "marked":
-        return join(mark(points, [label(np.asarray(goal_points))] * len(np.asarray(points))))
-    if observation == "symbolic":
-        codes = label_many(np.asarray(points))
-        return symbols(codes, [label(np.asarray(goal_points))] * len(codes))
+    if task.observation == "marked":
+        return join(mark(points, [plain_code(row) for row in goal_visits]))
+    if task.observation == "symbolic":
+        return cut(np.stack([visits, goal_visits], axis=1))
     seen: dict[str, NDArray[Any]] = {}
-    if observation != "state":
-        ropes = np.asarray(points)
-        drawn = pixels(ropes, [draw(goal_points, picture)] * len(ropes), picture)
-        seen["pixels"] = stacked(drawn) if layout == "stacked" else drawn
-    if observation != "pixels":
+    if task.observation != "state":
+        seen["pixels"] = stacked(pictures()) if task.layout == "stacked" else pictures()
+    if task.observation != "pixels":
         seen["state"] = state(points, goal_points)
-    return seen if observation == "both" else seen[observation]
+    return seen if task.observation == "both" else seen[task.observation]

@@ -13,15 +13,15 @@ Codes are compared without chirality (`GaussCode.matches`). A step in which the 
 never succeeds, and its reward is 0 even at the horizon.
 """
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.configuration import Count, Real, configuration
-
-SUCCESS_REWARD = 5.0
-FAILURE_REWARD = -5.0
+if TYPE_CHECKING:
+    from knotgym.envs.tasks import TaskConfig
 
 
 class Outcome(NamedTuple):
@@ -32,79 +32,26 @@ class Outcome(NamedTuple):
     truncated: NDArray[np.bool_]
 
 
-@configuration
-class RewardRule:
-    """Parameters of the reward; for those of a task see `TaskConfig.reward_rule`.
+def outcome(
+    task: TaskConfig,
+    reached: NDArray[np.bool_],
+    steps: NDArray[np.int64],
+    failed: NDArray[np.bool_],
+    towed: ArrayLike = False,
+) -> Outcome:
+    """Return the rewards of n steps and whether they end their episodes.
 
-    Attributes:
-        hold: consecutive steps for which the goal code must be shown.
-        horizon: steps until truncation.
-        success_reward: reward on success.
-        failure_reward: reward at the horizon, or beyond the bound on towing, without success.
-        endless: go on after success.
+    Args:
+        task: horizon and rewards.
+        reached: bool (n,), whether the goal has been shown for `hold` consecutive steps, this one
+            included, within the bound on towing; False where the simulation blew up.
+        steps: int (n,), steps since the reset, this one included.
+        failed: bool (n,), whether the simulation blew up in this step.
+        towed: bool (n,), whether the rope is beyond the bound on towing.
     """
-
-    hold: Count = 1
-    horizon: Count = 50
-    success_reward: Real = SUCCESS_REWARD
-    failure_reward: Real = FAILURE_REWARD
-    endless: bool = False
-
-    def outcome(
-        self, held: ArrayLike, steps: ArrayLike, failed: ArrayLike, towed: ArrayLike = False
-    ) -> Outcome:
-        """Return the rewards of n steps and whether they end their episodes.
-
-        Args:
-            held: int (n,), consecutive steps up to this one that showed the goal within the bound
-                on towing.
-            steps: int (n,), steps since the reset, this one included.
-            failed: bool (n,), whether the simulation blew up in this step.
-            towed: bool (n,), whether the rope is beyond the bound on towing.
-
-        >>> RewardRule(hold=2, horizon=9).outcome([2, 1, 1], [4, 4, 9], [False] * 3).rewards
-        array([ 5.,  0., -5.])
-        """
-        blew_up = np.asarray(failed, dtype=bool)
-        reached = self.reached(held, failed)
-        terminated = reached & (not self.endless)
-        late = ((np.asarray(steps) >= self.horizon) | np.asarray(towed)) & ~terminated
-        failure = 0.0 if self.endless else self.failure_reward
-        unsuccessful = np.where(late & ~blew_up, failure, 0.0)
-        return Outcome(
-            rewards=np.where(reached, self.success_reward, unsuccessful),
-            terminated=terminated,
-            truncated=late | blew_up,
-        )
-
-    def reached(self, held: ArrayLike, failed: ArrayLike) -> NDArray[np.bool_]:
-        """Return which of n steps are successes; arguments as of `outcome`."""
-        return (np.asarray(held) >= self.hold) & ~np.asarray(failed, dtype=bool)
-
-
-def success_at_last(steps: int, success_reward: float = SUCCESS_REWARD) -> Outcome:
-    """Return the outcome of an episode that succeeds in its last step only.
-
-    An episode that is relabelled in hindsight, and cut where it reaches its new goal, has this
-    outcome.
-
-    >>> success_at_last(3).rewards
-    array([0., 0., 5.])
-    """
-    last = np.arange(1, steps + 1) == steps
-    return Outcome(
-        rewards=np.where(last, success_reward, 0.0),
-        terminated=last,
-        truncated=np.zeros(steps, dtype=bool),
-    )
-
-
-def consecutive(shown: ArrayLike) -> NDArray[np.int64]:
-    """Count the consecutive states up to each one that show the goal: int64 (n,).
-
-    >>> consecutive([True, True, False, True])
-    array([1, 2, 0, 1])
-    """
-    seen = np.asarray(shown, dtype=bool)
-    index = np.arange(1, len(seen) + 1)
-    return index - np.maximum.accumulate(np.where(seen, 0, index))  # index - last state without it
+    terminated = reached & (not task.endless)
+    late = ((steps >= task.horizon) | np.asarray(towed)) & ~terminated
+    failure = 0.0 if task.endless else task.failure_reward
+    unsuccessful = np.where(late & ~failed, failure, 0.0)
+    rewards = np.where(reached, task.success_reward, unsuccessful)
+    return Outcome(rewards, terminated, truncated=late | failed)

@@ -1,11 +1,16 @@
-"""States from which a task's starts and goals are sampled."""
+"""States from which a task's starts and goals are sampled.
+
+No action changes a rope's knot type, so starts and goals are of one type.
+"""
 
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from knotgym.common.errors import InvalidInput
-from knotgym.envs.knot_tasks import fitting_tasks, start_nx
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import RopeConfig, rope_of
 from knotgym.states.split_names import CODE_SPLITS
@@ -16,24 +21,27 @@ OWN, SHIPPED = "own", "shipped"  # origin of states: the user's file, or a set t
 
 
 class TaskSide(NamedTuple):
-    """States of a task's starts or goals, their origin (OWN or SHIPPED), and their nx."""
+    """Where a task's starts or goals are sampled from.
+
+    Attributes:
+        states: all states of the file.
+        origin: OWN or SHIPPED.
+        nx: crossings of the start or the goal.
+        rows: int64 (n,), the rows of the task's split with so many.
+    """
 
     states: States
     origin: str
     nx: int
+    rows: NDArray[np.int64]
+
+    @property
+    def knots(self) -> list[str]:
+        """The knot types, sorted."""
+        return sorted(set(self.states.knot[self.rows].tolist()))
 
 
-def state_origins(config: TaskConfig) -> dict[str, str]:
-    """Return the origin of a task's states, OWN or SHIPPED, for `start` and for `goal`.
-
-    Raises:
-        InvalidInput: there are no such states.
-    """
-    starts, goals = task_sides(config)
-    return {"start": starts.origin, "goal": goals.origin}
-
-
-def task_sides(config: TaskConfig) -> tuple[TaskSide, TaskSide]:
+def task_sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     """Return the states from which a task's starts and goals are sampled.
 
     They come from the requested file. Only plain loops come from the set that ships, if the file
@@ -42,61 +50,56 @@ def task_sides(config: TaskConfig) -> tuple[TaskSide, TaskSide]:
     Raises:
         InvalidInput: there are none, or starts and goals are of different knot types.
     """
-    path = states_file(config.states)
-    own = _of_our_rope(path, config.beads)
-    starts, goals = (_side(config, path, own, nx) for nx in (start_nx(config, own), config.goal_nx))
-    knots = [
-        sorted(set(side.states.knot[side.states.rows(side.nx, config.split)].tolist()))
-        for side in (starts, goals)
-    ]
-    if len({*knots[0], *knots[1]}) > 1:
+    path = states_file(task.states)
+    own = _of_our_rope(path, task.beads)
+    starts, goals = (_side(task, path, own, nx) for nx in (start_nx(task, own), task.goal_nx))
+    goals = goals._replace(rows=goals.rows[: task.max_goals])
+    if len({*starts.knots, *goals.knots}) > 1:
         raise InvalidInput(
-            f"task {config.task!r} with nx = {config.nx} would start as {', '.join(knots[0])} and"
-            f" end as {', '.join(knots[1])}, and no action changes the knot type;"
-            f" {_fit(config, own)}"
+            f"task {task.task!r} with nx = {task.nx} would start as {', '.join(starts.knots)} and"
+            f" end as {', '.join(goals.knots)}, and no action changes the knot type; {path} has"
+            f" {_contents(own)}"
         )
-    codes = goals.states.gauss_code[goals.states.rows(goals.nx, config.split)[: config.max_goals]]
-    if starts.nx == goals.nx and len(set(codes.tolist())) < 2:
+    if starts.nx == goals.nx and len(set(goals.states.gauss_code[goals.rows].tolist())) < 2:
         raise InvalidInput(
-            f"a tie to nx = {goals.nx} starts at the simplest diagram of {knots[0][0]} in {path},"
-            f" which shows its only goal's code already; {_fit(config, own)}"
+            f"a tie to nx = {goals.nx} starts at the simplest diagram of {starts.knots[0]} in"
+            f" {path}, which shows its only goal's code already; it has {_contents(own)}"
         )
     return starts, goals
 
 
-def _side(config: TaskConfig, path: Path, own: States, nx: int) -> TaskSide:
+def start_nx(task: TaskConfig, states: States) -> int:
+    """Return the number of crossings with which episodes of a task start.
+
+    A tie starts at the simplest diagram of its goals' knot type: the plain loop for the unknot,
+    else the diagrams with the fewest crossings in the file.
+    """
+    knots = set(states.knot[states.nx == task.goal_nx].tolist())
+    if task.task != "tie" or not knots or UNKNOT in knots:
+        return task.start_nx
+    return int(states.nx[np.isin(states.knot, sorted(knots))].min())
+
+
+def _side(task: TaskConfig, path: Path, states: States, nx: int) -> TaskSide:
     """Return the states with nx crossings from which a side of the task is sampled."""
-    states, origin = own, SHIPPED if ships(config.states) else OWN
-    if nx == 0 and not (states.nx == 0).any() and config.beads == RopeConfig().beads:
+    origin = SHIPPED if ships(task.states) else OWN
+    if nx == 0 and not (states.nx == 0).any() and task.beads == RopeConfig().beads:
         path, origin = shipped(), SHIPPED
-        states = _of_our_rope(path, config.beads)
-    if not len(states.rows(nx, config.split)):
-        if config.split in CODE_SPLITS and len(states.rows(nx, config.split[:-5])):
+        states = _of_our_rope(path, task.beads)
+    rows = states.rows(nx, task.split)
+    if not len(rows):
+        if task.split in CODE_SPLITS and len(states.rows(nx, task.split[:-5])):
             raise InvalidInput(
-                f"split {config.split!r} has no state with nx = {nx} in {path}: there are too few"
+                f"split {task.split!r} has no state with nx = {nx} in {path}: there are too few"
                 " diagrams to hold one out; use split 'train' or 'test'"
             )
-        if set(own.knot.tolist()) not in (set(), {UNKNOT}):
-            advice = _fit(config, own)
-        elif there := sorted(set(states.split[states.nx == nx].tolist())):
-            advice = f"Use split {' or '.join(map(repr, there))}"
-        else:
-            beads = "" if config.beads == RopeConfig().beads else f" --set beads={config.beads}"
-            advice = f"Generate some: knotgym-generate --nx {nx}{beads}"
+        beads = "" if task.beads == RopeConfig().beads else f" --set beads={task.beads}"
         raise InvalidInput(
-            f"no states with nx = {nx} in split {config.split!r} of {path}, needed by task"
-            f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}."
-            f" {advice}"
+            f"no states with nx = {nx} in split {task.split!r} of {path}, needed by task"
+            f" {task.task!r} with nx = {task.nx}; it has {_contents(states)}. Generate some:"
+            f" knotgym-generate --nx {nx}{beads}"
         )
-    return TaskSide(states, origin, nx)
-
-
-def _fit(config: TaskConfig, own: States) -> str:
-    """Return which tasks fit the states of a file, as text for errors."""
-    knots = sorted(set(own.knot.tolist()))
-    if len(knots) > 1:
-        return f"these states are {', '.join(knots)}: keep one type, with knotgym dataset select"
-    return f"tasks that fit these states of {knots[0]}: {fitting_tasks(own, config.split)}"
+    return TaskSide(states, origin, nx, rows)
 
 
 def _of_our_rope(path: Path, beads: int) -> States:
@@ -112,12 +115,13 @@ def _of_our_rope(path: Path, beads: int) -> States:
 
 
 def _contents(states: States) -> str:
-    """List the crossings and splits of a file, as in "nx 0 (train, test), 3 (test)"."""
+    """List crossings, splits and knots of a file, as in "nx 3 (train, test), 4 (test) of 3_1"."""
     splits = {
         nx: ", ".join(dict.fromkeys(states.split[states.nx == nx].tolist()))
         for nx in sorted(set(states.nx.tolist()))
     }
-    return "nx " + ", ".join(f"{nx} ({of})" for nx, of in splits.items()) if splits else "no rows"
+    shown = ", ".join(f"{nx} ({of})" for nx, of in splits.items())
+    return f"nx {shown} of {', '.join(sorted(set(states.knot.tolist())))}" if splits else "no rows"
 
 
 @lru_cache(maxsize=4)

@@ -10,7 +10,6 @@ from pydantic import Field
 
 from knotgym.common.configuration import Count, Int, Positive, Real, choice, configuration
 from knotgym.common.errors import InvalidInput
-from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
 from knotgym.quality.limits import RESET_NOISE
 from knotgym.rendering.views import Views, require_depth
 from knotgym.rope.engines import MUJOCO, EngineName
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
 
 OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
-LAYOUTS = ("beside", "stacked")  # arrangement of the rope's and the goal's picture
-MAX_NX = 11  # crossings; a rope of 100 beads hardly has room for more
 MIN_BEADS, MAX_BEADS = 50, 1000
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
@@ -42,7 +39,7 @@ class UnknownKeyword(InvalidInput, TypeError):
 
 def max_nx(beads: int) -> int:
     """Return the largest number of crossings for which a rope of so many beads has room."""
-    return MAX_NX * beads // 100
+    return 11 * beads // 100  # a rope of 100 beads hardly has room for more
 
 
 @configuration
@@ -106,13 +103,13 @@ class TaskConfig:
     image_size: Annotated[Int, Field(ge=16, le=2048)] = 128
     views: Views = ("top",)
     depth: bool = False
-    layout: Annotated[str, choice(*LAYOUTS)] = "beside"
+    layout: Annotated[str, choice("beside", "stacked")] = "beside"
     camera: Annotated[str, choice("orthographic", "perspective")] = "orthographic"
     renderer: Annotated[str, choice("auto", "opencv", "mujoco")] = "auto"
     # an action takes 0.192 s; with fewer steps, ropes under large forces blow up
     integrator_steps: Annotated[Int, Field(ge=20, le=96)] = 24
-    success_reward: Real = SUCCESS_REWARD
-    failure_reward: Real = FAILURE_REWARD
+    success_reward: Real = 5.0
+    failure_reward: Real = -5.0
     numeric_infos: bool = False
 
     def __post_init__(self) -> None:
@@ -146,17 +143,6 @@ class TaskConfig:
     def goal_nx(self) -> int:
         """Crossings of the goal."""
         return TASKS[self.task](self.nx)[1]
-
-    @property
-    def reward_rule(self) -> RewardRule:
-        """Parameters of the reward."""
-        return RewardRule(
-            hold=self.hold,
-            horizon=self.horizon,
-            success_reward=self.success_reward,
-            failure_reward=self.failure_reward,
-            endless=self.endless,
-        )
 
     @property
     def rope(self) -> RopeConfig:

@@ -6,10 +6,10 @@ its rope would not be the one that is recorded. The scene is in decimetres: vise
 and its controls are made for objects of that size.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from knotgym.rendering.camera import bead_colours
@@ -17,7 +17,7 @@ from knotgym.rope.model import Array, RopeConfig
 from knotgym.topology.crossings import find_crossings
 
 SCALE = 10.0  # scene units per metre
-_SIDES = 10  # of a bead's drawn capsule
+_LATITUDES, _SIDES = 7, 10  # of a bead's drawn capsule
 _HEIGHT = 4.5  # scene units above the rope from which viser's camera, of 75 degrees, sees all
 _NARROW = 0.8  # width by height of a tab, below which it is a phone's
 _GRIP = 3.0  # radius within which a finger takes a bead on a phone, in rope radii
@@ -42,7 +42,7 @@ class RopeScene:
         if self.narrow:
             self._meshes.append(self._capsules("/grips", points, rope, _GRIP * rope.radius, 0.0))
         self.grips = self._meshes[-1]
-        self._marks: list[Any] = []
+        self._marks, self._path = list[Any](), list[Any]()
         self._walker = client.scene.add_icosphere(
             "/walker", radius=1.6 * rope.radius * SCALE, color=(255, 255, 255), visible=False
         )
@@ -110,9 +110,11 @@ class RopeScene:
         if place is not None:
             self._walker.position = SCALE * _at(points, place)
 
-    def draw_path(self, path: Array) -> Callable[[], None]:
-        """Draw the path of a bead, float64 (n, 3), with an arrow; return what removes it."""
-        drawn = []
+    def draw_path(self, path: Array) -> None:
+        """Draw the path of a bead, float64 (n, 3), with an arrow, in place of the last one."""
+        for handle in self._path:
+            handle.remove()
+        self._path = []
         if len(path) > 1:
             pairs = SCALE * np.stack([path[:-1], path[1:]], axis=1)
             line = self._client.scene.add_line_segments("/path/line", pairs, _HINT, thickness=0.05)
@@ -124,13 +126,7 @@ class RopeScene:
                 head_radius=0.08,
                 head_length=0.18,
             )
-            drawn = [line, arrow]
-
-        def remove() -> None:
-            for handle in drawn:
-                handle.remove()
-
-        return remove
+            self._path = [line, arrow]
 
 
 def _at(points: Array, place: float) -> Array:
@@ -158,25 +154,7 @@ def _poses(points: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 def _capsule(radius: float, length: float) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Return the vertices (n, 3) and faces (m, 3) of a capsule along x: rings joined by quads."""
-    bends = np.linspace(-np.pi / 2, np.pi / 2, 7)  # latitudes, from one tip to the other
-    x = np.sin(bends) * radius + np.where(bends < 0, -length / 2, length / 2)
-    turns = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
-    rings = np.stack(
-        [
-            np.repeat(x, _SIDES),
-            (radius * np.cos(bends)[:, None] * np.cos(turns)).ravel(),
-            (radius * np.cos(bends)[:, None] * np.sin(turns)).ravel(),
-        ],
-        axis=1,
-    )
-    ring, side = np.divmod(np.arange((len(bends) - 1) * _SIDES), _SIDES)
-    after = (side + 1) % _SIDES
-    near, far = ring * _SIDES, (ring + 1) * _SIDES
-    faces = np.concatenate(
-        [
-            np.stack([near + side, near + after, far + side], axis=1),
-            np.stack([near + after, far + after, far + side], axis=1),
-        ]
-    )
-    return rings.astype(np.float32), faces.astype(np.uint32)
+    """Return the vertices (n, 3) and faces (m, 3) of a capsule along x, about the origin."""
+    mesh = trimesh.creation.capsule(length, radius, count=(_LATITUDES, _SIDES))  # along z
+    vertices = (mesh.vertices - mesh.bounds.mean(axis=0))[:, [2, 0, 1]]
+    return vertices.astype(np.float32), mesh.faces.astype(np.uint32)

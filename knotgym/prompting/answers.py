@@ -1,7 +1,16 @@
 """Parse a model's answer strictly.
 
 An answer must have one <answer> block that holds bracketed lists of six numbers in [-1, 1], or one
-Gauss code. Anything else gets one of FAULTS, which are counted apart from failures at the task.
+Gauss code. Anything else has a fault, which is counted apart from failures at the task:
+
+    refusal            the model refused in every attempt
+    no block           or an end without a beginning
+    several blocks
+    malformed          neither lists of numbers nor a Gauss code
+    not six numbers
+    not finite
+    out of range
+    number of actions  none, or more than allowed
 """
 
 import math
@@ -11,16 +20,6 @@ from typing import NamedTuple
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.gauss import GaussCode
 
-FAULTS = (
-    "refusal",  # the model refused in every attempt
-    "no block",
-    "several blocks",
-    "malformed",  # neither lists of numbers nor a Gauss code
-    "not six numbers",
-    "not finite",
-    "out of range",
-    "number of actions",  # none, or more than allowed
-)
 _LIST = re.compile(r"\[([^\[\]]*)\]")
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
@@ -28,14 +27,14 @@ _LONGEST_CODE = 1000  # characters
 
 
 class ActionsRead(NamedTuple):
-    """The actions of an answer, six numbers each; empty with one of FAULTS."""
+    """The actions of an answer, six numbers each; empty with a fault."""
 
     actions: list[list[float]]
     fault: str = ""
 
 
 class CodeRead(NamedTuple):
-    """The Gauss code of an answer; None with one of FAULTS."""
+    """The Gauss code of an answer; None with a fault."""
 
     code: GaussCode | None
     fault: str = ""

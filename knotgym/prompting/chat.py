@@ -1,26 +1,23 @@
 """Ask a model behind any chat-completions server, through the openai client.
 
 The API key is read from OPENAI_API_KEY and sent to the server named by `base_url` alone. It is
-replaced by [key] in everything that a server returns, as it stands, reversed, in hex or base64, or
-escaped for JSON, URLs or HTML; a server that disguises it in another way can still write it into
-your transcripts. Replies are bounded: at most MOST_BYTES each, never decompressed, and at most
-`timeout` seconds per attempt in total. Redirects are errors.
+replaced by [key] in everything that a server returns, as it stands, spaced, reversed, in hex or
+base64, or escaped for JSON, URLs or HTML; a server that disguises it in another way can still write
+it into your transcripts. Replies are bounded: at most MOST_BYTES each, never decompressed, and at
+most `timeout` seconds per attempt in total. Redirects are errors.
 """
 
+import asyncio
 import base64
 import html
 import importlib
 import json
-import math
 import os
 import re
 import threading
-import time
 import urllib.request
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from concurrent.futures import Future
-from email.utils import parsedate_to_datetime
+from collections.abc import AsyncIterator, Mapping
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
@@ -137,7 +134,7 @@ class Chat:
 
     def __init__(self, config: ChatConfig, stop: threading.Event | None = None) -> None:
         self._config, self._stop = config, stop or threading.Event()
-        key = os.environ.get(KEY, "").strip()
+        self._key = key = os.environ.get(KEY, "").strip()
         if not key and config.base_url == PUBLIC:
             raise InvalidInput(
                 f"{PUBLIC} requires a key: set {KEY} in the environment, or give the --base-url of"
@@ -146,10 +143,15 @@ class Chat:
         if not (key.isascii() and key.isprintable()):
             raise InvalidInput(f"{KEY} must be printable ASCII")
         # a short placeholder such as "EMPTY", for servers without keys, isn't censored
-        self._secret = spellings(key) if len(key) >= _SECRET else None
+        self._secret = _spellings(key) if len(key) >= _SECRET else None
         if self._secret and any(map(self._secret.search, (config.base_url, config.model))):
             raise InvalidInput(f"set the key only in {KEY}, not in --base-url or --model")
-        self._proxy, self._client = _client(config, key)
+        self._host = urlsplit(config.base_url).hostname
+        try:
+            import openai
+        except ImportError as error:
+            raise MissingExtra("openai", install_command("prompt"), "knotgym prompt") from error
+        self._openai: Any = openai
 
     def ask(self, messages: list[dict[str, Any]]) -> Reply:
         """Send a request; retry with exponential backoff until it is answered.
@@ -165,7 +167,7 @@ class Chat:
         for attempt in range(1, self._config.attempts + 1):
             if self._stop.is_set():
                 raise Failed("stopped")
-            tried = self._try(messages)
+            tried = asyncio.run(self._try(messages))
             answered += [tried.tokens] if tried.tokens else []
             last = attempt == self._config.attempts
             if not tried.reason or (last and tried.reason == "refusal"):
@@ -187,52 +189,87 @@ class Chat:
             self._stop.wait(min(pause, _LONGEST_WAIT))
         raise AssertionError("at least one attempt is made")
 
-    def _try(self, messages: list[dict[str, Any]]) -> _Attempt:
-        """Make one attempt in a thread of its own, with a time limit.
-
-        A server that sends a byte at a time keeps the client's own timeouts from expiring.
-        """
-        outcome: Future[_Attempt] = Future()
-
-        def exchange() -> None:
-            try:
-                outcome.set_result(self._exchange(messages))
-            except BaseException as error:
-                outcome.set_exception(error)
-
-        threading.Thread(target=exchange, daemon=True).start()
-        try:
-            return outcome.result(self._config.timeout)
-        except TimeoutError:
-            return _Attempt(reason="timeout")
-
-    def _exchange(self, messages: list[dict[str, Any]]) -> _Attempt:
-        """Send the request and read the reply; raise InvalidInput if the server rejects it."""
-        import openai
-
-        config = self._config
+    async def _try(self, messages: list[dict[str, Any]]) -> _Attempt:
+        """Make one attempt; raise InvalidInput if the server rejects the request."""
+        openai, config = self._openai, self._config
         settings = {} if config.temperature < 0 else {"temperature": config.temperature}
-        complete = self._client.chat.completions.with_raw_response.create
         try:
-            raw = complete(model=config.model, messages=messages, **settings)
-            return self._read(raw.http_response.text)
+            # a server that sends a byte at a time keeps the client's own timeouts from expiring
+            async with asyncio.timeout(config.timeout), self._client() as client:
+                complete = client.chat.completions.with_raw_response.create
+                raw = await complete(model=config.model, messages=messages, **settings)
+                return self._read(raw.http_response.text)
         except openai.APIStatusError as error:
             return self._failed(error.status_code, error.response.headers, error.response.text)
-        except openai.APITimeoutError:
+        except (TimeoutError, openai.APITimeoutError):
             return _Attempt(reason="timeout")
-        except _TooLong as error:
-            return _Attempt(reason="too long", detail=one_line(error))
         except openai.APIError as error:
-            cause = error.__cause__ or error
-            through = f" (through the proxy {self._proxy})" if self._proxy else ""
-            return _Attempt(reason="connection", detail=self._short(one_line(cause)) + through)
+            detail = self._short(one_line(error.__cause__ or error))
+            scheme = urlsplit(config.base_url).scheme
+            proxies = {scheme, "all"} & urllib.request.getproxies().keys()
+            if proxies and self._host not in _LOOPBACK:
+                detail += f" (through the proxy in {' or '.join(sorted(proxies))}_proxy)"
+            return _Attempt(reason="connection", detail=detail)
+
+    def _client(self) -> Any:
+        """Return an openai client whose replies are bounded, never decompressed, and not followed.
+
+        Each attempt has its own, because connections belong to an event loop.
+        """
+        openai = self._openai
+        # the client's HTTP library, which is another one in newer versions of openai
+        http: Any = importlib.import_module(
+            openai.DefaultHttpxClient.__mro__[1].__module__.partition(".")[0]
+        )
+
+        class Bounded(http.AsyncByteStream):
+            """A reply's bytes, up to MOST_BYTES."""
+
+            def __init__(self, stream: Any) -> None:
+                self._stream = stream
+
+            async def __aiter__(self) -> AsyncIterator[bytes]:
+                size = 0
+                async for block in self._stream:
+                    size += len(block)
+                    if size > MOST_BYTES:
+                        raise http.ReadError(f"a reply of more than {MOST_BYTES} bytes")
+                    yield block
+
+            async def aclose(self) -> None:
+                await self._stream.aclose()
+
+        async def strip(request: Any) -> None:
+            for name in _UNSENT if self._key else (*_UNSENT, "authorization"):
+                request.headers.pop(name, None)
+
+        async def read(response: Any) -> None:
+            response.headers.pop("content-encoding", None)
+            response.stream = Bounded(response.stream)
+            await response.aread()  # here, so that openai turns what goes wrong into an APIError
+
+        return openai.AsyncOpenAI(
+            api_key=self._key or "none",
+            base_url=self._config.base_url,
+            max_retries=0,  # `ask` retries, and counts the reasons
+            timeout=self._config.timeout,
+            default_headers={
+                "User-Agent": f"knotgym/{knotgym.__version__}",
+                "Accept-Encoding": "identity",
+            },
+            http_client=openai.DefaultAsyncHttpxClient(
+                event_hooks={"request": [strip], "response": [read]},
+                follow_redirects=False,
+                trust_env=self._host not in _LOOPBACK,  # with proxies
+            ),
+        )
 
     def _failed(self, status: int, headers: Mapping[str, str], body: str) -> _Attempt:
         """Turn an HTTP error into an attempt to be retried, or raise it."""
         detail = self._short(_error_message(body))
         if status in _RETRIED or status >= 500:
-            wait = retry_after(headers.get("retry-after"))
-            return _Attempt(reason=str(status), wait=wait, detail=detail)
+            asked = re.fullmatch(r"\s*(\d{1,9}(?:\.\d+)?)\s*", headers.get("retry-after", ""))
+            return _Attempt(reason=str(status), wait=float(asked[1]) if asked else 0, detail=detail)
         raise InvalidInput(
             f"{self._config.base_url} rejects the request to model {self._config.model!r}:"
             f" {status} {detail}"
@@ -252,7 +289,7 @@ class Chat:
             told = _error_message(body)
             reason = "malformed" if told == body else "error"
             return _Attempt(reason=reason, detail=self._short(told))
-        words = answer_text(content)
+        words = _answer_text(content)
         if finish == "error":
             detail = self._short(_error_message(json.dumps(choice)))
             return _Attempt(reason="error", detail=detail, tokens=tokens)
@@ -272,82 +309,14 @@ class Chat:
         return " ".join(self._clean(text).split())[:_SHOWN]
 
 
-class _TooLong(Exception):
-    """A reply is longer than MOST_BYTES."""
-
-
-def _client(config: ChatConfig, key: str) -> tuple[str, Any]:
-    """Return the proxy in use, "" for none, and the openai client on a limited transport."""
-    try:
-        import openai
-    except ImportError as error:
-        raise MissingExtra("openai", install_command("prompt"), "knotgym prompt") from error
-    # the client's HTTP library, which is another one in newer versions of openai
-    http: Any = importlib.import_module(
-        openai.DefaultHttpxClient.__mro__[1].__module__.partition(".")[0]
-    )
-    parts = urlsplit(config.base_url)
-    host = parts.hostname or ""
-    through = host not in _LOOPBACK and not urllib.request.proxy_bypass(host)
-    proxy = urllib.request.getproxies().get(parts.scheme, "") if through else ""
-
-    class Bounded(http.SyncByteStream):
-        """A reply's bytes, up to MOST_BYTES and until a monotonic time."""
-
-        def __init__(self, stream: Any) -> None:
-            self._stream, self._until = stream, time.monotonic() + config.timeout
-
-        def __iter__(self) -> Iterator[bytes]:
-            size = 0
-            for block in self._stream:
-                size += len(block)
-                if size > MOST_BYTES:
-                    self.close()
-                    raise _TooLong(f"a reply of more than {MOST_BYTES} bytes")
-                if time.monotonic() > self._until:
-                    self.close()
-                    raise http.ReadTimeout("the reply takes too long")
-                yield block
-
-        def close(self) -> None:
-            self._stream.close()
-
-    class Limited(http.HTTPTransport):
-        """A transport whose replies are bounded, and never decompressed."""
-
-        def handle_request(self, request: Any) -> Any:
-            for name in _UNSENT if key else (*_UNSENT, "authorization"):
-                request.headers.pop(name, None)
-            response = super().handle_request(request)
-            response.headers.pop("content-encoding", None)
-            response.stream = Bounded(response.stream)
-            return response
-
-    client = openai.OpenAI(
-        api_key=key or "none",
-        base_url=config.base_url,
-        max_retries=0,  # `Chat.ask` retries, and counts the reasons
-        timeout=config.timeout,
-        default_headers={
-            "User-Agent": f"knotgym/{knotgym.__version__}",
-            "Accept-Encoding": "identity",
-        },
-        http_client=http.Client(
-            transport=Limited(proxy=proxy or None), follow_redirects=False, trust_env=False
-        ),
-    )
-    told = urlsplit(proxy)  # without user and password
-    return f"{told.scheme}://{told.hostname}:{told.port}" if proxy else "", client
-
-
-def answer_text(content: Any) -> str | None:
+def _answer_text(content: Any) -> str | None:
     """Return the text of a message's content without the model's thinking; None if it has none.
 
     Content is text, or a list of parts, of which those of type "text" count.
 
-    >>> answer_text([{"type": "thinking", "text": "?"}, {"type": "text", "text": "yes"}])
+    >>> _answer_text([{"type": "thinking", "text": "?"}, {"type": "text", "text": "yes"}])
     'yes'
-    >>> answer_text("<think>a draft</think>final"), answer_text("cut off</think>final")
+    >>> _answer_text("<think>a draft</think>final"), _answer_text("cut off</think>final")
     ('final', 'final')
     """
     if isinstance(content, list):
@@ -361,14 +330,15 @@ def answer_text(content: Any) -> str | None:
     return (after if closed else content).partition("<think>")[0]
 
 
-def spellings(key: str) -> re.Pattern[str]:
-    r"""Compile a pattern that matches a key however a server may encode it.
+def _spellings(key: str) -> re.Pattern[str]:
+    r"""Compile a pattern that matches a key however a server may write it.
 
-    That is as it stands, escaped for JSON, URLs or HTML (also repeatedly), reversed, in hex, or in
-    base64.
+    That is as it stands, spaced, escaped for JSON, URLs or HTML (also repeatedly), and all of these
+    reversed, in hex, or in base64.
 
-    >>> [spellings("a/b+c").sub("[key]", text) for text in (r"a\/b\u002bc", "a%2Fb%2bc", "c+b/a")]
-    ['[key]', '[key]', '[key]']
+    >>> spelled = (r"a\/b\u002bc", "a%2Fb%2bc", "a / b + c", "c+b/a")
+    >>> [_spellings("a/b+c").sub("[key]", text) for text in spelled]
+    ['[key]', '[key]', '[key]', '[key]']
     """
     # repetitions are bounded, so that searching takes time linear in the length of the text
     letters = [
@@ -379,32 +349,15 @@ def spellings(key: str) -> re.Pattern[str]:
     ]
     # Base64 encodes 3 bytes as 4 characters, so the key may have three alignments. Only characters
     # that don't depend on the bytes around the key are matched; both alphabets are.
-    data, encoded = key.encode(), [key[::-1]]
+    data, encoded = key.encode(), list[str]()
     for shift in range(3):
         lead = (0, 2, 3)[shift]
         whole = base64.b64encode(b" " * shift + data).decode()
         end = len(whole.rstrip("=")) - (1 if (shift + len(data)) % 3 else 0)
         encoded += [whole[lead:end], whole[lead:end].translate(str.maketrans("+/", "-_"))]
-    in_hex = r"[\s:]?".join(f"{byte:02x}" for byte in data)
-    return re.compile("|".join([f"(?i:{''.join(letters)}|{in_hex})", *map(re.escape, encoded)]))
-
-
-def retry_after(header: str | None) -> float:
-    """Parse a Retry-After header, in seconds or as a date; return seconds, 0 without a valid one.
-
-    >>> retry_after("2.5"), retry_after("nan"), retry_after(None)
-    (2.5, 0.0, 0.0)
-    """
-    if not header:
-        return 0.0
-    try:
-        seconds = float(header)
-    except ValueError:
-        try:
-            seconds = parsedate_to_datetime(header).timestamp() - time.time()
-        except (ValueError, OverflowError):
-            return 0.0
-    return seconds if 0 < seconds < math.inf else 0.0
+    spelled = (letters, letters[::-1], [f"{byte:02x}" for byte in data])
+    spaced = "|".join(r"[\s:.,_-]?".join(parts) for parts in spelled)
+    return re.compile("|".join([f"(?i:{spaced})", *map(re.escape, encoded)]))
 
 
 def _error_message(body: str) -> str:

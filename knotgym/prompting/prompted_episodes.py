@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream
 from knotgym.control.rollouts import episode_seed
+from knotgym.datasets.image_table import encode
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.prompting.answers import read_actions, read_code
 from knotgym.prompting.prompt_config import PromptConfig
@@ -33,7 +34,6 @@ from knotgym.prompting.prompts import (
     Picture,
     Turn,
     caption,
-    encode_picture,
     message,
     messages,
     opening,
@@ -193,9 +193,9 @@ def _pictures(
     size = config.task.image_size
     images = [batch.rgb(index) for index in ids.tolist()]
     if goal:
-        return [encode_picture(image[:, size:], TEXTS["goal"]) for image in images]
+        return [Picture(encode(image[:, size:]), TEXTS["goal"]) for image in images]
     middles = batch.simulation.points[ids].mean(axis=1) / config.task.rope.reach
     return [
-        encode_picture(image[:, :size], caption(middle[:2] if config.tell_centre else None))
+        Picture(encode(image[:, :size]), caption(middle[:2] if config.tell_centre else None))
         for image, middle in zip(images, middles.tolist(), strict=True)
     ]

@@ -21,11 +21,6 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from knotgym.datasets.image_table import encode
-
 MODES = ("open", "stateless", "stateful", "read")
 OPEN, STATELESS, STATEFUL, READ = MODES
 
@@ -63,11 +58,6 @@ class Turn:
     answer: str
 
 
-def encode_picture(picture: NDArray[np.uint8], caption: str) -> Picture:
-    """Encode a picture, uint8 (height, width, 3), RGB, for a prompt."""
-    return Picture(encode(picture), caption)
-
-
 def caption(centre: Sequence[float] | None) -> str:
     """Return the current picture's caption; `centre` is its middle's x and y in action units.
 
@@ -86,7 +76,7 @@ def first() -> Picture:
     return Picture((_FOLDER / "first-picture.png").read_bytes())
 
 
-def question(mode: str, most: int) -> str:
+def _question(mode: str, most: int) -> str:
     """Return a mode's question; `most` is the maximum number of actions."""
     text = TEXTS["open_question" if mode == OPEN else "step_question"]
     return str(text.format(most=most))
@@ -98,9 +88,9 @@ def opening(goal: Picture) -> list[Part]:
     return [*beginning, goal.caption, goal]
 
 
-def turn_parts(mode: str, most: int, now: Picture) -> list[Part]:
+def _turn_parts(mode: str, most: int, now: Picture) -> list[Part]:
     """Return the parts of one turn."""
-    return [now.caption, now, question(mode, most)]
+    return [now.caption, now, _question(mode, most)]
 
 
 def reading(picture: Picture) -> list[Part]:
@@ -117,16 +107,16 @@ def messages(
     Args:
         before: parts that `opening` returned.
         turns: past turns in the window, oldest first.
-        mode, most, now: as for `turn_parts`.
+        mode, most, now: as for `_turn_parts`.
     """
     out: list[dict[str, Any]] = []
     parts = list(before)
     for turn in turns:
-        out.append(message([*parts, *turn_parts(mode, most, turn.picture)]))
+        out.append(message([*parts, *_turn_parts(mode, most, turn.picture)]))
         # servers may reject an empty message
         out.append({"role": "assistant", "content": turn.answer or "(no answer)"})
         parts = []
-    return [*out, message([*parts, *turn_parts(mode, most, now)])]
+    return [*out, message([*parts, *_turn_parts(mode, most, now)])]
 
 
 def message(parts: Sequence[Part]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ def reading_scores(transcripts: Iterable[Mapping[str, Any]]) -> dict[str, dict[s
     for one in transcripts:
         code, found = GaussCode.parse(one["gauss_code"]), one.get("read")
         read = GaussCode.parse(found) if isinstance(found, str) else None
-        edits = edit_distance(read or GaussCode(), code)
+        edits = _edit_distance(read or GaussCode(), code)
         scores = read is not None and read.matches(code), read is not None and read.nx == code.nx
         keys = ["all", f"nx {code.nx}", str(one["grade"])]
         keys += ["accepted", f"accepted, nx {code.nx}"] if one["accepted"] else []
@@ -52,10 +52,10 @@ def score_rows(scores: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...
     ]
 
 
-def edit_distance(one: GaussCode, other: GaussCode) -> int:
+def _edit_distance(one: GaussCode, other: GaussCode) -> int:
     """Return the Levenshtein distance between two codes, in visits.
 
-    >>> edit_distance(GaussCode.parse("1+,1-"), GaussCode.parse("1+,1-,2-,2+"))
+    >>> _edit_distance(GaussCode.parse("1+,1-"), GaussCode.parse("1+,1-,2-,2+"))
     2
     """
     # row[j] is the distance of the first i visits of `one` from the first j of `other`; `above` is

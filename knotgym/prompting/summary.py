@@ -17,16 +17,16 @@ def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     config = transcripts[0]["config"]
     prices = [config.get(f"{name}_price") for name in PRICES]
-    total = [_sum(one[f"{name}_tokens"] for one in transcripts) for name in PRICES]
+    tokens = [total(transcripts, f"{name}_tokens") for name in PRICES]
     cost = None
-    if None not in prices and None not in total:
-        cost = sum(price * (n or 0) for price, n in zip(prices, total, strict=True)) / 1e6
+    if None not in prices and None not in tokens:
+        cost = sum(price * (n or 0) for price, n in zip(prices, tokens, strict=True)) / 1e6
     turns = list(_turns(transcripts))
     facts: dict[str, Any] = {
         "answers": dict(Counter(turn["fault"] or "valid" for turn in turns).most_common()),
         "truncated": sum(turn["finish"] == "length" for turn in turns),
         "retries": dict(sum((Counter(turn["retries"]) for turn in turns), Counter())),
-        **{f"{name}_tokens": n for name, n in zip(PRICES, total, strict=True)},
+        **{f"{name}_tokens": n for name, n in zip(PRICES, tokens, strict=True)},
         "cost": cost,
     }
     if "actions" not in transcripts[0]:
@@ -49,12 +49,8 @@ def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def total(replies: Iterable[Mapping[str, Any]], name: str) -> int | None:
     """Add up the numbers of tokens of replies; None if one is unknown."""
-    return _sum(one[name] for one in replies)
-
-
-def _sum(counts: Iterable[int | None]) -> int | None:
-    known = list(counts)
-    return None if None in known else sum(one or 0 for one in known)
+    counts = [one[name] for one in replies]
+    return None if None in counts else sum(counts)
 
 
 def _turns(transcripts: Iterable[Mapping[str, Any]]) -> Iterable[Mapping[str, Any]]:

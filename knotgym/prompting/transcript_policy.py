@@ -3,7 +3,7 @@
 `knotgym.control.policies` finds the names `prompt:FILE` through the entry point `prompt`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json, differences
 from knotgym.common.errors import InvalidFile, InvalidPolicy
+from knotgym.control.basic_policies import ActionPlayer, Generators
 from knotgym.control.policies import PolicyFamily
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import Player, Policy, Pulls
+from knotgym.control.rollouts import Ids, Policy
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.transcripts import read_transcripts, transcripts_at
@@ -30,92 +31,76 @@ class TranscriptPolicy:
 
     Attributes:
         name: of the policy.
+        transcripts: of episodes, by the seed of the episode.
     """
 
     def __init__(self, transcripts: Sequence[Mapping[str, Any]], name: str) -> None:
-        self.name, self._transcripts = PREFIX + name, {one["seed"]: one for one in transcripts}
+        self.name, self.transcripts = name, {one["seed"]: one for one in transcripts}
 
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
         """Return the task; raise InvalidPolicy if the transcripts are of another one."""
-        here = _episode_settings(as_json(task))
-        for one in self._transcripts.values():
-            there = _episode_settings(one["config"]["task"])
-            changed = [f"--{one.replace('_', '-', 1)}" for one in differences(there, here)]
-            if changed:
-                raise InvalidPolicy(
-                    f"{self.name} was recorded in another task: {'; '.join(changed)}"
-                )
+        here = {**as_json(task), **dict.fromkeys(_SHOWN)}
+        for one in self.transcripts.values():
+            there = {**one["config"]["task"], **dict.fromkeys(_SHOWN)}
+            self._require_same(
+                f"--{name.replace('_', '-', 1)}" for name in differences(there, here)
+            )
         return task
 
-    def player(self, batch: EpisodeBatch) -> Player:
+    def player(self, batch: EpisodeBatch) -> ActionPlayer:
         """Return a player; its `begin` raises InvalidPolicy where there is no transcript."""
         return _TranscriptPlayer(self, batch)
 
     def actions(self, seed: int, start: int, goal: int) -> NDArray[np.float32]:
         """Return the actions of an episode, float32 (T, 6)."""
-        one = self._transcripts.get(seed)
+        one = self.transcripts.get(seed)
         if one is None:
-            count = len(self._transcripts)
-            own = next(iter(self._transcripts.values()))["config"]["seed"]
+            count = len(self.transcripts)
+            own = next(iter(self.transcripts.values()))["config"].get("seed")
             raise InvalidPolicy(
                 f"{self.name} holds {count} episodes of seed {own}, but not this one: use"
                 f" --episodes {count} --seed {own}"
             )
-        if found := list(differences(dict(one), {**one, "start": start, "goal": goal})):
-            raise InvalidPolicy(f"{self.name} was recorded in another task: {'; '.join(found)}")
+        self._require_same(differences(dict(one), {**one, "start": start, "goal": goal}))
         return np.array(one["actions"], dtype=np.float32).reshape(-1, 6)
 
+    def _require_same(self, changed: Iterable[str]) -> None:
+        if found := "; ".join(changed):
+            raise InvalidPolicy(f"{self.name} was recorded in another task: {found}")
 
-class _TranscriptPlayer:
+
+class _TranscriptPlayer(ActionPlayer):
     def __init__(self, policy: TranscriptPolicy, batch: EpisodeBatch) -> None:
-        self._policy, self._batch = policy, batch
-        self._actions: dict[int, NDArray[np.float32]] = {}
-        self.planned = np.zeros(batch.count, dtype=np.int64)
-
-    def begin(self, ids: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
-        columns = self._batch.seed, self._batch.start_row, self._batch.goal_row
-        for index in ids.tolist():
-            self._actions[index] = self._policy.actions(*(int(one[index]) for one in columns))
-
-    def act(self, ids: NDArray[np.int64]) -> Pulls:
+        super().__init__(batch, policy.name)
+        self._policy = policy
         # an episode that goes on past its transcript is pulled without force, and differs
-        none = np.zeros(6, dtype=np.float32)
-        actions = np.array(
-            [
-                self._actions[k][step] if step < len(self._actions[k]) else none
-                for k, step in zip(ids.tolist(), self._batch.steps[ids].tolist(), strict=True)
-            ]
-        )
-        beads, _ = self._batch.simulation.read_actions(actions, ids)
-        return Pulls(ids, beads, actions[:, 3:])
+        self._actions = np.zeros((batch.count, batch.task.horizon, 6), dtype=np.float32)
 
+    def begin(self, ids: Ids, rngs: Generators) -> None:
+        super().begin(ids, rngs)
+        columns = self.batch.seed, self.batch.start_row, self.batch.goal_row
+        for index in ids.tolist():
+            actions = self._policy.actions(*(int(one[index]) for one in columns))
+            self._actions[index] = 0
+            self._actions[index, : len(actions)] = actions[: len(self._actions[index])]
 
-def _episode_settings(task: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of a task that decide what happens in an episode."""
-    return {name: value for name, value in task.items() if name not in _SHOWN}
-
-
-def load_transcripts(named: Path) -> list[dict[str, Any]]:
-    """Read the transcripts of episodes in a file, or in the folder of a run.
-
-    Raises:
-        InvalidPolicy: there are none.
-    """
-    path = transcripts_at(named)
-    if path is None:
-        raise InvalidPolicy(f"no transcripts at {named}: give a .jsonl that knotgym prompt wrote")
-    try:
-        found = read_transcripts(path)
-    except InvalidFile as error:
-        raise InvalidPolicy(str(error)) from error
-    if not found or not all("actions" in one for one in found):
-        raise InvalidPolicy(f"{path} holds no episodes")
-    return found
+    def choose(self, ids: Ids) -> NDArray[np.float32]:
+        actions: NDArray[np.float32] = self._actions[ids, self.batch.steps[ids]]
+        return actions
 
 
 def _make(config: PolicyConfig) -> Policy:
-    path = config.policy.removeprefix(PREFIX)
-    return TranscriptPolicy(load_transcripts(Path(path)), path)
+    path = Path(config.policy.removeprefix(PREFIX))
+    named = transcripts_at(path)
+    if named is None:
+        raise InvalidPolicy(f"no transcripts at {path}: give a .jsonl that knotgym prompt wrote")
+    try:
+        found = read_transcripts(named)
+    except InvalidFile as error:
+        raise InvalidPolicy(str(error)) from error
+    if not all("actions" in one for one in found):
+        raise InvalidPolicy(f"{named} holds no episodes")
+    return TranscriptPolicy(found, config.policy)
 
 
 def _files(name: str) -> dict[str, Path]:

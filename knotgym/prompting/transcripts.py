@@ -1,38 +1,81 @@
 """Transcripts: the requests and answers of an episode or a picture, one JSON object per line.
 
 Each line is self-contained: it has the format, the settings, the answers and the outcome; pictures
-are given by the SHA-256 of their PNG. docs/prompting.md lists the fields.
+are given by the SHA-256 of their PNG.
 """
 
 import json
-import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NotRequired
 
-from knotgym.common.configuration import MOST_JSON
+from annotated_types import Predicate
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict
+
+from knotgym.common.configuration import MOST_JSON, NonNegative
 from knotgym.common.errors import InvalidFile, MissingFile, one_line
 
 FORMAT = "knotgym-transcript"
 FORMAT_VERSION = 1
 PRICES = ("prompt", "completion")  # what tokens are counted and priced for
 FILE = "transcripts.jsonl"  # name of the file in a run's folder
-_Count, _Text = (int,), (str,)
-_TOKENS = {f"{name}_tokens": (int, type(None)) for name in PRICES}
-_REQUEST: dict[str, tuple[type, ...]] = {
-    **{"fault": _Text, "finish": _Text, "retries": (dict,)},
-    **_TOKENS,
-}
-_PLAYED: dict[str, tuple[type, ...]] = {
-    **{"number": _Count, "config": (dict,), "seed": _Count, "start": _Count, "goal": _Count},
-    **{"gauss_code": (list,), "actions": (list,), "success": (bool,), "turns": (list,)},
-    **_TOKENS,
-}
-_READ: dict[str, tuple[type, ...]] = {
-    **{"number": _Count, "config": (dict,), "gauss_code": _Text, "nx": _Count, "grade": _Text},
-    **{"accepted": (bool,)},
-    **_REQUEST,
-}
+
+_Text = Annotated[str, Predicate(str.isprintable)]
+_Tokens = Annotated[int, Field(ge=0)] | None
+_Action = Annotated[list[Annotated[float, Field(ge=-1, le=1)]], Field(min_length=6, max_length=6)]
+
+
+# The fields that are read later; lines have more, which docs/prompting.md lists.
+
+
+class _Chat(TypedDict):
+    model: _Text
+
+
+class _Task(TypedDict):
+    task: _Text
+    nx: int
+    split: _Text
+
+
+class _Config(TypedDict):
+    mode: _Text
+    chat: _Chat
+    task: NotRequired[_Task]
+    prompt_price: NotRequired[NonNegative | None]
+    completion_price: NotRequired[NonNegative | None]
+
+
+class _Request(TypedDict):
+    fault: _Text
+    finish: str
+    retries: dict[_Text, Annotated[int, Field(ge=0)]]
+    prompt_tokens: _Tokens
+    completion_tokens: _Tokens
+
+
+class _Episode(TypedDict):
+    config: _Config
+    seed: int
+    start: int
+    goal: int
+    actions: list[_Action]
+    success: bool
+    turns: list[_Request]
+    prompt_tokens: _Tokens
+    completion_tokens: _Tokens
+
+
+class _Picture(_Request):
+    config: _Config
+    gauss_code: str
+    grade: _Text
+    accepted: bool
+
+
+_STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+_EPISODE, _PICTURE = (TypeAdapter[Any](with_config(_STRICT)(kind)) for kind in (_Episode, _Picture))
 
 
 def line(transcript: Mapping[str, Any]) -> str:
@@ -81,52 +124,10 @@ def _checked(text: str, where: str) -> dict[str, Any]:
             f"{where} has format {name!r} version {version!r}; this version reads {FORMAT!r}"
             f" version {FORMAT_VERSION}"
         )
-    _require(found, _PLAYED if "actions" in found else _READ, where)
-    for turn in found.get("turns", []):
-        _require(turn, _REQUEST, f"{where}, turns")
-    retries = [one["retries"] for one in found.get("turns", [found])]
-    valid = (
-        all(map(_is_action, found.get("actions", [])))
-        and all(isinstance(code, str) for code in found["gauss_code"])
-        and all(isinstance(n, int) and n >= 0 for one in retries for n in one.values())
-        and all(_is_price(found["config"].get(f"{name}_price")) for name in PRICES)
-        and _is_config(found["config"])
-    )
-    if not valid:
-        raise InvalidFile(
-            f"{where}: config, actions (six numbers in [-1, 1]), codes or counts are invalid"
-        )
+    try:
+        (_EPISODE if "actions" in found else _PICTURE).validate_python(found)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(map(str, first["loc"]))
+        raise InvalidFile(f"{where}, field {field}: {first['msg']}") from None
     return found
-
-
-def _require(found: Any, fields: Mapping[str, tuple[type, ...]], where: str) -> None:
-    if not isinstance(found, dict):
-        raise InvalidFile(f"{where} aren't objects")
-    for field, kinds in fields.items():
-        if type(found.get(field)) not in kinds:
-            raise InvalidFile(f"{where}: {field} must be {kinds[0].__name__}")
-
-
-def _is_action(value: Any) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) == 6
-        and all(type(number) in (int, float) and abs(number) <= 1 for number in value)
-    )
-
-
-def _is_config(config: Mapping[str, Any]) -> bool:
-    """Return whether settings name the model and the mode, and for episodes the task."""
-    chat, task = config.get("chat"), config.get("task")
-    if not isinstance(chat, dict) or not isinstance(task, dict | None):
-        return False
-    words = [chat.get("model"), config.get("mode")]
-    if task:
-        words += [task.get("task"), task.get("split")]
-    return all(isinstance(word, str) and word.isprintable() for word in words) and (
-        not task or type(task.get("nx")) is int
-    )
-
-
-def _is_price(value: Any) -> bool:
-    return value is None or (type(value) in (int, float) and 0 <= value < math.inf)

@@ -5,7 +5,7 @@
     "macro"   int (3,): the bead to lead, the bead whose strand it passes, and 0 for under or 1 for
               over; as many pulls as it takes
 
-A macro-action is `macro_actions.pass_straight`, carried out by the `WaypointFollower` until the
+A macro-action is a pass without chance, carried out by the `WaypointFollower` until the
 bead has reached its last waypoint, the episode has ended, or LONGEST pulls were made. A change of
 code doesn't end it: a crossing that has only just been made comes undone in the next one.
 """

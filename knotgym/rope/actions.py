@@ -8,9 +8,8 @@ In the view "bead" the same pull is four whole numbers: the bead, and which of F
 each component has. These are evenly spaced from -1 to 1.
 
 A pull with a *quantized* force fits into four bytes: the bead, and three whole numbers of 1 / 127
-of the largest force. The float32 numbers of its action give the bytes back, and the bytes the
-action. Policies that pull beads quantize their forces, so an episode of theirs is its start and
-four bytes a step.
+of the largest force. Policies that pull beads quantize their forces, so that a recording of their
+episodes is the starts and four bytes a step.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import generator_of
 
 if TYPE_CHECKING:
@@ -51,8 +49,15 @@ def decode_actions(
         beads int64 (n,); forces float64 (n, 3), newtons.
     """
     a = np.asarray(actions, dtype=np.float64)
-    offset = points - rope.reach * a[:, None, :3]
-    return np.argmin((offset**2).sum(axis=2), axis=1), rope.max_force * a[:, 3:]
+    return nearest_beads(points, rope.reach * a[:, :3]), rope.max_force * a[:, 3:]
+
+
+def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
+    """Find the vertex of each rope (n, beads, 3) nearest to its position (n, 3): int64 (n,).
+
+    It is the first one if several are equally near.
+    """
+    return np.argmin(((points - positions[:, None]) ** 2).sum(axis=2), axis=1)
 
 
 def encode_actions(
@@ -82,60 +87,6 @@ def quantized(forces: ArrayLike) -> Array:
     # + 0.0 makes -0.0 to 0.0, which a whole number can't tell apart
     bins = np.rint(np.asarray(forces, dtype=np.float64) * FORCE_BINS) + 0.0
     return (bins / FORCE_BINS).astype(np.float32).astype(np.float64)
-
-
-def encode_pulls(actions: ArrayLike, points: Array, rope: RopeConfig) -> NDArray[np.int8]:
-    """Convert actions with quantized forces to four bytes each; the inverse of `decode_pulls`.
-
-    Args:
-        actions, points, rope: as in `decode_actions`.
-
-    Returns:
-        int8 (n, 4): the bead, as an unsigned byte, and three multiples of 1 / FORCE_BINS.
-
-    Raises:
-        InvalidInput: an action isn't what `decode_pulls` gives, or the rope has too many beads.
-    """
-    if points.shape[1] > 256:
-        raise InvalidInput(f"a pull's bead is one byte, got a rope of {points.shape[1]} beads")
-    beads, _ = decode_actions(actions, points, rope)
-    given = np.ascontiguousarray(actions, dtype=np.float32)
-    bins = np.rint(given[:, 3:] * FORCE_BINS)
-    pulls = np.concatenate([beads[:, None].astype(np.uint8).view(np.int8), bins], axis=1)
-    pulls = pulls.astype(np.int8)
-    # bit by bit: -0.0 equals 0.0, but isn't the same
-    decoded = decode_pulls(pulls, points, rope).view(np.uint32)
-    off = np.flatnonzero((decoded != given.view(np.uint32)).any(axis=1))
-    if len(off):
-        raise InvalidInput(
-            f"an action must pull a bead at its vertex with multiples of 1/{FORCE_BINS} of the"
-            f" largest force, got {given[off[0]].tolist()}"
-        )
-    return pulls
-
-
-def decode_pulls(pulls: NDArray[np.int8], points: Array, rope: RopeConfig) -> NDArray[np.float32]:
-    """Convert four bytes (n, 4) to actions, float32 (n, 6)."""
-    forces = quantized(pulls[:, 1:] / FORCE_BINS) * rope.max_force
-    return encode_actions(np.ascontiguousarray(pulls[:, 0]).view(np.uint8), forces, points, rope)
-
-
-def steps_taken(
-    actions: ArrayLike, points: Array, rope: RopeConfig
-) -> tuple[NDArray[np.int64], Array]:
-    """Return the bead and the requested force that led to each state of an episode.
-
-    Args:
-        actions: (T, 6).
-        points: float64 (T + 1, beads, 3), metres: the states before and after the actions.
-        rope: supplies `reach` and `max_force`.
-
-    Returns:
-        beads int64 (T + 1,) and requested forces float64 (T + 1, 3), newtons; the first state, to
-        which no action led, has bead -1 and force 0.
-    """
-    beads, forces = decode_actions(actions, points[:-1], rope)
-    return np.concatenate([[-1], beads]), np.concatenate([np.zeros((1, 3)), forces])
 
 
 def drawn_actions(key: tuple[int, ...], steps: int) -> NDArray[np.float32]:

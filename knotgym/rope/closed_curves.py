@@ -10,19 +10,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def closed_directions(along: Array) -> Array:
-    """Change unit vectors (n, 3) as little as possible so that they sum to zero; a new array.
-
-    A chain of equal chords in these directions is closed.
-    """
-    closed = np.array(along, dtype=np.float64, order="C")[None]
-    close_loops(closed)
-    return closed[0]
-
-
 @numba.njit(cache=True, nogil=True)
 def close_loops(along: Array) -> None:
-    """Change the unit vectors of many chains (n, beads, 3), in place; see `closed_directions`."""
+    """Change the unit vectors of many chains (n, beads, 3) as little as possible, in place.
+
+    Those of each chain then sum to zero, so that equal chords in these directions are closed.
+    """
     # The unit vectors u_i with sum 0 that minimize sum |u_i - a_i|^2 are the normalized a_i - s,
     # where s is the Lagrange multiplier of the constraint. Newton's method on s:
     #     f(s) = sum_i (a_i - s) / |a_i - s| = 0,
@@ -96,7 +89,7 @@ def equal_chords(curve: Array, count: int) -> Array:
 
     The cuts move along the polyline until the chords are nearly equal; this fails only where the
     polyline doubles back within a chord. The chords are then scaled to length 1, and a correction
-    of their directions closes the chain (`closed_directions`).
+    of their directions closes the chain (`close_loops`).
 
     Returns:
         float64 (count, 3), centred.
@@ -115,7 +108,8 @@ def equal_chords(curve: Array, count: int) -> Array:
         cuts = np.interp(np.linspace(0.0, walked[-1], count + 1), walked, cuts)
     chord = np.diff(points, axis=0)
     lengths = np.linalg.norm(chord, axis=1, keepdims=True)
-    along = closed_directions(chord / np.maximum(lengths, np.finfo(float).tiny))
+    along = chord / np.maximum(lengths, np.finfo(float).tiny)
+    close_loops(along[None])
     ends = np.cumsum(along, axis=0)
     return np.roll(ends, 1, axis=0) - ends.mean(axis=0)
 
@@ -126,16 +120,17 @@ def _arc_lengths(points: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def clearance(points: Array) -> float:
+def clearance(points: Array, within: float) -> float:
     """Return the smallest distance between the axes of two beads that aren't neighbours, metres.
 
     The beads overlap if it is below their diameter.
 
     Args:
         points: float64 (beads, 3), metres, the vertices of a closed rope.
+        within: what is returned if all beads are at least this far apart; the smaller, the faster.
     """
     beads = len(points)
-    best = np.inf
+    best = within
     for i in range(beads):
         a, b = points[i], points[(i + 1) % beads]
         # bead 0 and the last bead are neighbours too
@@ -152,33 +147,6 @@ def clearance(points: Array) -> float:
                 continue
             best = min(best, _segment_distance(a, b, c, d))
     return best
-
-
-@numba.njit(cache=True, nogil=True)
-def keeps_apart(points: Array, least: float) -> bool:
-    """Return whether `clearance(points) >= least`, in a tenth of its time.
-
-    Nearly all pairs of beads are too far apart even if they pointed at each other.
-    """
-    beads = len(points)
-    middle, longest = np.empty((beads, 3)), 0.0
-    for i in range(beads):
-        square = 0.0
-        for c in range(3):
-            end = points[i + 1 if i + 1 < beads else 0, c]
-            middle[i, c] = 0.5 * (points[i, c] + end)
-            square += (end - points[i, c]) ** 2
-        longest = max(longest, square)
-    reach = (least + np.sqrt(longest)) ** 2
-    for i in range(beads):
-        for j in range(i + 2, beads if i > 0 else beads - 1):
-            x, y = middle[i, 0] - middle[j, 0], middle[i, 1] - middle[j, 1]
-            z = middle[i, 2] - middle[j, 2]
-            if x * x + y * y + z * z < reach:
-                a, b = points[i], points[(i + 1) % beads]
-                if _segment_distance(a, b, points[j], points[(j + 1) % beads]) < least:
-                    return False
-    return True
 
 
 @numba.njit(cache=True, nogil=True)

@@ -79,59 +79,58 @@ def forward(
 
 
 @numba.njit(cache=True, nogil=True)
-def backward(
-    points: Array, along: Array, order: Array, parent: Array, at: Array, rest: Array, qpos: Array
-) -> None:
-    """Compute the generalized positions of a configuration, with the smallest twist of each bead.
+def transported(along: Array, order: Array, parent: Array) -> Array:
+    """Return the orientations of beads with the smallest twist, float64 (beads, 4).
 
     Vertices alone don't determine the rotation of a bead about its own axis; each bead gets its
     parent's orientation turned by the shortest arc (parallel transport).
 
     Args:
-        points: float64 (beads, 3), metres.
         along: float64 (beads, 3), unit vectors of the beads.
-        order, parent, at, rest: the kinematic trees, see the module.
-        qpos: float64 (nq,); output.
+        order, parent: the kinematic trees, see the module.
     """
     world = np.empty((len(order), 4))
-    x_axis, arc, back = np.zeros(3), np.empty(4), np.empty(4)
+    x_axis, arc = np.zeros(3), np.empty(4)
     x_axis[0] = 1.0
     for k in range(len(order)):
         bead = order[k]
-        up, a = parent[bead], at[bead]
+        up = parent[bead]
         if up < 0:
             _shortest_arc(x_axis, along[bead], world[bead])
-            for c in range(3):
-                qpos[a + c] = points[bead, c]
-            for c in range(4):
-                qpos[a + 3 + c] = world[bead, c]
         else:
-            # joint = (parent's world * rest)^-1 * world; the inverse of a unit quaternion is its
-            # conjugate
             _shortest_arc(along[up], along[bead], arc)
             _multiply(arc, world[up], world[bead])
-            _multiply(world[up], rest[bead], back)
-            for c in range(1, 4):
-                back[c] *= -1.0
-            _multiply(back, world[bead], qpos[a : a + 4])
+    return world
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
-    """Find the vertex of each rope (n, beads, 3) nearest to its position (n, 3): int64 (n,).
+def backward(
+    points: Array, world: Array, order: Array, parent: Array, at: Array, rest: Array, qpos: Array
+) -> None:
+    """Compute the generalized positions of beads that lie and are turned as given.
 
-    The first one if several are equally near, as in `actions.decode_actions`.
+    Args:
+        points: float64 (n, beads, 3), metres.
+        world: float64 (n, beads, 4), the beads' orientations.
+        order, parent, at, rest: the kinematic trees, see the module.
+        qpos: float64 (n, nq); output.
     """
-    nearest = np.zeros(len(points), np.int64)
-    for rope in range(len(points)):
-        best = np.inf
-        for bead in range(points.shape[1]):
-            square = 0.0
-            for c in range(3):
-                square += (points[rope, bead, c] - positions[rope, c]) ** 2
-            if square < best:
-                best, nearest[rope] = square, bead
-    return nearest
+    back = np.empty(4)
+    for row in range(len(points)):
+        for bead in order:
+            up, a = parent[bead], at[bead]
+            if up < 0:
+                for c in range(3):
+                    qpos[row, a + c] = points[row, bead, c]
+                for c in range(4):
+                    qpos[row, a + 3 + c] = world[row, bead, c]
+            else:
+                # joint = (parent's world * rest)^-1 * world; the inverse of a unit quaternion is
+                # its conjugate
+                _multiply(world[row, up], rest[bead], back)
+                for c in range(1, 4):
+                    back[c] *= -1.0
+                _multiply(back, world[row, bead], qpos[row, a : a + 4])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # 0 / 0 is NaN instead of an exception

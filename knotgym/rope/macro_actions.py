@@ -10,7 +10,6 @@ and codes, and undoes tangles in which every small change makes things worse.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -40,14 +39,12 @@ class MacroAction:
     """Lead a bead past waypoints.
 
     Attributes:
-        kind: one of KINDS.
         bead: the bead to lead.
         waypoints: float64 (3, 3), metres, world frame.
         target: bead of the strand to pass, -1 if there is none.
         side: +1 over or upwards, -1 under or downwards, 0 for neither.
     """
 
-    kind: str
     bead: int
     waypoints: Array
     target: int = -1
@@ -64,7 +61,8 @@ def propose(points: Array, rng: np.random.Generator, config: MacroActionConfig) 
     """
     # Draws come in this order whatever the kind: another order would change every seeded run.
     beads = len(points)
-    kind = KINDS[int(_kinds(tuple(config.shares)).searchsorted(rng.random(), side="right"))]
+    shares = cumulative_shares(np.array(config.shares))
+    kind = KINDS[int(shares.searchsorted(rng.random(), side="right"))]
     bead = int(rng.integers(beads))
     side = (-1, 1)[rng.integers(2)]
     if kind == "curl":
@@ -75,7 +73,7 @@ def propose(points: Array, rng: np.random.Generator, config: MacroActionConfig) 
         apart = int(rng.integers(config.pass_apart, beads - config.pass_apart))
     else:
         return move_aside(points, kind, bead, side, rng, config)
-    return pass_strand(points, kind, bead, (bead + apart) % beads, side, rng, config)
+    return pass_strand(points, bead, (bead + apart) % beads, side, rng, config)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +131,11 @@ def move_aside(
         heading = rng.uniform(-np.pi, np.pi)
     far = rng.uniform(*config.distance)
     waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), far)
-    return MacroAction(kind, bead, waypoints, side=side)
+    return MacroAction(bead, waypoints, side=side)
 
 
 def pass_strand(
     points: Array,
-    kind: str,
     bead: int,
     target: int,
     side: int,
@@ -147,47 +144,14 @@ def pass_strand(
 ) -> MacroAction:
     """Lead a bead over (side +1) or under (-1) the bead `target` and a little beyond it."""
     turn, beyond = rng.normal(0, config.pass_angle), rng.uniform(*config.beyond)
-    return _pass(points, kind, bead, target, side, turn, config.lift, beyond, config)
-
-
-def pass_straight(
-    points: Array, bead: int, target: int, side: int, config: MacroActionConfig
-) -> MacroAction:
-    """Return the same as `pass_strand` without chance: straight ahead, a fixed distance beyond.
-
-    So three integers determine a macro-action: the bead, the strand's bead `target`, and the side.
-    """
-    waypoints = np.empty((1, _WAYPOINTS, 3))
-    moves = np.array([[bead, target, side]], dtype=np.int64)
-    _straight(
-        np.ascontiguousarray(points)[None],
-        np.zeros(1, np.int64),
-        moves,
-        waypoints,
-        *config.straight,
-    )
-    return MacroAction("pass", bead, waypoints[0], target, side)
-
-
-def _pass(
-    points: Array,
-    kind: str,
-    bead: int,
-    target: int,
-    side: int,
-    turn: float,
-    lift: float,
-    beyond: float,
-    config: MacroActionConfig,
-) -> MacroAction:
     offset = points[target, :2] - points[bead, :2]
     # a strand farther away than that is approached without being passed
     far = min(float(np.hypot(*offset)), config.farthest)
     heading = np.arctan2(offset[1], offset[0]) + turn
     # relative to the strand to pass, not to the bead
-    height = points[target, 2] + side * lift
+    height = points[target, 2] + side * config.lift
     waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), far + beyond)
-    return MacroAction(kind, bead, waypoints, target, side)
+    return MacroAction(bead, waypoints, target, side)
 
 
 def _waypoints(
@@ -235,11 +199,6 @@ def cumulative_shares(weights: Array) -> Array:
     return np.asarray(shares / shares[-1])
 
 
-@lru_cache
-def _kinds(shares: tuple[float, ...]) -> Array:
-    return cumulative_shares(np.array(shares))
-
-
 class WaypointFollower:
     """Carries out a macro-action on each of n ropes, pull by pull, in compiled code.
 
@@ -267,7 +226,7 @@ class WaypointFollower:
         self._stage[ids] = 0
 
     def begin_passes(self, ids: NDArray[np.int64], passes: ArrayLike, points: Array) -> None:
-        """Start passes without chance, see `pass_straight`.
+        """Start passes without chance, see `_straight`.
 
         Args:
             ids: the ropes.
@@ -300,7 +259,8 @@ class WaypointFollower:
 def _straight(points, ids, passes, waypoints, rise, farthest, lift, beyond):  # type: ignore[no-untyped-def]
     """Lay out the `_waypoints` of passes (bead, target, side) in rows `ids`.
 
-    No sine or cosine: their last bits differ between processors.
+    They are those of `pass_strand` straight ahead and a fixed distance beyond. No sine or cosine:
+    their last bits differ between processors.
     """
     for k in range(len(ids)):
         rope, bead, target, side = points[ids[k]], passes[k, 0], passes[k, 1], passes[k, 2]

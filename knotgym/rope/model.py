@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common.configuration import Count, NonNegative, Positive, Real, choice, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.closed_curves import clearance, equal_chords
-from knotgym.rope.kinematics import backward, forward
+from knotgym.rope.kinematics import backward, forward, transported
 
 Array = NDArray[np.float64]
 
@@ -126,7 +126,6 @@ class Rope:
             [bead_of.get(int(self.model.body_parentid[body]), -1) for body in self.bodies]
         )
         self._qpos_at = self.model.jnt_qposadr[joints].astype(np.int64)
-        self._dof_at = self.model.jnt_dofadr[joints].astype(np.int64)
         # orientation relative to the parent at zero joint angle
         self._rest = self.model.body_quat[self.bodies].copy()
         # Chords between two sub-chains may have any length up to the gap that closures leave.
@@ -187,8 +186,21 @@ class Rope:
         p = np.ascontiguousarray(points, dtype=np.float64)
         along = np.roll(p, -1, axis=0) - p
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        qpos = np.empty(self.nq)
-        backward(p, along, self._order, self._parent, self._qpos_at, self._rest, qpos)
+        return self.turned_qpos(p[None], transported(along, self._order, self._parent)[None])[0]
+
+    def turned_qpos(self, points: Array, world: Array) -> Array:
+        """Return generalized positions of ropes whose beads are turned as given.
+
+        Args:
+            points: float64 (n, beads, 3), metres.
+            world: float64 (n, beads, 4), the beads' orientations, quaternions with w first.
+
+        Returns:
+            float64 (n, nq).
+        """
+        qpos = np.empty((len(points), self.nq))
+        trees = self._order, self._parent, self._qpos_at, self._rest
+        backward(np.ascontiguousarray(points), world, *trees, qpos)
         return qpos
 
     def loop(self) -> Array:
@@ -242,7 +254,7 @@ class Rope:
                 raise InvalidInput(
                     f"the curve turns too sharply for a rope of {self.config.beads} beads"
                 )
-        depth = 2 * self.config.radius - clearance(p)
+        depth = 2 * self.config.radius - clearance(p, 2 * self.config.radius)
         if depth > max_overlap:
             most = f"{1000 * max_overlap:.1f} mm"
             raise InvalidInput(
@@ -342,12 +354,3 @@ def sub_chains(config: RopeConfig) -> list[tuple[int, int]]:
     """Return the first and last bead of each sub-chain; sizes differ by at most one bead."""
     cuts = [round(k * config.beads / config.sub_chains) for k in range(config.sub_chains + 1)]
     return [(first, after - 1) for first, after in zip(cuts[:-1], cuts[1:], strict=True)]
-
-
-def base_shifts(config: RopeConfig) -> list[int]:
-    """Return the first vertex of each sub-chain.
-
-    Moving the base to one of them is nearly a symmetry: the new sub-chains start where the old ones
-    did, up to differences in size.
-    """
-    return [first for first, _ in sub_chains(config)]

@@ -70,7 +70,6 @@ class MujocoSimulation(Simulation):
         """
         where, bodies = self._all(ids), self.rope.bodies[np.asarray(beads)]
         full = np.asarray(forces, dtype=np.float64)
-        self.steps_taken += len(where)
         before = self._batch.state[where].copy()
         stable = np.ones(len(where), dtype=bool)
         pending = np.arange(len(where))  # indices into `where` of ropes still to be stepped
@@ -88,7 +87,6 @@ class MujocoSimulation(Simulation):
             pending = failed[stable[failed]]
             if not len(pending):
                 break
-        self.steps_reduced += int(np.count_nonzero(self.applied_shares[where] < 1))
         return stable
 
     def _integrate(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.rope.closed_curves import clearance, close_loops, keeps_apart
+from knotgym.rope.closed_curves import clearance, close_loops
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
@@ -63,7 +63,7 @@ def start_qpos(
         moved = noised(writable[left], reduced, [rngs[row] for row in left])
         refused = []
         for row, one, code in zip(left, moved, label_many(moved), strict=True):
-            if code == codes[row] and keeps_apart(one, bound[row]):
+            if code == codes[row] and clearance(one, bound[row]) >= bound[row]:
                 started[row] = rope.qpos(one)
             else:
                 refused.append(row)
@@ -77,7 +77,7 @@ def least_clearance(points: Array, rope: Rope) -> float:
     Beads at rest may touch or overlap already, so the bound is relative to where they are now;
     beads that are apart may come to touch.
     """
-    return float(min(clearance(points), 2 * rope.config.radius) - 0.001)
+    return clearance(points, 2 * rope.config.radius) - 0.001
 
 
 def noised(points: ArrayLike, scale: float, rngs: Sequence[np.random.Generator]) -> Array:

@@ -34,8 +34,6 @@ class Simulation(ABC):
         applied_shares: float64 (count,), the fraction of the requested impulse (force times time)
             that each rope's last step applied: 1, or less where the engine had to hold back, or 0
             if the rope didn't move.
-        steps_taken: actions taken so far, summed over all ropes.
-        steps_reduced: how many of them applied a share below 1.
     """
 
     engine: ClassVar[str]
@@ -49,7 +47,6 @@ class Simulation(ABC):
         self.rope = rope or Rope()
         self.count = count
         self.applied_shares: Array = np.ones(count)
-        self.steps_taken = self.steps_reduced = 0
         self._threads = threads
 
     def __getstate__(self) -> dict[str, Any]:

@@ -45,11 +45,6 @@ class TowBound:
     origin: NDArray[np.float64]
     limit: float
 
-    @classmethod
-    def of_episode(cls, points: ArrayLike, limit: float) -> TowBound:
-        """Return the bound of an episode with the states `points`, float64 (T + 1, beads, 3)."""
-        return cls(centres(np.asarray(points)[:1])[0], limit)
-
     def exceeded(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return which configurations (n, beads, 3) exceed the limit: bool (n,)."""
         return distances_towed(points, self.origin) > self.limit

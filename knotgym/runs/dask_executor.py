@@ -1,4 +1,4 @@
-"""Run work on a Dask cluster; imported only for run.executor=dask.
+"""Run work on a Dask cluster; imported only for run.scheduler=....
 
 Workers read the files of a run themselves, so they must see its folder under the same path: start
 them anywhere on one shared file system, with the same version of knotgym, and PYTHONSAFEPATH=1
@@ -47,9 +47,7 @@ def cluster(scheduler: str) -> Iterator[Executor]:
         from distributed import Client, KilledWorker
         from distributed.comm import CommClosedError
     except ModuleNotFoundError as error:
-        raise MissingExtra(
-            "Dask distributed", install_command("dask"), "run.executor=dask"
-        ) from error
+        raise MissingExtra("Dask distributed", install_command("dask"), "run.scheduler") from error
     except AttributeError as error:
         # distributed takes any module `snappy` for the compressor of that name
         raise InvalidInput(

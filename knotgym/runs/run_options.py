@@ -7,11 +7,9 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from knotgym.common.configuration import Whole, choice, configuration
+from knotgym.common.configuration import Whole, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.runs.shards import Shard
-
-EXECUTORS = ("local", "dask")
 
 
 def _shard(value: Any) -> Any:
@@ -46,30 +44,21 @@ class RunOptions(Existing):
 
     Attributes:
         workers: worker processes, 0 for one per core; doesn't change the result.
-        executor: what runs the work: local processes, or dask for a Dask cluster whose workers
-            share a file system (needs the extra dask).
-        scheduler: address of the Dask scheduler, such as tcp://127.0.0.1:8786.
+        scheduler: address of a Dask scheduler, such as tcp://127.0.0.1:8786, whose workers share a
+            file system and run the work (needs the extra dask); by default local processes do.
         shard: 2/8 makes the second eighth of the run, and leaves its journal; the same run without
             a shard, where all eight journals lie, makes the output.
         quiet: print errors only.
     """
 
     workers: Whole = 0
-    executor: Annotated[str, choice(*EXECUTORS)] = "local"
     scheduler: str = ""
     shard: Annotated[Shard, BeforeValidator(_shard)] = Shard()
     quiet: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.executor == "local" and self.scheduler:
-            raise InvalidInput("a scheduler is for Dask: --set run.executor=dask")
-        if self.executor == "dask" and not self.scheduler:
-            raise InvalidInput(
-                "Dask needs the address of a scheduler, such as --set"
-                " run.scheduler=tcp://127.0.0.1:8786"
-            )
-        if self.executor == "dask" and self.workers:
+        if self.scheduler and self.workers:
             raise InvalidInput(
                 f"--workers {self.workers} is for local processes; a Dask cluster uses all of its"
                 " workers"

@@ -101,11 +101,6 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
     return read_codes(_checked(points, 3)).objects()
 
 
-def count_crossings(points: ArrayLike) -> int:
-    """Count the crossings of one rope; see `find_crossings` for the arguments."""
-    return len(_scan(points)[1])
-
-
 def visit_spacing(crossings: Crossings, beads: int) -> float:
     """Return the smallest distance between consecutive visits, in beads; inf without crossings.
 

@@ -155,9 +155,9 @@ def planar_codes(nx: int) -> Iterator[GaussCode]:
     """
     # Planarity depends only on the order of the labels: test each word once, then choose heights.
     for word in _words([0] * (2 * nx), 1):
-        if is_planar(GaussCode(_with_heights(word, [1] * nx))):
+        if is_planar(GaussCode(with_heights(word, [1] * nx))):
             for heights in product((1, -1), repeat=nx):
-                yield GaussCode(_with_heights(word, list(heights)))
+                yield GaussCode(with_heights(word, list(heights)))
 
 
 def _words(word: list[int], label: int) -> Iterator[list[int]]:
@@ -180,7 +180,7 @@ def _words(word: list[int], label: int) -> Iterator[list[int]]:
     word[first] = 0
 
 
-def _with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
+def with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
     """Turn labels into visits; heights[label - 1] is +1 if the label's first visit is over."""
     seen: set[int] = set()
     visits = []

@@ -160,14 +160,8 @@ class GaussCode:
         """
         return sum(self.signs)
 
-    def matches(self, other: GaussCode, chirality: bool = False) -> bool:
-        """Return whether both codes have the same visits and, if `chirality`, the same letters.
-
-        Raises:
-            InvalidInput: `chirality` is true and one of the codes has none.
-        """
-        if chirality:
-            return self._letters() == other._letters() and self.visits == other.visits
+    def matches(self, other: GaussCode) -> bool:
+        """Return whether both codes have the same visits, whatever their chirality."""
         return self.visits == other.visits
 
     def mirrored(self) -> GaussCode:

@@ -127,6 +127,20 @@ def types_from_polynomials(code: GaussCode) -> list[str]:
 
 
 @lru_cache(maxsize=1)
+def small_types(nx: int) -> dict[tuple[int, ...], str]:
+    """Map Alexander polynomials to the types of at most nx crossings, composite ones included.
+
+    Up to 7 crossings they are all different, and regardless of handedness.
+    """
+    sums = [names for names in _sums() if sum(_rank(name)[0] for name in names) <= nx]
+    diagrams = prime_diagrams()
+    return {(1,): UNKNOT} | {
+        alexander_polynomial(connected_sum([diagrams[name] for name in names])): "#".join(names)
+        for names in sums
+    }
+
+
+@lru_cache(maxsize=1)
 def _by_diagram() -> dict[tuple[int, ...], str]:
     """Map the smallest visits over all base points, directions and sides to the type."""
     return {

@@ -22,6 +22,7 @@ from knotgym.topology.knot_table import (
     UNKNOT,
     composite_type,
     diagram_of,
+    small_types,
     table_type,
     type_of,
     types_from_polynomials,
@@ -34,28 +35,8 @@ ALEXANDER_DECIDES = 10
 JONES_DECIDES = 24
 LISTED_NX = 6  # with more crossings there are too many codes for codes_of
 
-# Alexander polynomials of all knots of at most 7 crossings, including composite ones. They are all
-# different, so the polynomial identifies the type of a diagram of at most 7 crossings.
-_TYPES: dict[tuple[int, ...], str] = {
-    (1,): UNKNOT,
-    (1, -1, 1): "3_1",
-    (-1, 3, -1): "4_1",
-    (1, -1, 1, -1, 1): "5_1",
-    (2, -3, 2): "5_2",
-    (-2, 5, -2): "6_1",
-    (-1, 3, -3, 3, -1): "6_2",
-    (1, -3, 5, -3, 1): "6_3",
-    (1, -2, 3, -2, 1): "3_1#3_1",
-    (1, -1, 1, -1, 1, -1, 1): "7_1",
-    (3, -5, 3): "7_2",
-    (2, -3, 3, -3, 2): "7_3",
-    (4, -7, 4): "7_4",
-    (2, -4, 5, -4, 2): "7_5",
-    (-1, 5, -7, 5, -1): "7_6",
-    (1, -5, 9, -5, 1): "7_7",
-    (-1, 4, -5, 4, -1): "3_1#4_1",
-}
-_TABLED = 7
+# Diagrams of at most 7 crossings are named by their Alexander polynomials alone, see `small_types`.
+_SMALL = 7
 
 
 @lru_cache(maxsize=65536)
@@ -89,7 +70,7 @@ def knot_type(code: GaussCode) -> str:
     names: list[str] = []
     for summand in summands(without_bigons(with_chirality(code))):
         # a diagram in the table is minimal, so don't search for a smaller one
-        own = table_type(summand) if summand.nx > _TABLED else None
+        own = table_type(summand) if summand.nx > _SMALL else None
         if own:
             names.append(own)
         else:
@@ -162,8 +143,8 @@ def _is_trivial(summand: GaussCode) -> bool:
 
 
 def _name(summand: GaussCode) -> str:
-    if summand.nx <= _TABLED:
-        return _TYPES[alexander_polynomial(summand)]
+    if summand.nx <= _SMALL:
+        return small_types(_SMALL)[alexander_polynomial(summand)]
     try:
         types = [UNKNOT] if _is_trivial(summand) else types_from_polynomials(summand)
     except Failed:

@@ -9,14 +9,12 @@ the base shifted by one bead, one step ends 9 mm away; shifted by a sub-chain, 0
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.topology.crossings import Crossings
 from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]
@@ -58,40 +56,12 @@ class Symmetry:
         old = np.asarray(beads, dtype=np.int64)
         return ((-old - 1 if self.reverse else old) - self.base_shift) % count
 
-    def back_to_loop(self, count: int) -> Symmetry:
-        """Return the exact symmetry that maps a plain loop transformed by this one back to itself.
-
-        Its `count` beads then have their old numbers too. A rotation is enough, unless the loop was
-        either reflected or reversed: then a reflection comes first.
-        """
-        shifted, half = 2 * np.pi * self.base_shift / count, np.pi if self.reverse else 0.0
-        if self.reflect != self.reverse:
-            return Symmetry(reflect=True, turn=self.turn - shifted - half)
-        return Symmetry(turn=-(half + shifted + self.turn))
-
-    def undone(self) -> Symmetry:
-        """Return the inverse of this symmetry, which must neither reverse nor shift the base."""
-        return Symmetry(
-            reflect=self.reflect, switch=self.switch, turn=self.turn if self.reflect else -self.turn
-        )
-
-
-def mirrorings(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
-    """Yield the code and symmetry of each of the four reflections and switches of `code`.
-
-    Codes may repeat. `code` needs its chirality.
-    """
-    for switch in (False, True):
-        for reflect in (False, True):
-            shown = code.mirrored() if switch else code
-            yield shown.reflected() if reflect else shown, Symmetry(reflect=reflect, switch=switch)
-
 
 def images(code: GaussCode) -> tuple[GaussCode, ...]:
-    """Return the codes of the `mirrorings` of `code`, then those of the reversed code.
+    """Return the eight codes of a rope reflected, switched and walked either way; some are equal.
 
-    Reversing, switching and reflecting are commuting involutions, one per bit of the index, so
-    image i of image k is image i ^ k.
+    Reflecting, switching and reversing are commuting involutions, the bits 0, 1 and 2 of the index,
+    so image i of image k is image i ^ k.
     """
     members = []
     for walked in (code, code.reversed()):
@@ -123,18 +93,6 @@ def diagram_form(code: GaussCode) -> GaussCode:
     based = [code.plain.rebased(visit) for visit in range(max(1, 2 * code.nx))]
     walked = [*based, *(one.reversed() for one in based)]
     return min((*walked, *(one.mirrored() for one in walked)), key=lambda one: one.visits)
-
-
-@lru_cache(maxsize=200_000)
-def mirror_images(code: GaussCode) -> tuple[GaussCode, ...]:
-    """Return the distinct codes of `mirrorings`, sorted; the first is their representative."""
-    return tuple(sorted({image for image, _ in mirrorings(code)}, key=_order))
-
-
-def shifted_base(crossings: Crossings, base_shift: int) -> GaussCode:
-    """Return the code of the same rope for a walk that starts at vertex `base_shift`."""
-    visit_places = np.concatenate([crossings.over_place, crossings.under_place])
-    return crossings.code.rebased(int((visit_places < base_shift).sum()))
 
 
 def _order(code: GaussCode) -> tuple[tuple[int, ...], str]:

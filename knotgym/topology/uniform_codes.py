@@ -9,7 +9,7 @@ keeps the distribution uniform.
 
 import numpy as np
 
-from knotgym.topology.diagrams import is_planar
+from knotgym.topology.diagrams import is_planar, with_heights
 from knotgym.topology.gauss import GaussCode
 
 
@@ -20,12 +20,6 @@ def uniform_code(nx: int, rng: np.random.Generator) -> GaussCode:
         word[0::2] = np.arange(1, nx + 1)
         word[1::2] = rng.permutation(nx) + 1
         over = rng.integers(2, size=nx)
-        seen: set[int] = set()
-        visits = []
-        for label in word.tolist():
-            first = label not in seen
-            seen.add(label)
-            visits.append(label if first == bool(over[label - 1]) else -label)
-        code = GaussCode.relabelled(visits, None)
+        code = GaussCode.relabelled(with_heights(word.tolist(), (2 * over - 1).tolist()))
         if is_planar(code):
             return code

@@ -29,7 +29,7 @@ from knotgym.play.session import Session
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/clients.md").read_text(encoding="utf-8")
-ID = "knotgym/unknot-nx2/expert-v0"
+ID = "knotgym/tie-nx2/expert-v0"
 NEEDS = {
     "Minari": "minari",
     "TorchRL": "torchrl",
@@ -42,7 +42,7 @@ NEEDS = {
 }
 TRAIN = "lerobot.scripts.lerobot_train"  # the module of LeRobot's command
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, re.S | re.M))
-TASK = TaskConfig(task="unknot", observation="both", horizon=6, image_size=32, engine="chain")
+TASK = TaskConfig(task="tie", observation="both", horizon=6, image_size=32, engine="chain")
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from knotgym.common.configuration import (
     from_json,
 )
 from knotgym.common.errors import InvalidInput, KnotgymError
-from knotgym.drawing.drawing_config import DrawingConfig, LayoutRelaxationConfig
+from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.quality.limits import Limits
 from knotgym.rendering.appearance_config import AppearanceConfig
@@ -30,7 +30,6 @@ from knotgym.rope.model import RopeConfig
 CONFIGURATIONS = (
     AppearanceConfig,
     DrawingConfig,
-    LayoutRelaxationConfig,
     Limits,
     MacroActionConfig,
     PictureConfig,

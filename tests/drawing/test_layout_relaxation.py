@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.drawing.drawing_config import LayoutRelaxationConfig
 from knotgym.drawing.layout_relaxation import _repel, _square, _stiffen, relax_layout
 
 Array = NDArray[np.float64]
@@ -92,8 +91,7 @@ def test_strands_that_come_close_push_each_other_equally_and_apart() -> None:
 
 def test_relaxing_squares_the_crossing_and_keeps_the_faces_of_a_figure_of_eight() -> None:
     left, right = np.array([0, 2]), np.array([2, 1])  # faces: the two lobes, then the outside
-    config = LayoutRelaxationConfig(first=200, later=100, segments=16)
-    at, walk = relax_layout(AT, WALK, left, right, np.array([1.0, 1.0, 0.0]), config)
+    at, walk = relax_layout(AT, WALK, left, right, np.array([1.0, 1.0, 0.0]))
 
     def angle(points: Array, around: NDArray[np.int64]) -> float:
         half = len(around) // 2

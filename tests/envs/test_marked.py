@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.marked import TOKENS, Marked, join, mark, size, split
 from knotgym.rope.macro_action_config import MacroActionConfig
-from knotgym.rope.macro_actions import pass_straight
+from knotgym.rope.macro_actions import WaypointFollower
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
@@ -67,7 +67,7 @@ def test_turned_reflected_and_switched_ropes_always_look_the_same(symmetry: Symm
 def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Symmetry) -> None:
     here, there = pairs(symmetry)
     rows = np.flatnonzero(np.abs(here.points - there.points).max(axis=(1, 2)) < 1e-9)
-    count, config = len(here.points), MacroActionConfig()
+    count = len(here.points)
     beads, targets, sides = np.full(count, 12), np.full(count, 70), np.ones(count, dtype=int)
     force = np.tile((0.3, -0.7, 0.5), (count, 1))
     ours, theirs = (
@@ -84,18 +84,18 @@ def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Sy
         assert symmetry.beads(ours[1][row], 100) == theirs[1][row]
         assert ours[2][row] * (-1 if symmetry.switch else 1) == theirs[2][row]
         assert np.allclose(symmetry.vectors(ours[3][row]), theirs[3][row])
-        if (
-            not symmetry.reverse
-        ):  # bead b begins at vertex b, which the reversed walk has at its end
-            rope = tangles(40)[row]
-            both = [
-                pass_straight(shown, int(bead[row]), int(target[row]), int(side[row]), config)
-                for shown, (bead, target, side, _) in (
-                    (rope, ours),
-                    (symmetry.configuration(rope), theirs),
-                )
-            ]
-            assert np.allclose(symmetry.vectors(both[0].waypoints), both[1].waypoints)
+    if not symmetry.reverse:  # bead b begins at vertex b, which the reversed walk has at its end
+        pulls = []
+        for ropes, (led, past, way, _) in (
+            (tangles(40), ours),
+            (np.stack([symmetry.configuration(one) for one in tangles(40)]), theirs),
+        ):
+            follower = WaypointFollower(len(rows), MacroActionConfig())
+            passes = np.stack([led, past, way], axis=1)[rows]
+            follower.begin_passes(np.arange(len(rows)), passes, ropes[rows])
+            forces = follower.forces(ropes[rows], np.arange(len(rows)))
+            pulls.append(forces.astype(np.float64))
+        assert np.allclose(symmetry.vectors(pulls[0]), pulls[1], atol=0.01)
 
 
 def test_the_frame_maps_there_and_back() -> None:

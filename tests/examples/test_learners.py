@@ -111,5 +111,5 @@ def test_an_agent_of_ogbench_is_trained_and_measured(
     run_script(FOLDER / "goal_conditioned.py", *words)
     check_scores(tmp_path / "out", f"ogbench-{learner}")
     told = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    assert told["training"]["library"].startswith("OGBench's agents, jax ")
+    assert told["learners"][f"ogbench-{learner}"]["library"].startswith("OGBench's agents, jax ")
     assert (tmp_path / "out" / "agent.msgpack").stat().st_size > 0

@@ -40,7 +40,7 @@ def test_an_action_that_is_taken_back_shows_in_info() -> None:
     info = env.step(np.full(6, 0.5, dtype=np.float32))[4]
     assert info["applied_share"] < 1 and not info["simulation_failed"]
     assert np.allclose(info["force"], info["applied_share"] * 0.1)
-    assert np.array_equal(simulation.points, before) and simulation.steps_reduced == 1
+    assert np.array_equal(simulation.points, before)
     assert env.step(np.full(6, 0.5, dtype=np.float32))[4]["applied_share"] == 1.0
 
 
@@ -50,7 +50,7 @@ def test_states_that_lie_as_they_are_stored_show_the_code_that_info_says() -> No
     env: Any = gym.make(
         *("knotgym/Unknot-v0",), nx=4, engine="chain", reset_noise=0, states="random-walk"
     ).unwrapped
-    for row in env.episodes.rows("start")[:20].tolist():
+    for row in env.episodes.rows["start"][:20].tolist():
         info = env.reset(seed=0, options={"start": row})[1]
         assert info["gauss_code_chiral"] == label(env.episodes.simulation.points[0]).chiral
 

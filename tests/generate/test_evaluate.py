@@ -68,9 +68,9 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(tmp_path: Path) -
     assert held == json.loads(json.dumps(report(made, results, sources_of(made))))
     low, high = held["interval"]
     assert 0 <= low <= held["success_rate"] <= high <= 1
-    assert held["settings"]["seed"] == 0 and held["settings"]["policies"][0]["policy"] == "random"
-    assert held["digests"]["rope"] == RopeConfig().fingerprint
-    assert {"knotgym", "code", "mujoco"} <= held["digests"]["versions"].keys()
+    assert held["config"]["seed"] == 0 and held["config"]["policies"][0]["policy"] == "random"
+    assert held["rope"] == RopeConfig().fingerprint
+    assert {"knotgym", "code", "mujoco"} <= held["versions"].keys()
 
 
 def test_workers_and_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:

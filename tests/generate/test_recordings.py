@@ -28,6 +28,7 @@ CONFIG = CollectConfig(
     task=TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=15),
     policy=PolicyConfig(policy="expert"),
     episodes=3,
+    dataset_id="knotgym/tie-nx2/expert-v0",
 )
 
 

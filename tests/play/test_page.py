@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,12 @@ import pytest
 
 from knotgym.common.errors import Failed
 from knotgym.envs.tasks import TaskConfig
+from knotgym.play.hand import HandTab
 from knotgym.play.page import Page, require_port
 from knotgym.play.page_config import PageConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.session import HandPull
-from knotgym.play.watch import WatchPage
+from knotgym.play.watch import watching
 
 from .. import chromium
 from ..chromium import Chromium
@@ -80,9 +82,14 @@ class Tab:
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    task = TaskConfig(task="tie", nx=2, observation="state")
-    with Page(PageConfig(task=task, port=free_port())) as page:
+    with served() as page:
         yield page
+
+
+def served(**where: Any) -> Page:
+    task = TaskConfig(task="tie", nx=2, observation="state")
+    config = PageConfig(task=task, port=free_port(), **where)
+    return Page(config, partial(HandTab, config=config))
 
 
 def port_of(page: Page) -> int:
@@ -173,13 +180,12 @@ def test_no_tab_can_open_a_tunnel_to_a_public_host(
     assert not opened
 
 
-def test_every_other_host_asks_for_a_token(page: Page) -> None:
-    config = PageConfig(task=page._config.task, host="0.0.0.0", port=free_port())
-    with Page(config) as guarded:
+def test_every_other_host_asks_for_a_token() -> None:
+    with served(host="0.0.0.0") as guarded:
         assert len(guarded.token) >= 16
         clients: list[Any] = []
         guarded._server.on_client_connect(clients.append)
-        Tab(config.port)
+        Tab(port_of(guarded))
         until(lambda: clients)
         (field,) = clients[0].gui._gui_input_handle_from_uuid.values()
         for token in ("", "wrong", "x" * 10_000):
@@ -211,10 +217,12 @@ def test_a_dataset_is_watched(browser: Chromium, tmp_path: Path) -> None:
     task = TaskConfig(task="tie", nx=1, observation="state", horizon=4)
     with Recorder(task, 0, "knotgym/tie-nx1/human-v0", root=tmp_path) as recorder:
         recorder.finish(0, [HandPull(3, np.full(3, 0.5, dtype=np.float32), False)])
-    with WatchPage(PageConfig(task=task, port=free_port()), recorder.folder) as page:
+    with Page(PageConfig(task=task, port=free_port()), watching(recorder.folder)) as page:
         browser.visit(page.address)
-        until(lambda: page.players)
-        viewer = page.players[0]
-        until(lambda: viewer._time.value == 4.0 and "the end" in viewer._status.content)
-        viewer._time.value = 1.0
-        until(lambda: "step 1 of 4" in viewer._status.content)
+
+        def status() -> str:  # of the newest tab: a browser that is slow connects again
+            return str(page.players[max(page.players)]._status.content)
+
+        until(lambda: page.players and "step 4 of 4; the end" in status())
+        page.players[max(page.players)]._time.value = 1.0
+        until(lambda: "step 1 of 4" in status())

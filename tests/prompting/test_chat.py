@@ -14,7 +14,7 @@ from urllib.parse import quote
 import pytest
 
 from knotgym.common.errors import Failed, InvalidInput
-from knotgym.prompting.chat import Chat, ChatConfig, retry_after, spellings
+from knotgym.prompting.chat import Chat, ChatConfig, _spellings
 
 from .chat_server import Answer, ChatServer
 
@@ -101,7 +101,6 @@ def test_retry_after_is_waited_for() -> None:
     wait = ("status", (429, {"retry-after": "0.3"}, "{}"))
     asked(lambda number, body: WORDS if number else wait)
     assert time.monotonic() - began >= 0.3
-    assert retry_after("Wed, 21 Oct 2015 07:28:00 GMT") == retry_after("soon") == 0
 
 
 def test_a_model_that_goes_on_refusing_has_answered_so() -> None:
@@ -160,7 +159,7 @@ def test_an_attempt_ends_in_time_however_slowly_bytes_drip(first: bytes) -> None
 
 def test_a_reply_without_end_is_hung_up_on() -> None:
     reply, server = asked(lambda number, body: WORDS if number else ("raw", flood))
-    assert reply.text == WORDS and reply.retries == {"too long": 1}
+    assert reply.text == WORDS and reply.retries == {"connection": 1}
     assert server.hung_up.wait(5)
 
 
@@ -188,7 +187,7 @@ def test_a_local_server_is_not_reached_through_a_proxy(monkeypatch: pytest.Monke
         monkeypatch.setenv(name, "http://127.0.0.1:9")
     assert asked(always(WORDS))[0].text == WORDS
     chat = ChatConfig(model="m", base_url="http://host.invalid/v1", attempts=1, timeout=5)
-    with pytest.raises(Failed, match="through the proxy http://127.0.0.1:9"):
+    with pytest.raises(Failed, match="through the proxy in all or http_proxy"):
         Chat(chat).ask([])
 
 
@@ -200,6 +199,8 @@ SPELLINGS = {
     "percent twice": quote(quote(KEY, safe="")),
     "html": KEY.replace("+", "&#43;").replace("/", "&#x2f;"),
     "reversed": KEY[::-1],
+    "spaced": " ".join(KEY),
+    "reversed and spaced": " ".join(KEY[::-1]),
     "hex": KEY.encode().hex(),
     "hex bytes": KEY.encode().hex(" "),
     **{
@@ -220,7 +221,7 @@ def test_the_key_is_blotted_however_it_is_spelled(spelled: str) -> None:
 
 @pytest.mark.parametrize("letter", ["\\", "&amp;", "%25", "s", "73 "])
 def test_blotting_takes_time_in_proportion_to_the_text(letter: str) -> None:
-    secret = spellings(KEY)
+    secret = _spellings(KEY)
     seconds = []
     for length in (20_000, 200_000):
         began = time.process_time()

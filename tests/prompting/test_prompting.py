@@ -228,7 +228,10 @@ def test_the_first_request_is_shown_without_sending_it() -> None:
         ("[]", "isn't a transcript"),
         ("{}", "format None"),
         ('{"format": "knotgym-transcript", "format_version": 9}', "version 9"),
-        ('{"format": "knotgym-transcript", "format_version": 1, "actions": 3}', "number must be"),
+        (
+            '{"format": "knotgym-transcript", "format_version": 1, "actions": 3}',
+            "field config: Field required",
+        ),
     ],
 )
 def test_a_line_that_is_no_transcript_is_refused(text: str, said: str, tmp_path: Path) -> None:

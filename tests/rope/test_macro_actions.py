@@ -13,7 +13,6 @@ from knotgym.rope.macro_actions import (
     MacroAction,
     WaypointFollower,
     cumulative_shares,
-    pass_straight,
     pass_strand,
     propose,
 )
@@ -28,35 +27,32 @@ def drawn(rope: Rope, count: int = 300, seed: int = 0) -> list[MacroAction]:
     return [propose(rope.loop(), rng, CONFIG) for _ in range(count)]
 
 
-def test_every_kind_is_drawn(rope: Rope) -> None:
-    assert {macro_action.kind for macro_action in drawn(rope)} == set(KINDS)
-
-
 def test_the_same_seed_draws_the_same_macro_actions(rope: Rope) -> None:
     for macro_action, other in zip(drawn(rope, 20), drawn(rope, 20), strict=True):
-        for name in ("kind", "bead", "target", "side", "waypoints"):
+        for name in ("bead", "target", "side", "waypoints"):
             assert np.array_equal(getattr(macro_action, name), getattr(other, name))
 
 
-def test_only_passes_and_curls_have_a_strand_to_pass(rope: Rope) -> None:
-    for macro_action in drawn(rope):
-        passes = macro_action.kind in ("pass", "curl")
-        assert (0 <= macro_action.target < 100) if passes else macro_action.target == -1
-
-
-def test_a_strand_is_passed_by_another_bead(rope: Rope) -> None:
-    apart: dict[str, list[int]] = {"pass": [], "curl": []}
-    for macro_action in drawn(rope):
-        if macro_action.kind in apart:
-            along = (macro_action.target - macro_action.bead) % 100
-            apart[macro_action.kind].append(min(along, 100 - along))
-    assert min(apart["pass"]) >= 12 and 6 <= min(apart["curl"]) <= max(apart["curl"]) <= 24
+@pytest.mark.parametrize("kind", KINDS)
+def test_only_passes_and_curls_have_a_strand_to_pass(rope: Rope, kind: str) -> None:
+    rng = np.random.default_rng(0)
+    none, one, two, three = (float(one == kind) for one in KINDS)
+    config = replace(CONFIG, shares=(none, one, two, three))
+    moves = [propose(rope.loop(), rng, config) for _ in range(100)]
+    apart = [(move.target - move.bead) % 100 for move in moves]
+    near = [min(one, 100 - one) for one in apart]
+    if kind in ("pass", "curl"):
+        assert min(near) >= (12 if kind == "pass" else 6)
+        assert max(near) > 40 if kind == "pass" else max(near) <= 24
+    else:
+        assert {move.target for move in moves} == {-1}
+        assert {move.side for move in moves} == ({0} if kind == "spread" else {-1, 1})
 
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_strand_is_passed_at_a_height_above_or_below_it(rope: Rope, side: int) -> None:
     rng = np.random.default_rng(0)
-    macro_action = pass_strand(rope.loop(), "pass", 10, 60, side, rng, CONFIG)
+    macro_action = pass_strand(rope.loop(), 10, 60, side, rng, CONFIG)
     assert np.allclose(macro_action.waypoints[:2, 2], side * CONFIG.lift)
     assert macro_action.waypoints[2, 2] == pytest.approx(0)
 
@@ -64,7 +60,7 @@ def test_a_strand_is_passed_at_a_height_above_or_below_it(rope: Rope, side: int)
 def test_a_pass_ends_beyond_the_strand(rope: Rope) -> None:
     points, rng = rope.loop(), np.random.default_rng(1)
     for _ in range(50):
-        macro_action = pass_strand(points, "pass", 10, 30, 1, rng, CONFIG)
+        macro_action = pass_strand(points, 10, 30, 1, rng, CONFIG)
         led = np.linalg.norm(macro_action.waypoints[1, :2] - points[10, :2])
         assert led > np.linalg.norm(points[30, :2] - points[10, :2])
 
@@ -92,7 +88,7 @@ def test_forces_are_quantized_and_at_most_the_largest(rope: Rope) -> None:
 def test_a_bead_is_led_towards_its_waypoint(rope: Rope) -> None:
     follower, points, ids = WaypointFollower(1, CONFIG), rope.loop(), np.zeros(1, np.int64)
     waypoints = points[7] + [[0.1, 0, 0], [0.1, 0.1, 0], [0, 0, 0]]
-    follower.begin(ids, [MacroAction("shift", 7, waypoints)])
+    follower.begin(ids, [MacroAction(7, waypoints)])
     assert np.allclose(follower.forces(points[None], ids), [[1, 0, 0]])
 
 
@@ -100,7 +96,7 @@ def test_a_bead_is_led_to_its_last_waypoint(rope: Rope) -> None:
     simulation, follower = MujocoSimulation(1, rope), WaypointFollower(1, CONFIG)
     points, ids = rope.loop(), np.zeros(1, np.int64)
     waypoints = points[40] + np.array([[0.03, 0.0, 0.02], [0.08, 0.02, 0.02], [0.08, 0.02, 0.0]])
-    follower.begin(ids, [MacroAction("shift", 40, waypoints)])
+    follower.begin(ids, [MacroAction(40, waypoints)])
     pulls = 0
     while not follower.arrive(simulation.points, ids)[0]:
         force = follower.forces(simulation.points, ids) * simulation.max_force
@@ -109,19 +105,18 @@ def test_a_bead_is_led_to_its_last_waypoint(rope: Rope) -> None:
     assert np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < CONFIG.arrived and pulls < 15
 
 
-def test_many_passes_are_laid_out_as_each_alone(rope: Rope) -> None:
+def test_passes_without_chance_lead_over_their_strands(rope: Rope) -> None:
     points, ids = np.repeat(rope.loop()[None], 3, axis=0), np.array([0, 2])
-    passes = [(10, 40, 1), (70, 20, -1)]
-    many, alone = WaypointFollower(3, CONFIG), WaypointFollower(3, CONFIG)
-    many.begin_passes(ids, passes, points)
-    alone.begin(ids, [pass_straight(points[0], *one, CONFIG) for one in passes])
-    assert np.array_equal(many.forces(points, ids), alone.forces(points, ids))
-    assert many.idle.tolist() == [False, True, False]
-
-
-def test_shares_decide_what_is_drawn(rope: Rope) -> None:
-    rng, config = np.random.default_rng(0), replace(CONFIG, shares=(0.0, 0.0, 0.0, 1.0))
-    assert {propose(rope.loop(), rng, config).kind for _ in range(20)} == {"shift"}
+    follower = WaypointFollower(3, CONFIG)
+    follower.begin_passes(ids, [(10, 40, 1), (70, 20, -1)], points)
+    assert follower.idle.tolist() == [False, True, False]
+    ahead = rope.loop()[[40, 20]] - rope.loop()[[10, 70]]
+    forces = follower.forces(points, ids)
+    # straight at the strand, and up or down to the height at which it is passed
+    assert np.allclose(forces[:, 0] * ahead[:, 1], forces[:, 1] * ahead[:, 0], atol=0.01)
+    rise = np.array([1, -1]) * CONFIG.straight_lift / CONFIG.rise
+    level = (forces[:, :2] * ahead[:, :2]).sum(axis=1) / np.linalg.norm(ahead, axis=1)
+    assert np.allclose(forces[:, 2] / level, rise, rtol=0.05)
 
 
 @pytest.mark.parametrize(

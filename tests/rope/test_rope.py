@@ -273,9 +273,9 @@ def test_clearance_is_the_smallest_distance_between_beads_apart() -> None:
     rope = Rope()
     points = rope.from_curve(curled(1))
     lifted = points + 0.02 * np.array([0, 0, 1])
-    assert clearance(points) == pytest.approx(clearance(lifted))
+    assert clearance(points, 1.0) == pytest.approx(clearance(lifted, 1.0))
     cross = np.array([[-1.0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0.3], [0, -2, 0.3], [-1, -2, 0]])
-    assert clearance(cross) == pytest.approx(0.3)
+    assert clearance(cross, 1.0) == pytest.approx(0.3)
 
 
 def test_models_of_equal_configs_are_compiled_once() -> None:

@@ -45,25 +45,13 @@ def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment
     assert json.loads(told) == [False, False, True]
 
 
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
-        (("mpi", "", 0), "executor must be one of local, dask, got 'mpi'"),
-        (("local", "tcp://a:1", 0), "a scheduler is for Dask"),
-        (("dask", "", 0), "Dask needs the address of a scheduler"),
-        (("dask", "tcp://a:1", 2), "--workers 2 is for local processes"),
-    ],
-)
-def test_options_that_do_not_go_together_are_refused(
-    options: tuple[Any, str, int], problem: str
-) -> None:
-    kind, scheduler, workers = options
-    with pytest.raises(InvalidInput, match=problem):
-        RunOptions(executor=kind, scheduler=scheduler, workers=workers)
+def test_a_cluster_has_its_own_workers() -> None:
+    with pytest.raises(InvalidInput, match="--workers 2 is for local processes"):
+        RunOptions(scheduler="tcp://a:1", workers=2)
 
 
 def on(scheduler: str) -> RunOptions:
-    return RunOptions(executor="dask", scheduler=scheduler, quiet=True)
+    return RunOptions(scheduler=scheduler, quiet=True)
 
 
 def test_without_dask_one_line_names_the_extra(

@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import arrays
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.crossings import (
     Crossings,
-    count_crossings,
     find_crossings,
     label,
     label_many,
@@ -82,7 +81,7 @@ def test_a_crossing_is_described_in_place() -> None:
 
 def test_the_closing_edge_counts() -> None:
     for first in range(len(EIGHT)):
-        assert count_crossings(np.roll(EIGHT, first, axis=0)) == 1
+        assert label(np.roll(EIGHT, first, axis=0)).nx == 1
 
 
 def test_equal_heights_put_the_first_strand_over() -> None:
@@ -102,7 +101,6 @@ def test_all_readers_agree(seed: int) -> None:
         == [label(rope) for rope in ropes]
         == [find_crossings(rope).code for rope in ropes]
     )
-    assert [count_crossings(rope) for rope in ropes] == [label(rope).nx for rope in ropes]
 
 
 @given(seeds)
@@ -187,7 +185,7 @@ def test_two_beads_on_one_spot_count_once() -> None:
     eight = np.insert(EIGHT, [1, 4], [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], axis=0)
     for base in range(len(eight)):
         for flip in (1.0, -1.0):
-            assert count_crossings(np.roll(eight, base, axis=0) * [flip, 1.0, 1.0]) == 1
+            assert label(np.roll(eight, base, axis=0) * [flip, 1.0, 1.0]).nx == 1
 
 
 def test_a_strand_that_only_touches_a_bead_crosses_evenly() -> None:
@@ -195,7 +193,7 @@ def test_a_strand_that_only_touches_a_bead_crosses_evenly() -> None:
         [[0, 0, 0], [4, 0, 0], [4, 2, 0], [3, 2, 1], [2, 0, 1], [1, 2, 1], [0, 2, 0]], dtype=float
     )
     for base in range(len(corner)):
-        assert count_crossings(np.roll(corner, base, axis=0)) in (0, 2)
+        assert label(np.roll(corner, base, axis=0)).nx in (0, 2)
 
 
 def runs_along_itself(points: np.ndarray) -> bool:
@@ -260,7 +258,7 @@ def test_sides_do_not_depend_on_the_order_of_asking(points: np.ndarray) -> None:
 
 @pytest.mark.parametrize("shape", [(2, 3), (3,), (4, 2), (1, 4, 3), (0, 3)])
 def test_another_shape_is_refused(shape: tuple[int, ...]) -> None:
-    for reader in (label, find_crossings, count_crossings):
+    for reader in (label, find_crossings):
         with pytest.raises(InvalidInput, match="shape"):
             reader(np.zeros(shape))
 
@@ -270,7 +268,7 @@ def test_another_shape_is_refused(shape: tuple[int, ...]) -> None:
 def test_numbers_that_are_not_finite_are_refused(value: float, axis: int) -> None:
     points = EIGHT.copy()
     points[2, axis] = value
-    for reader in (label, find_crossings, count_crossings):
+    for reader in (label, find_crossings):
         with pytest.raises(InvalidInput, match="finite"):
             reader(points)
     with pytest.raises(InvalidInput, match="rope 1"):
@@ -305,4 +303,4 @@ def test_many_crossings_are_all_found() -> None:
     # every edge crosses all but itself and two neighbours
     star = 2.0 * np.pi * np.arange(101) * 50 / 101
     points = np.column_stack([np.cos(star), np.sin(star), np.cos(7.0 * star)])
-    assert count_crossings(points) == 101 * 98 // 2
+    assert label(points).nx == 101 * 98 // 2

@@ -117,17 +117,9 @@ def test_letters_that_are_not_known_are_not_invented() -> None:
             getattr(GaussCode((1, -1)), ask)
 
 
-def test_matching_ignores_letters_by_default() -> None:
+def test_matching_ignores_letters() -> None:
     assert GaussCode((1, -1), "a").matches(GaussCode((1, -1), "c"))
-
-
-def test_matching_heeds_letters_on_request() -> None:
-    assert not GaussCode((1, -1), "a").matches(GaussCode((1, -1), "c"), chirality=True)
-
-
-def test_matching_letters_needs_letters() -> None:
-    with pytest.raises(InvalidInput):
-        GaussCode((1, -1), "a").matches(GaussCode((1, -1)), chirality=True)
+    assert not GaussCode((1, -1), "a").matches(GaussCode((-1, 1), "a"))
 
 
 def test_codes_are_equal_and_hashed_by_value() -> None:

@@ -1,7 +1,6 @@
 """Symmetries act consistently on ropes and on their codes."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.rope.model import Rope, RopeConfig, base_shifts
+from knotgym.rope.model import Rope, RopeConfig
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import chiralities, planar_codes
 from knotgym.topology.gauss import GaussCode
@@ -17,9 +16,6 @@ from knotgym.topology.symmetry import (
     Symmetry,
     canonical_form,
     images,
-    mirror_images,
-    mirrorings,
-    shifted_base,
 )
 
 BEADS = RopeConfig().beads
@@ -49,11 +45,9 @@ def configurations(rope: Rope, tangled: NDArray[np.float64]) -> NDArray[np.float
 
 
 def variants(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
-    """Yield the four mirrorings for each direction of the walk, with their symmetries."""
-    yield from mirrorings(code)
-    yield from (
-        (shown, replace(symmetry, reverse=True)) for shown, symmetry in mirrorings(code.reversed())
-    )
+    """Yield the images of a code with the symmetries that show them."""
+    for k, shown in enumerate(images(code)):
+        yield shown, Symmetry(reflect=bool(k & 1), switch=bool(k & 2), reverse=bool(k & 4))
 
 
 @given(codes)
@@ -66,17 +60,8 @@ def test_a_class_stands_for_itself(code: GaussCode) -> None:
     assert canonical_form(canonical_form(code)) == canonical_form(code)
 
 
-@given(codes)
-def test_mirror_images_are_the_mirrorings_once_each(code: GaussCode) -> None:
-    assert sorted(one.chiral for one in mirror_images(code)) == sorted(
-        {shown.chiral for shown, _ in mirrorings(code)}
-    )
-    assert all(mirror_images(one) == mirror_images(code) for one in mirror_images(code))
-
-
 @given(codes, st.integers(0, 7), st.integers(0, 7))
 def test_image_i_of_image_k_is_image_i_xor_k(code: GaussCode, i: int, k: int) -> None:
-    assert images(code) == tuple(shown for shown, _ in variants(code))
     assert images(images(code)[k])[i] == images(code)[i ^ k]
 
 
@@ -85,42 +70,9 @@ def test_images_are_codes_that_pass_every_check(code: GaussCode) -> None:
     assert all(GaussCode(image.visits, image.chirality) == image for image in images(code))
 
 
-@given(codes)
-def test_variants_are_the_mirrorings_of_the_walk_either_way(code: GaussCode) -> None:
-    assert {shown for shown, _ in variants(code)} == {
-        *mirror_images(code),
-        *mirror_images(code.reversed()),
-    }
-
-
 def test_classes_part_the_codes() -> None:
     by_class = {one: {shown for shown, _ in variants(one)} for one in map(canonical_form, CODES)}
     assert sum(map(len, by_class.values())) == len(set(CODES)) == len(set.union(*by_class.values()))
-
-
-@given(symmetries)
-def test_a_plain_loop_can_be_laid_down_as_it_was(symmetry: Symmetry) -> None:
-    loop = Rope().loop()
-    assert np.allclose(
-        symmetry.back_to_loop(BEADS).configuration(symmetry.configuration(loop)), loop, atol=1e-12
-    )
-
-
-@given(symmetries, rows)
-def test_what_renumbers_nothing_can_be_taken_back(
-    configurations: NDArray[np.float64], symmetry: Symmetry, row: int
-) -> None:
-    exact, points = replace(symmetry, reverse=False, base_shift=0), configurations[row]
-    assert np.allclose(
-        exact.undone().configuration(exact.configuration(points)), points, atol=1e-12
-    )
-
-
-def test_variants_are_the_eight_ways_to_look() -> None:
-    looks = [
-        (one.reflect, one.switch, one.reverse) for _, one in variants(GaussCode.parse("1+a,1-a"))
-    ]
-    assert len(looks) == len(set(looks)) == 8
 
 
 @given(rows, st.floats(-np.pi, np.pi))
@@ -135,28 +87,11 @@ def test_what_a_variant_shows_is_what_the_moved_rope_shows(
 
 def test_a_walk_from_any_vertex_reads_the_rolled_code(configurations: NDArray[np.float64]) -> None:
     for points in configurations[::4]:
-        crossings = find_crossings(points)
-        for base_shift in range(BEADS):
-            assert label(Symmetry(base_shift=base_shift).configuration(points)) == shifted_base(
-                crossings, base_shift
-            ), base_shift
-
-
-def test_rolling_and_a_variant_show_the_variant_of_the_rolled_code(
-    configurations: NDArray[np.float64],
-) -> None:
-    for points in configurations[::4]:
-        crossings = find_crossings(points)
-        for base_shift in base_shifts(RopeConfig()):
-            for shown, one in variants(shifted_base(crossings, base_shift)):
-                symmetry = Symmetry(
-                    one.reflect,
-                    one.switch,
-                    0.3,
-                    one.reverse,
-                    -base_shift if one.reverse else base_shift,
-                )
-                assert label(symmetry.configuration(points)) == shown
+        found = find_crossings(points)
+        visits = np.concatenate([found.over_place, found.under_place])
+        for first in range(BEADS):
+            rebased = found.code.rebased(int((visits < first).sum()))
+            assert label(Symmetry(base_shift=first).configuration(points)) == rebased, first
 
 
 @given(rows, symmetries)
@@ -197,15 +132,3 @@ def test_configuration_leaves_its_input_alone(configurations: NDArray[np.float64
         configurations[5]
     )
     assert np.array_equal(configurations[5], before)
-
-
-def test_the_plain_loop_renumbered_and_turned_back_is_the_plain_loop(rope: Rope) -> None:
-    for base_shift in base_shifts(rope.config):
-        back = Symmetry(base_shift=base_shift, turn=-2 * np.pi * base_shift / BEADS)
-        assert np.allclose(back.configuration(rope.loop()), rope.loop(), atol=1e-12)
-
-
-def test_rolls_start_at_each_sub_chain(rope: Rope) -> None:
-    assert (
-        base_shifts(rope.config)[0] == 0 and len(base_shifts(rope.config)) == rope.config.sub_chains
-    )

@@ -267,7 +267,7 @@ class Proposals:
 
         led = bead(at)
         if past >= 0:
-            return pass_strand(points, "pass", led, bead(past), side, rng, sizes)
+            return pass_strand(points, led, bead(past), side, rng, sizes)
         return move_aside(points, "shift" if past == -1 else "spread", led, side, rng, sizes)
 
 

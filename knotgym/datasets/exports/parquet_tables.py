@@ -68,19 +68,13 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
         "goal_points": own["goal_points"][episode],
     }
     if pictures:
-        from knotgym.envs.observations import observe, picture_config
+        from knotgym.envs.observations import picture_config, pixels
+        from knotgym.rendering.picture import draw
 
-        picture, ends = picture_config(part.task), part.episodes.offsets
-        seen = [
-            observe(
-                steps["observation"][ends[k] : ends[k + 1]].astype(np.float64),
-                own["goal_points"][k].astype(np.float64),
-                "pixels",
-                picture,
-            )
-            for k in range(own.rows)
-        ]
-        columns["image"] = np.concatenate(seen)[..., :3]
+        picture = picture_config(part.task)
+        goals = [draw(goal, picture) for goal in own["goal_points"].astype(np.float64)]
+        points = steps["observation"].astype(np.float64)
+        columns["image"] = pixels(points, [goals[k] for k in episode], picture)[..., :3]
     return Table(ROWS_OF_STEPS, columns)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from knotgym.common.tables import Schema, Table
-from knotgym.datasets.episodes import EPISODES, PULLS, RECORDED, STEPS, Episodes
+from knotgym.datasets.episodes import EPISODES, STEPS, Episodes
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.engines import MUJOCO
 
@@ -40,9 +40,7 @@ def as_result(episodes: Episodes) -> dict[str, NDArray[Any]]:
 
 def from_result(result: Mapping[str, NDArray[Any]]) -> Episodes:
     """Return the episodes of a result of `as_result`."""
-    whole = "steps/observation" in result
-    forms = (EPISODES, STEPS) if whole else (RECORDED, PULLS)
-    return Episodes(*(_table(schema, result) for schema in forms))
+    return Episodes(_table(EPISODES, result), _table(STEPS, result))
 
 
 def _table(schema: Schema, result: Mapping[str, NDArray[Any]]) -> Table:

@@ -5,8 +5,9 @@ the seed and its number, so the dataset's bytes don't depend on blocks, lanes or
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import require_output, sha256
 from knotgym.common.configuration import as_json, differences
 from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.common.tables import Table
 from knotgym.control.policies import make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
@@ -25,15 +27,10 @@ from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result
-from knotgym.generate.episodes.collect_config import (
-    OBSERVATION,
-    CollectConfig,
-    collection_marks,
-    plain_id,
-)
-from knotgym.generate.episodes.digests import digests, sources
+from knotgym.generate.episodes.collect_config import OBSERVATION, CollectConfig, plain_id
+from knotgym.generate.episodes.recordings import RECORDINGS, replay
 from knotgym.generate.episodes.results import reference_scores
-from knotgym.generate.episodes.tally import Tally, tally
+from knotgym.generate.episodes.sources import sources
 from knotgym.rope.engines import MUJOCO
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.compilation import compile_first
@@ -43,8 +40,6 @@ from knotgym.runs.progress import Progress
 from knotgym.runs.run import Call, Recipe, require_no_interrupted_run, run
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import minari_root, read_states, ships, states_file
-
-PlayBlock = Callable[[CollectConfig, range], Result]  # of episodes with these numbers
 
 
 def distinct_id(config: CollectConfig) -> str:
@@ -77,7 +72,8 @@ def distinct_id(config: CollectConfig) -> str:
         "" if task.observation == OBSERVATION else task.observation,
         f"seed{seed}" if seed else "",
         "" if config.keep_failed else "successes",
-        *collection_marks(config.attempts, config.labels),
+        f"best{config.attempts}" if config.attempts > 1 else "",
+        "labelled" if config.labels else "",
         digest,
     )
 
@@ -88,8 +84,7 @@ def collect(
     options: RunOptions,
     *,
     progress: Progress | None = None,
-    block: PlayBlock | None = None,
-    files: Sequence[Path] = (),
+    recorded: bool = False,
 ) -> Path:
     """Collect a dataset and return its folder; a shard returns its journal.
 
@@ -98,24 +93,25 @@ def collect(
         out: Minari root to write to; None for Minari's own.
         options: how to execute the run.
         progress: where progress is shown.
-        block: a function of a module that makes a block of episodes, instead of `play`.
-        files: what it reads.
+        recorded: rebuild the episodes from their recording, see `recordings`.
 
     Raises:
         InvalidPolicy, InvalidInput: the policy doesn't fit the task, or no episode is left to keep.
         Occupied, InvalidFile, Failed: as in `runs.run.run`.
     """
+    config = named(config)
     make_policy(config.policy).compatible_task(config.seen_task)  # refused before any work is done
-    _metadata(config, Tally())  # refuses a bad id
+    _metadata(config, Counter())  # refuses a bad id
     if not ships(config.task.states):
         read_states(states_file(config.task.states), images=False)
 
     def read() -> dict[str, Any]:
-        return {**sources_of(config), **{file.name: sha256(file) for file in files}}
+        files = {RECORDINGS.name: sha256(RECORDINGS)} if recorded else {}
+        return {**sources_of(config), **files}
 
     source = read()
     return run(
-        lambda place: episodes_of(config, source, place, block or play),
+        lambda place: episodes_of(config, source, place, replay if recorded else play),
         dataset_folder(config, out),
         identity(config, source),
         options,
@@ -125,6 +121,11 @@ def collect(
         sources=read,
         made_by=_identity_of,
     )
+
+
+def named(config: CollectConfig) -> CollectConfig:
+    """Return the configuration with the id that its dataset gets."""
+    return config if config.dataset_id else replace(config, dataset_id=distinct_id(config))
 
 
 def dataset_folder(config: CollectConfig, out: Path | None) -> Path:
@@ -151,7 +152,10 @@ def sources_of(config: CollectConfig) -> dict[str, Any]:
 
 
 def episodes_of(
-    config: CollectConfig, source: dict[str, Any], place: Path, block: PlayBlock
+    config: CollectConfig,
+    source: dict[str, Any],
+    place: Path,
+    block: Callable[[CollectConfig, range], Result],
 ) -> Recipe[str]:
     """Play a collection's episodes and publish them as the folder `place`; return a summary."""
     parts = yield [
@@ -198,28 +202,45 @@ def publish_episodes(
     Raises:
         InvalidInput: no episode is left to keep.
     """
-    columns = ("success", "length", "planned", "failed")
-    rows = merged([part.recording() for part in parts]).episodes.only(*columns)
-    total = tally(rows, config.keep_failed)
-    if not total.kept:
+    total = _total(merged([part.recording() for part in parts]).episodes, config.keep_failed)
+    if not total["kept"]:
         raise InvalidInput(
-            f"none of {total.played} episodes reached the goal and failed ones are dropped, so"
+            f"none of {total['played']} episodes reached the goal and failed ones are dropped, so"
             " nothing is left to write"
         )
     if not config.keep_failed:
         parts = [part.select(part.episodes["success"]) for part in parts]
-    facts = {**identity(config, source), "machines": [machine()], "tally": asdict(total)}
+    made_by = identity(config, source)
+    facts = {**made_by, "machines": [machine()], "tally": total}
     carried = None if ships(config.task.states) else states_file(config.task.states)
-    metadata = replace(_metadata(config, total), digests=digests(source))
+    digests = {**source, "versions": made_by["versions"], "rope": made_by["rope"]}
+    metadata = replace(_metadata(config, total), digests=digests)
     root = place.with_name(f"{place.name}-root")
     made = publish(parts, config.task, metadata, root, states=carried, facts={"run": facts})
     made.rename(place)
+    failed = total["played"] - total["succeeded"]
     return (
-        f"{total.kept} episodes, {total.steps} steps; {total.succeeded} of {total.played} reached"
-        f" the goal, {total.played - total.succeeded} failed"
+        f"{total['kept']} episodes, {total['steps']} steps; {total['succeeded']} of"
+        f" {total['played']} reached the goal, {failed} failed"
         f" ({'kept' if config.keep_failed else 'dropped'}); planning"
-        f" {total.planned / total.played:.0f} simulated pulls an episode"
+        f" {total['planned'] / total['played']:.0f} simulated pulls an episode"
     )
+
+
+def _total(episodes: Table, keep_failed: bool) -> dict[str, int]:
+    """Count the episodes that were played, that succeeded and that are kept; add up the kept ones'
+    `steps`, the pulls `planned`, and the episodes that `failed` because the simulation blew up.
+    """
+    success, lengths = episodes["success"], episodes["length"]
+    kept = success | keep_failed
+    return {
+        "played": episodes.rows,
+        "succeeded": int(success.sum()),
+        "kept": int(kept.sum()),
+        "steps": int(lengths[kept].sum()),
+        "planned": int(episodes["planned"].sum()),
+        "failed": int(episodes["failed"].sum()),
+    }
 
 
 def run_facts(dataset: Path) -> Mapping[str, Any]:
@@ -242,24 +263,20 @@ def _identity_of(folder: Path) -> Mapping[str, Any] | None:
         return None
 
 
-def _metadata(config: CollectConfig, total: Tally) -> MinariMetadata:
+def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata:
     """Return Minari's metadata; reference scores are those of random and expert policies."""
     task, policy = config.task, config.policy
     measured = task.engine == MUJOCO and task.rope == RopeConfig() and not task.endless
     scores = reference_scores().get(f"{task.task}-nx{task.nx}", {}) if measured else {}
-    is_noisy = policy.policy in ("noisy", "mixed")
-    noise = f", each pull a random one with probability {policy.noise}" * is_noisy
-    planned = total.planned / max(total.played, 1)
-    # the expert's looks have limits of their own
-    allowed = f", of {policy.planner.budget} allowed" * (policy.policy == "planner")
-    planning = f" Planning took {planned:.0f} simulated pulls an episode{allowed}."
-    labels = " At every state stands what an expert would do there (infos/expert_action)."
     tried = f", the best of {config.attempts} attempts each" * (config.attempts > 1)
+    labels = " At every state stands what an expert would do there (infos/expert_action)."
+    planned = total["planned"] / max(total["played"], 1)
+    planning = f" Planning took {planned:.0f} simulated pulls an episode."
     text = (
         f"KnotGym, task {task.task} with {task.nx} crossings, {task.split} split, engine"
-        f" {task.engine}: {total.kept} episodes of policy {policy.policy}{noise}{tried}, seed"
-        f" {config.seed}. {total.succeeded} of {total.played} episodes played reached the goal"
-        f" within {task.horizon} steps; failed ones are"
+        f" {task.engine}: {total['kept']} episodes of policy {policy.policy}{tried}, seed"
+        f" {config.seed}. {total['succeeded']} of {total['played']} episodes played reached the"
+        f" goal within {task.horizon} steps; failed ones are"
         f" {'kept' if config.keep_failed else 'dropped'}.{labels * bool(config.labels)}"
         f"{planning * bool(planned)}"
     )

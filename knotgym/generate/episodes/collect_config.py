@@ -27,8 +27,8 @@ class CollectConfig:
             first.
         labels: "expert" stores the expert's action at every state.
         seen: observation given to functions and objects of your own; "" for the stored one.
-        dataset_id: Minari id; by default for example knotgym/tie-nx3/expert-v0, with a mark for
-            each setting that changes the data, as in expert-state-seed1-v0.
+        dataset_id: Minari id; "" for `collect.distinct_id`, for example knotgym/tie-nx3/expert-v0,
+            with a mark for each setting that changes the data, as in expert-state-seed1-v0.
         author: author of the dataset; may be repeated.
         author_email: author's email; may be repeated.
         code_permalink: URL of the code that made it.
@@ -53,9 +53,6 @@ class CollectConfig:
                 "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
                 f" {self.policy.policy}"
             )
-        if not self.dataset_id:
-            marks = collection_marks(self.attempts, self.labels)
-            object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy, *marks))
 
     @property
     def seen_task(self) -> TaskConfig:
@@ -69,8 +66,3 @@ def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
     engine = "" if task.engine == MUJOCO else task.engine
     name = "-".join([policy.short, *filter(None, (engine, split, *marks))])
     return f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
-
-
-def collection_marks(attempts: int, labels: str) -> tuple[str, ...]:
-    """Return the marks of best-of-n rollouts and of expert labels."""
-    return f"best{attempts}" if attempts > 1 else "", "labelled" if labels else ""

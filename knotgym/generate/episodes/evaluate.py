@@ -6,7 +6,7 @@ splits, the results are a generalization matrix for policies trained on one of t
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.common.streams import Stream
 from knotgym.common.tables import Table
@@ -24,13 +22,13 @@ from knotgym.control.policies import make_policy, training_card
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_outcomes import outcomes
-from knotgym.datasets.episodes import RECORDED, STEPS, Episodes
-from knotgym.envs.task_states import state_origins
+from knotgym.datasets.episodes import STEPS, Episodes, merged
+from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result
-from knotgym.generate.episodes.digests import digests, sources
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.episodes.results import Result, show
+from knotgym.generate.episodes.results import Result, evaluation_in, show
+from knotgym.generate.episodes.sources import sources
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.executors import executor
 from knotgym.runs.identity import identity
@@ -41,17 +39,14 @@ from knotgym.runs.run import Call, Recipe, compute
 from knotgym.runs.run import run as run_recipe
 from knotgym.runs.run_options import RunOptions
 
-# of an episode's row, what results are made of
-_PLAYED = RECORDED.only("start", "goal", "success", "length", "total", "planned", "failed")
 # fields of a learner's card
 _TRAINING = ("weights_sha256", "seconds", "episodes")
 
 
 def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, film: bool) -> Kept:
-    """Play a block of episodes; return whole episodes to be filmed, else the outcomes alone."""
+    """Play a block of episodes; keep their steps only to film them."""
     seeds = [episode_seed(seed, number, Stream.EVALUATION_EPISODE) for number in numbers]
-    made = rollouts(make_policy(policy), task, seeds, keep=STEPS if film else None)
-    return as_result(made) if film else dict(made.episodes.only(*_names()))
+    return as_result(rollouts(make_policy(policy), task, seeds, keep=STEPS if film else None))
 
 
 class Evaluation:
@@ -82,13 +77,12 @@ def evaluation(config: EvaluateConfig, found: Evaluation) -> Recipe[str]:
         for setup, one in enumerate(setups, 1)
         for few in filmed
     ]
-    parts = yield [*calls, *films]
+    parts = [from_result(part) for part in (yield [*calls, *films])]
     count = len(numbers)
     for setup, one in enumerate(setups):
-        own = parts[setup * count : (setup + 1) * count]
-        columns = {name: np.concatenate([part[name] for part in own]) for name in _names()}
-        found.results.append(_result(*one, Table(_PLAYED, columns)))
-    found.films += [from_result(part) for part in parts[len(calls) :]]
+        played = merged(parts[setup * count : (setup + 1) * count])
+        found.results.append(result_of(*one, played.episodes))
+    found.films += parts[len(calls) :]
     return f"{len(setups)} results of {config.episodes} episodes each"
 
 
@@ -110,7 +104,7 @@ def require_playable(config: EvaluateConfig) -> None:
     """
     for policy, task in config.setups():
         make_policy(policy).compatible_task(task)
-        state_origins(task)
+        task_sides(task)
 
 
 def sources_of(config: EvaluateConfig) -> dict[str, Any]:
@@ -185,12 +179,12 @@ def run(
             is_folder=False,
             prepare=prepare,
             sources=lambda: sources_of(config),
-            made_by=_identity_of,
         )
         if not options.shard.is_whole:
             return []
         if not found.results:  # it was finished already
-            found.results = [Result(**row) for row in read_json(out)["results"]]
+            with evaluation_in(out) as (_, results):
+                found.results = results
         if video is not None and not video.exists():
             raise Occupied(
                 f"{out} is finished already, but the film {video} isn't there; --overwrite without"
@@ -214,10 +208,8 @@ def report(
         if (card := training_card(one.policy)) is not None
     }
     return {
-        "version": knotgym.__version__,
         **totals(results),
-        "settings": as_json(config),
-        "digests": digests(source),
+        **identity(config, source),
         "learners": learners,
         "results": [asdict(one) for one in results],
     }
@@ -261,10 +253,6 @@ def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.
     )
 
 
-def _names() -> list[str]:
-    return [column.name for column in _PLAYED.columns]
-
-
 def _write_film(config: EvaluateConfig, found: Evaluation, video: Path, overwrite: bool) -> None:
     from knotgym.rendering.video import write_film
 
@@ -278,24 +266,13 @@ def _write_film(config: EvaluateConfig, found: Evaluation, video: Path, overwrit
         write_film(temporary, frames)
 
 
-def _identity_of(out: Path) -> Mapping[str, Any] | None:
-    """Return the identity of the evaluation that wrote a file; None if it isn't one."""
-    try:
-        content = read_json(out)
-        found = dict(content["digests"])
-        source = {name: found.pop(name) for name in ("states", "policies")}
-        [Result(**row) for row in content["results"]]
-        return {"config": content["settings"], "source": source, **found}
-    except (OSError, KeyError, TypeError, ValueError, AttributeError):
-        return None
-
-
-def _result(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
+def result_of(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
+    """Return the result of a setup from the rows of its episodes."""
     success, length = played["success"], played["length"]
     named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
     listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
     low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
-    origins = state_origins(task)
+    starts, goals = task_sides(task)
     return Result(
         policy=policy.policy,
         task=task.task,
@@ -311,7 +288,7 @@ def _result(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
         mean_return=float(played["total"].mean()),
         planned_actions=float(played["planned"].mean()),
         simulation_failures=int(played["failed"].sum()),
-        start_states=origins["start"],
-        goal_states=origins["goal"],
+        start_states=starts.origin,
+        goal_states=goals.origin,
         outcomes=listed,
     )

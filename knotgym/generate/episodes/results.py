@@ -1,22 +1,26 @@
 """Results of an evaluation: one per policy and setup, printed beside reference scores."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import Field
 from rich.console import Console
 
+from knotgym.common.configuration import Count, Share, Whole, configuration, from_json, read_json
+from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.envs.task_states import OWN, SHIPPED
 from knotgym.rope.engines import MUJOCO
 from knotgym.runs.narrow_tables import narrow_table
 
 _SETUP = ("policy", "task", "split", "nx")  # columns
+_OUTCOMES = ("start", "goal", "success", "steps")
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
-@dataclass(frozen=True, kw_only=True)
+@configuration
 class Result:
     """Result of one policy in one setup.
 
@@ -40,18 +44,39 @@ class Result:
     nx: int
     split: str
     action: str
-    episodes: int
-    successes: int
-    success_rate: float
-    low: float
-    high: float
+    episodes: Count
+    successes: Whole
+    success_rate: Share
+    low: Share
+    high: Share
     steps: float | None
     mean_return: float
     planned_actions: float
-    simulation_failures: int
+    simulation_failures: Whole
     start_states: str
     goal_states: str
-    outcomes: dict[str, list[int]]
+    outcomes: dict[str, list[Annotated[int, Field(ge=0, lt=2**31)]]]
+
+    def __post_init__(self) -> None:
+        lengths = {len(self.outcomes.get(name, ())) for name in _OUTCOMES}
+        if lengths != {self.episodes} or max(self.outcomes["success"]) > 1:
+            raise InvalidInput("outcomes aren't columns of one whole number an episode")
+
+
+@contextmanager
+def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
+    """Give the content of a file of `knotgym evaluate --out`, and its results.
+
+    Raises:
+        InvalidFile: it is no such file, or what is looked up in the block isn't there.
+    """
+    try:
+        content = read_json(path)
+        yield content, [from_json(Result, one) for one in content["results"]]
+    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
+        raise InvalidFile(
+            f"{path} isn't a file of `knotgym evaluate --out`: {one_line(error)}"
+        ) from error
 
 
 def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:

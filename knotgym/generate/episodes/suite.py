@@ -6,13 +6,10 @@
     {out}/knotgym/suite.json, README.md                             what is known of each; the card
 
 Every dataset is an ordinary collection, see `collect`, or its pulls come from a recording, see
-`recordings`. This module defines which ones there are, their order, the estimate of the time they
-take, and one card for all.
+`recordings`. This module makes them one after the other, and one card for all.
 """
 
 import json
-import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
@@ -25,54 +22,37 @@ from knotgym.common.configuration import read_json
 from knotgym.common.errors import Failed, InvalidFile
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import table
-from knotgym.generate.episodes.collect import collect, dataset_folder, require_collectable
+from knotgym.generate.episodes.collect import collect, require_collectable
 from knotgym.generate.episodes.collect_config import CollectConfig
-from knotgym.generate.episodes.recordings import RECORDINGS, recordings, replay
+from knotgym.generate.episodes.recordings import recordings
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_config import POLICIES, SUITE, SuiteConfig
 from knotgym.generate.episodes.suite_facts import describe_set
 from knotgym.generate.episodes.suite_scores import read_scores, score_tables
 from knotgym.rope.engines import ENGINES
-from knotgym.runs.executors import cores
-from knotgym.runs.progress import Progress, duration
+from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import minari_root
 
 SETUPS = tuple(product(SUITE["tasks"], SUITE["nx"]))
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
-_PLAY = (
-    *("id", "reached the goal, %", "planned pull by pull, %"),
-    *("goal codes, train", "test", "in both", "classes in both"),
-)
-
-
-def core_seconds(config: CollectConfig, recorded: bool = False) -> float:
-    """Return the estimated cost of a dataset in core seconds, from `data/suite.toml`."""
-    rates = SUITE["core_seconds"]["recorded" if recorded else config.policy.policy]
-    episode = float(rates[SUITE["nx"].index(config.task.nx)])
-    if recorded and config.task.endless:  # the rates are of episodes that end at the goal
-        episode *= config.task.horizon / 15
-    return episode * config.episodes
+_PLAY = ("id", "reached the goal, %", "goal codes, train", "test", "in both", "classes in both")
 
 
 def make_suite(
-    config: SuiteConfig,
-    out: Path | None,
-    options: RunOptions,
-    *,
-    scores: Sequence[Path] = (),
-    progress: Progress | None = None,
+    config: SuiteConfig, out: Path | None, options: RunOptions, *, progress: Progress | None = None
 ) -> Path:
     """Make the missing datasets and a card for all existing ones; return the card's folder.
+
+    The card's table of results is of the files of `knotgym evaluate --out` in the folder
+    `evaluations` next to it.
 
     Args:
         config: which datasets.
         out: Minari root to write to; None for Minari's own.
         options: how to execute the runs. With `resume`, finished datasets are kept and interrupted
             ones continued; with `overwrite`, each is replaced once the new one is complete.
-        scores: files of `knotgym evaluate --out` for the card's table of results, besides those in
-            the folder `evaluations` next to the card.
         progress: where to show progress.
 
     Raises:
@@ -84,29 +64,21 @@ def make_suite(
     """
     if progress is None:
         with Progress(options.quiet) as progress:
-            return make_suite(config, out, options, scores=scores, progress=progress)
+            return make_suite(config, out, options, progress=progress)
     root = Path(out) if out is not None else minari_root()
     folder, known = root / "knotgym", recordings() if config.recorded else {}
     wanted = _recorded(config, [*known]) if config.recorded else [*config.sets()]
-    results = read_scores([*scores, *sorted((folder / "evaluations").glob("*.json"))])
+    results = read_scores(sorted((folder / "evaluations").glob("*.json")))
     for one in wanted:  # before anything is made
         require_collectable(one, root, options)
     _require_own_card(folder, options)
-    left = [one for one in wanted if options.overwrite or not _exists(one, root)]
-    seconds = sum(core_seconds(one, one.dataset_id in known) for one in left)
-    progress.say(_forecast(wanted, left, seconds, options))
-    descriptions = _described(config, root)
-    _write_card(descriptions, results, config.seed, folder)
     for number, one in enumerate(wanted, 1):
         progress.say(f"set {number} of {len(wanted)}: {one.dataset_id}, {one.episodes} episodes")
-        if one.dataset_id in known:
-            made = collect(one, root, options, progress=progress, block=replay, files=[RECORDINGS])
-        else:
-            made = collect(one, root, options, progress=progress)
-        descriptions[one.dataset_id] = describe_set(made)
-        _write_card(descriptions, results, config.seed, folder)  # current during the run
+        collect(one, root, options, progress=progress, recorded=one.dataset_id in known)
+    sets = _described(config, root)
+    _write_card(sets, results, config.seed, folder)
     progress.say(f"{folder}: {len(wanted)} sets, README.md, suite.json")
-    agreement = {one.dataset_id: descriptions[one.dataset_id]["recorded"] for one in wanted}
+    agreement = {one.dataset_id: sets[one.dataset_id]["recorded"] for one in wanted}
     differing = [f"{name} {how}" for name, how in agreement.items() if how.startswith("differs")]
     if config.recorded and differing:
         raise Failed(
@@ -132,10 +104,6 @@ def _recorded(config: SuiteConfig, known: Sequence[str]) -> list[CollectConfig]:
     return wanted
 
 
-def _exists(config: CollectConfig, root: Path) -> bool:
-    return os.path.lexists(dataset_folder(config, root))
-
-
 def _require_own_card(folder: Path, options: RunOptions) -> None:
     """Raise Occupied if the card replaces other files than a suite's, unless `options`
     overwrite.
@@ -147,21 +115,6 @@ def _require_own_card(folder: Path, options: RunOptions) -> None:
     if not (own and options.resume):
         for name in _CARD:
             require_output(folder / name, folder=False, overwrite=options.overwrite)
-
-
-def _forecast(
-    wanted: Sequence[CollectConfig],
-    left: Sequence[CollectConfig],
-    seconds: float,
-    options: RunOptions,
-) -> str:
-    workers = options.workers or cores()
-    episodes = sum(one.episodes for one in left)
-    finished = f", {len(wanted) - len(left)} there already" if len(left) < len(wanted) else ""
-    return (
-        f"{len(wanted)} sets{finished}; {episodes} episodes to play, about"
-        f" {duration(math.ceil(seconds / workers))} with {workers} workers, each a core of its own"
-    )
 
 
 def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
@@ -199,11 +152,10 @@ def suite_card(report: Mapping[str, Any]) -> str:
         size, digest = f"{one['bytes'] / 1e6:.1f}", f"`{one['sha256'][:16]}...`"
         own = (plain(one[key]) for key in columns[1:])
         rows.append((code_span(name), *own, size, plain(one["recorded"]), digest))
-        reached = None if one["endless"] else one["succeeded"] / max(one["episodes"], 1)
-        shares = (_percent(share) for share in (reached, one["planner"]))
+        reached = 100 * one["succeeded"] / max(one["episodes"], 1)
         codes = one["codes"] or {}
         counts = (codes.get(key, "") for key in ("train", "test", "shared", "shared_classes"))
-        played.append((code_span(name), *shares, *counts))
+        played.append((code_span(name), "" if one["endless"] else f"{reached:.1f}", *counts))
     references = [
         (setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
         for setup, one in reference_scores().items()
@@ -221,7 +173,3 @@ def suite_card(report: Mapping[str, Any]) -> str:
         references=table(("set-up", "random", "expert", "episodes"), references),
         results=score_tables(report["results"], "###") or none,
     )
-
-
-def _percent(share: float | None) -> str:
-    return "" if share is None else f"{100 * share:.1f}"

@@ -5,31 +5,26 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from knotgym.common.errors import InvalidInput, KnotgymError, one_line
 from knotgym.control.planning import first_goal
 from knotgym.datasets.episode_dataset import content_digest, open_episodes
-from knotgym.datasets.episodes import Episodes
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import run_facts
-from knotgym.generate.episodes.recordings import RECORDINGS, first_difference, recordings
+from knotgym.generate.episodes.recordings import first_difference, recordings
 from knotgym.states.state_file import ships
 from knotgym.topology.gauss import GaussCode
 
 
-def describe_set(made: Path, path: Path = RECORDINGS) -> dict[str, Any]:
+def describe_set(made: Path) -> dict[str, Any]:
     """Describe a finished dataset that `collect` or the suite made.
 
     Args:
         made: folder of the dataset.
-        path: file of recordings to compare it with.
 
     Returns:
-        Its settings and size; `sha256`, of its starts and pulls; `planner`, the share of episodes
-        in which pulls were planned one by one, None for policies without macro-actions; `codes`,
-        see `goal_overlap`; `recorded`: "no" recording, "same", or "differs from episode k".
+        Its settings and size; `sha256`, of its starts and pulls; `codes`, see `goal_overlap`;
+        `recorded`: "no" recording, "same", or "differs from episode k".
 
     Raises:
         InvalidInput: it isn't such a dataset.
@@ -43,7 +38,7 @@ def describe_set(made: Path, path: Path = RECORDINGS) -> dict[str, Any]:
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
-    recording = recordings(path).get(dataset.name)
+    recording = recordings().get(dataset.name)
     agreement = "no"
     if recording is not None:
         first = first_difference(episodes, recording)
@@ -60,25 +55,9 @@ def describe_set(made: Path, path: Path = RECORDINGS) -> dict[str, Any]:
         "bytes": sum(file.stat().st_size for file in files),
         "sha256": content_digest(episodes),
         "versions": versions,
-        "planner": planned_share(episodes) if policy in ("expert", "noisy", "play") else None,
         "codes": goal_overlap(task) if ships(task.states) else None,
         "recorded": agreement,
     }
-
-
-def planned_share(episodes: Episodes) -> float | None:
-    """Return the share of episodes with two pulls one after the other that are part of no pass.
-
-    A single one is a random pull of policy `noisy`. None if macro-actions aren't recorded.
-    """
-    steps = episodes.steps
-    if "macro_side" not in steps:
-        return None
-    alone = (steps["macro_side"] == 0) & steps["force"].any(axis=1)
-    follows = alone & np.roll(alone, 1)
-    follows[episodes.offsets[:-1]] = False
-    found = np.unique(episodes.episode_of()[follows])
-    return len(found) / max(1, episodes.episodes.rows)
 
 
 @lru_cache
@@ -91,9 +70,9 @@ def goal_overlap(task: TaskConfig) -> dict[str, int]:
     """
     sides = []
     for split in (task.split, task.split.replace("train", "test")):
-        states, _, nx = task_sides(replace(task, split=split))[1]
-        rows = states.rows(nx, split)
-        sides.append({GaussCode.parse(text) for text in states.gauss_code[rows].tolist()})
+        goals = task_sides(replace(task, split=split))[1]
+        codes = goals.states.gauss_code[goals.rows].tolist()
+        sides.append({GaussCode.parse(text) for text in codes})
     classes = [{first_goal(code)[0] for code in codes} for codes in sides]
     return {
         "train": len(sides[0]),

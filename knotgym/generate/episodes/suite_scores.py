@@ -7,12 +7,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.configuration import as_json, read_json
-from knotgym.common.errors import InvalidFile, one_line
+from knotgym.common.configuration import as_json
+from knotgym.common.errors import InvalidFile
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+from knotgym.generate.episodes.results import Result, evaluation_in
 from knotgym.generate.episodes.suite_config import SUITE
 from knotgym.runs.intervals import cluster_interval
 
@@ -20,36 +21,27 @@ from knotgym.runs.intervals import cluster_interval
 LINE = ("policy", "settings", "policy_sha256", "code_sha256", "versions")
 CELL = ("states", "states_sha256", "split", "task", "nx")
 _APART = ("task", "nx", "split", "states")  # fields of a task that have their own column
-_OUTCOMES = ("start", "goal", "success", "steps")
 _PLAIN = {
     "task": as_json(EvaluateConfig(policies=(PolicyConfig(),)).task),
     "policy": as_json(PolicyConfig()),
 }
 
 
-# errors raised by reading a file with another structure
-_MALFORMED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-
-
 def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     """Return one row per cell of all evaluations, sorted.
 
     A row has the fields of `LINE` and `CELL`, episodes, successes, success_rate, interval, steps,
-    starts and goals (their numbers), planned_actions, seeds, and `training`, how
-    a learner was trained. Files of one cell with different seeds are pooled; different policies,
-    settings, states or code have separate rows.
+    starts and goals (their numbers), seeds, and `training`, how a learner was trained. Files of one
+    cell with different seeds are pooled; different policies, settings, states or code have separate
+    rows.
 
     Raises:
-        InvalidFile: a file can't be read or has no digests, or two have the same episodes.
+        InvalidFile: a file can't be read, or two have the same episodes.
     """
     found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for path in paths:
-        try:
-            rows = list(_rows(read_json(path)))
-        except (OSError, *_MALFORMED) as error:
-            raise InvalidFile(
-                f"{path} isn't a file of `knotgym evaluate --out`: {one_line(error)}"
-            ) from error
+        with evaluation_in(path) as (content, results):
+            rows = list(_rows(content, results))
         for row in rows:
             same = found.setdefault(tuple(row[name] for name in (*LINE, *CELL)), [])
             if any(row["seeds"] == one["seeds"] for one in same):
@@ -114,58 +106,38 @@ def _grouped(
     return list(groups.items())
 
 
-def _rows(evaluation: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    if "digests" not in evaluation:
-        raise InvalidFile("it has no digests of policy, states and code; measure it again")
-    config, given = evaluation["settings"], evaluation["digests"]
+def _rows(evaluation: Mapping[str, Any], results: Iterable[Result]) -> Iterator[dict[str, Any]]:
+    config, source = evaluation["config"], evaluation["source"]
     configs = {one["policy"]: one for one in config["policies"]}
-    versions = dict(given["versions"])
+    versions = dict(evaluation["versions"])
     code = versions.pop("code")
-    for one in evaluation["results"]:
-        policy = one["policy"]
+    for one in results:
         task = {name: value for name, value in config["task"].items() if name not in _APART}
-        task["action"] = one["action"]  # a policy may choose its own
-        plain = {**_PLAIN["policy"], "policy": policy}
-        settings = [*_unlike(_PLAIN["task"], task), *_unlike(plain, configs[policy])]
-        origins = sorted({one["start_states"], one["goal_states"]})
-        learned = evaluation.get("learners", {}).get(policy, {})
-        training = dict(evaluation.get("training", learned))
+        task["action"] = one.action  # a policy may choose its own
+        plain = {**_PLAIN["policy"], "policy": one.policy}
+        settings = [*_unlike(_PLAIN["task"], task), *_unlike(plain, configs[one.policy])]
+        origins = sorted({one.start_states, one.goal_states})
+        training = dict(evaluation["learners"].get(one.policy, {}))
         row = {
-            "policy": policy,
+            "policy": one.policy,
             "settings": "; ".join(settings),
-            "policy_sha256": _digest(given["policies"][policy]),
+            "policy_sha256": _digest(source["policies"][one.policy]),
             "code_sha256": code,
             "versions": ", ".join(f"{name} {versions[name]}" for name in sorted(versions)),
             "states": config["task"]["states"] or "readable",
-            "states_sha256": _digest({origin: given["states"][origin] for origin in origins}),
-            "split": one["split"],
-            "task": one["task"],
-            "nx": one["nx"],
+            "states_sha256": _digest({origin: source["states"][origin] for origin in origins}),
+            "split": one.split,
+            "task": one.task,
+            "nx": one.nx,
             "seeds": [config["seed"]],
-            "rules": task,
             "training": training,
-            "outcomes": {name: one["outcomes"][name] for name in _OUTCOMES},
-            "planned_actions": _number(one["planned_actions"]),
+            "outcomes": one.outcomes,
         }
         for name in (*LINE, *CELL):
-            kind = int if name == "nx" else str
-            if type(row[name]) is not kind or not str(row[name]).isprintable():
+            if name != "nx" and not (isinstance(row[name], str) and row[name].isprintable()):
                 raise InvalidFile(f"{name} is {row[name]!r}")
-        _require_outcomes(row["outcomes"])
-        _number(training.get("seconds") or 0)
+        float(training.get("seconds") or 0)
         yield row
-
-
-def _require_outcomes(outcomes: Mapping[str, Any]) -> None:
-    """Require integer columns of equal length."""
-    whole = all(
-        type(value) is int and 0 <= value < 2**31
-        for values in outcomes.values()
-        for value in values
-    )
-    lengths = {len(values) for values in outcomes.values()}
-    if not whole or len(lengths) > 1 or lengths == {0} or max(outcomes["success"]) > 1:
-        raise InvalidFile("outcomes aren't columns of one whole number an episode")
 
 
 def _together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -177,7 +149,6 @@ def _together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
     success, episodes = columns["success"], len(columns["success"])
     reached = [steps for steps, done in zip(columns["steps"], success, strict=True) if done]
-    counted = [len(row["outcomes"]["success"]) for row in rows]
     return {
         **{name: value for name, value in rows[0].items() if name != "outcomes"},
         "episodes": episodes,
@@ -188,10 +159,6 @@ def _together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "starts": len(set(columns["start"])),
         "goals": len(set(columns["goal"])),
         "seeds": sorted(seed for row in rows for seed in row["seeds"]),
-        "planned_actions": sum(
-            row["planned_actions"] * n for row, n in zip(rows, counted, strict=True)
-        )
-        / episodes,
     }
 
 
@@ -210,12 +177,6 @@ def _digest(files: Mapping[str, str]) -> str:
     if len(files) < 2:
         return "".join(files.values())
     return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
-
-
-def _number(value: Any) -> Any:
-    if not isinstance(value, int | float) or not -1e300 < value < 1e300:
-        raise InvalidFile(f"{value!r} is no number")
-    return value
 
 
 def _cell(row: Mapping[str, Any]) -> str:

@@ -18,10 +18,11 @@ from knotgym.common.tables import Table
 from knotgym.control.policies import make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import rollouts
-from knotgym.datasets.episodes import EPISODES, STARTS, STEPS, Episodes, merged
+from knotgym.datasets.episodes import STARTS, Episodes, merged
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
+from knotgym.generate.episodes.blocks import as_result, from_result
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows, joined
@@ -116,7 +117,7 @@ def demonstrated(
         if not calls:
             break
         for result in (yield calls):
-            episodes = _episodes_of(result)
+            episodes = from_result(result)
             for k, goal in enumerate(episodes.episodes["goal"].tolist()):
                 made[goal] = episodes.select([k])
     return [
@@ -145,8 +146,7 @@ def demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int)
     starts = Table(schema, dict(zip((c.name for c in schema.columns), columns, strict=True)))
     policy = make_policy(PolicyConfig(policy="expert" if attempt < _EXPERT else "planner"))
     played = rollouts(policy, task, starts, attempt=attempt)
-    reached = played.select(played.episodes["success"])
-    return {f"{table.schema.name}/{name}": one for table in reached for name, one in table.items()}
+    return as_result(played.select(played.episodes["success"]))
 
 
 def compile_planning() -> None:
@@ -199,14 +199,3 @@ def publish_demonstrations(
             ),
         )
         publish([episodes], task_of(config, nx, split), metadata, root, states=states)
-
-
-def _episodes_of(result: Rows) -> Episodes:
-    """Return the episodes that `demonstrate` flattened."""
-
-    def table(schema: Any) -> Table:
-        prefix = f"{schema.name}/"
-        own = {n.removeprefix(prefix): c for n, c in result.items() if n.startswith(prefix)}
-        return Table(schema.only(*own), own)
-
-    return Episodes(table(EPISODES), table(STEPS))

@@ -50,6 +50,10 @@ _COPIES = 10  # states of a code in a call, at most
 # resumed with more of them.
 _DRAWINGS = 20
 _ONE = np.array([0])
+# Most random pulls that stir the rope laid along the curve, and the least and largest of their
+# forces, relative to the largest possible; with at most 1 crossing there is but one diagram, and so
+# only stirring makes states differ. Then pulls without force.
+_STIR, _LOOP_STIR, _REST = (2, 0.05, 0.3), (32, 0.05, 1.0), 3
 
 
 class Order(NamedTuple):
@@ -191,7 +195,7 @@ def _drawn(
     seed = key(Stream.DRAWING, config.seed, code.nx, order.which, number)
     rng = generator_of(seed)
     try:
-        curve = drawn_curve(code, rng, rope, config.drawing.curve)
+        curve = drawn_curve(code, rng, rope, config.drawing)
     except Failed:
         rejected["too tight"] += 1
         return None
@@ -202,7 +206,7 @@ def _drawn(
         return None
     start = rope.qpos(curve)
     simulation.lay(start[None], _ONE)
-    actions = _stirred(simulation, config, code, rng)
+    actions = _stirred(simulation, code, rng)
     if actions is None:
         rejected["simulation failed"] += 1
         return None
@@ -221,24 +225,22 @@ def _drawn(
         steps=len(actions),
         seed=np.array(seed),
         policy=DRAWING,
-        drawing=json.dumps(as_json(config.drawing.curve)),
+        drawing=json.dumps(as_json(config.drawing)),
     )
 
 
 def _stirred(
-    simulation: Simulation, config: GenerateConfig, code: GaussCode, rng: np.random.Generator
+    simulation: Simulation, code: GaussCode, rng: np.random.Generator
 ) -> NDArray[np.float32] | None:
     """Stir rope 0 with random pulls and let it rest.
 
     Returns:
         The actions, float32 (T, 6); None if the simulation fails.
     """
-    drawing, few = config.drawing, code.nx < 2
-    most = drawing.loop_stir if few else drawing.stir
-    force = (drawing.force[0], 1.0) if few else drawing.force
+    most, weakest, strongest = _LOOP_STIR if code.nx < 2 else _STIR
     actions = []
-    for step in range((steps := int(rng.integers(most + 1))) + drawing.rest):
-        strength = rng.uniform(*force) if step < steps else 0.0
+    for step in range((steps := int(rng.integers(most + 1))) + _REST):
+        strength = rng.uniform(weakest, strongest) if step < steps else 0.0
         heading, bead = rng.uniform(-np.pi, np.pi), rng.integers(len(simulation.points[0]), size=1)
         pull = strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])
         newtons = pull.astype(np.float32).astype(np.float64) * simulation.max_force

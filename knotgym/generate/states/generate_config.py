@@ -12,7 +12,6 @@ from pydantic import Field
 from knotgym.common.configuration import (
     Count,
     Crossings,
-    Interval,
     Seed,
     Share,
     Whole,
@@ -32,25 +31,6 @@ if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig
 
 _BEADS = 100  # of the rope that demonstrations are made with
-
-
-@configuration
-class DrawnConfig:
-    """How a state is drawn from its code.
-
-    Attributes:
-        curve: settings of the curve.
-        stir: most random actions that stir the rope laid along the curve.
-        loop_stir: the same with at most 1 crossing, where there is but one diagram of states.
-        force: least and largest force of these actions, relative to the largest force.
-        rest: actions without force at the end.
-    """
-
-    curve: DrawingConfig = DrawingConfig()
-    stir: Whole = 2
-    loop_stir: Whole = 32
-    force: Interval = (0.05, 0.3)
-    rest: Count = 3
 
 
 @configuration
@@ -126,7 +106,7 @@ class GenerateConfig:
             auto, chain for source play and mujoco for the others.
         beads: number of beads of the rope, each 13.3 mm long; other numbers than 100 take source
             drawing without demonstrations. More crossings than 11 need more beads.
-        drawing: settings of source drawing.
+        drawing: settings of the curves of source drawing.
         play: settings of source play.
         walk: settings of source random-walk.
         limits: limits that make a state readable; source random-walk has none.
@@ -147,7 +127,7 @@ class GenerateConfig:
     seed: Seed = 0
     engine: Literal["auto", "mujoco", "chain"] = "auto"
     beads: Annotated[int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = _BEADS
-    drawing: DrawnConfig = DrawnConfig()
+    drawing: DrawingConfig = DrawingConfig()
     play: PlayConfig = PlayConfig()
     walk: PlayConfig = PUBLISHED
     limits: Limits = LEGIBLE

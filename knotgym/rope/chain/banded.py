@@ -122,7 +122,7 @@ def _divide(block: Array, k: int, r: int, pivot: Pivot) -> Row:
 def _subtract(
     target: Array, position: tuple[int, ...], y: Row, block: Array, k: int, c: int
 ) -> None:
-    """Subtract y z^T from an element, z being row c of a block of L in column k."""
+    """Subtract y . z from an element, z being row c of a block of L in column k."""
     s = load(target, position)
     s = fma(-y[0], load(block, (k, 4 * c)), s)
     s = fma(-y[1], load(block, (k, 4 * c + 1)), s)
@@ -154,18 +154,13 @@ def forward(system: System, right: Array, first: int) -> None:
         put(right, (k, 1), y1)
         put(right, (k, 2), y2)
         put(right, (k, 3), y3)
+        y = y0, y1, y2, y3
         if k + 1 < n:
             for r in range(4):
-                s = fma(-load(near, (k, 4 * r)), y0, load(right, (k + 1, r)))
-                s = fma(-load(near, (k, 4 * r + 1)), y1, s)
-                s = fma(-load(near, (k, 4 * r + 2)), y2, s)
-                put(right, (k + 1, r), fma(-load(near, (k, 4 * r + 3)), y3, s))
+                _subtract(right, (k + 1, r), y, near, k, r)
         if k + 2 < n:
             for r in range(3):
-                s = fma(-load(far, (k, 4 * r)), y0, load(right, (k + 2, r)))
-                s = fma(-load(far, (k, 4 * r + 1)), y1, s)
-                s = fma(-load(far, (k, 4 * r + 2)), y2, s)
-                put(right, (k + 2, r), fma(-load(far, (k, 4 * r + 3)), y3, s))
+                _subtract(right, (k + 2, r), y, far, k, r)
         c0 = fma(-load(arrow, (k, 0)), y0, fma(-load(arrow, (k, 1)), y1, c0))
         c0 = fma(-load(arrow, (k, 2)), y2, fma(-load(arrow, (k, 3)), y3, c0))
         c1 = fma(-load(arrow, (k, 4)), y0, fma(-load(arrow, (k, 5)), y1, c1))
@@ -200,26 +195,12 @@ def backward(system: System, right: Array) -> None:
         w2 = load(right, (k, 2)) * load(diag, (k, 5))
         w3 = load(right, (k, 3)) * load(diag, (k, 9))
         # rows below block k are known by now: the arrow's, then those of blocks k + 2 and k + 1
-        for r in range(3):
-            x = load(right, (n, r))
-            w0 = fma(-load(arrow, (k, 4 * r)), x, w0)
-            w1 = fma(-load(arrow, (k, 4 * r + 1)), x, w1)
-            w2 = fma(-load(arrow, (k, 4 * r + 2)), x, w2)
-            w3 = fma(-load(arrow, (k, 4 * r + 3)), x, w3)
+        w = _less_rows((w0, w1, w2, w3), arrow, k, 3, right, n)
         if k + 2 < n:
-            for r in range(3):
-                x = load(right, (k + 2, r))
-                w0 = fma(-load(far, (k, 4 * r)), x, w0)
-                w1 = fma(-load(far, (k, 4 * r + 1)), x, w1)
-                w2 = fma(-load(far, (k, 4 * r + 2)), x, w2)
-                w3 = fma(-load(far, (k, 4 * r + 3)), x, w3)
+            w = _less_rows(w, far, k, 3, right, k + 2)
         if k + 1 < n:
-            for r in range(4):
-                x = load(right, (k + 1, r))
-                w0 = fma(-load(near, (k, 4 * r)), x, w0)
-                w1 = fma(-load(near, (k, 4 * r + 1)), x, w1)
-                w2 = fma(-load(near, (k, 4 * r + 2)), x, w2)
-                w3 = fma(-load(near, (k, 4 * r + 3)), x, w3)
+            w = _less_rows(w, near, k, 4, right, k + 1)
+        w0, w1, w2, w3 = w
         # the transposed unit triangle of the pivot block, from its last row up
         w2 = fma(-load(diag, (k, 8)), w3, w2)
         w1 = fma(-load(diag, (k, 4)), w2, fma(-load(diag, (k, 7)), w3, w1))
@@ -229,3 +210,16 @@ def backward(system: System, right: Array) -> None:
         put(right, (k, 1), w1)
         put(right, (k, 2), w2)
         put(right, (k, 3), w3)
+
+
+@njit(nogil=True)
+def _less_rows(w: Row, block: Array, k: int, rows: int, right: Array, below: int) -> Row:
+    """Return w - B^T x, B being the rows of a block of L in column k and x those of `below`."""
+    w0, w1, w2, w3 = w
+    for r in range(rows):
+        x = load(right, (below, r))
+        w0 = fma(-load(block, (k, 4 * r)), x, w0)
+        w1 = fma(-load(block, (k, 4 * r + 1)), x, w1)
+        w2 = fma(-load(block, (k, 4 * r + 2)), x, w2)
+        w3 = fma(-load(block, (k, 4 * r + 3)), x, w3)
+    return w0, w1, w2, w3

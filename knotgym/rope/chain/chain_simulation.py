@@ -68,7 +68,7 @@ class ChainSimulation(Simulation):
                 )
         self._schedule = np.array(schedule, dtype=np.int64)
         # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
-        self._numbers, self._damping, self._contact = parameters(self.rope)
+        self._physics = physics_of(self.rope)
         workers = min(threads or cpu_count() or 1, -(-count // LANES))
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
         self._workers = workers
@@ -87,7 +87,10 @@ class ChainSimulation(Simulation):
 
     def qpos(self, ids: Ids = None) -> Array:
         states = self._states[self._all(ids)]
-        return to_qpos(self.rope, states[:, :, POSITION], states[:, :, SIDE])
+        points, sides = states[:, :, POSITION], states[:, :, SIDE]
+        along = _along(points)
+        axes = np.stack([along, sides, np.cross(along, sides)], axis=-1)
+        return self.rope.turned_qpos(points, _quaternions(axes))
 
     def states(self, ids: Ids = None) -> Array:
         where = self._all(ids)
@@ -161,9 +164,7 @@ class ChainSimulation(Simulation):
                 states[part],
                 pulled[part],
                 forces[part],
-                self._numbers,
-                self._damping,
-                self._contact,
+                self._physics,
                 self.rope.config.timestep * self.rope.config.frame_skip,
                 self._schedule,
                 counts[part],
@@ -174,44 +175,42 @@ class ChainSimulation(Simulation):
         self._states[where], self.points[where] = states, states[:, :, POSITION]
         total = TICKS * int(self._schedule.sum())
         self.applied_shares[where] = (total - counts[:, layout.LOST]) / total
-        self.steps_taken += len(where)
-        self.steps_reduced += int(np.count_nonzero(counts[:, layout.LOST]))
         return np.asarray(np.isfinite(states).all(axis=(1, 2)), dtype=bool)
 
 
-def parameters(rope: Rope) -> tuple[Array, Array, Array]:
-    """What the solver needs to know of a rope, from MuJoCo's compiled model.
-
-    Returns:
-        Numbers of `dynamics`, damping of the joints (beads,), numbers of `contact`.
-    """
+def physics_of(rope: Rope) -> layout.Physics:
+    """Return what the solver needs to know of a rope, from MuJoCo's compiled model."""
     model, config, body = rope.model, rope.config, int(rope.bodies[0])
-    mass, (tumble, _, spin) = float(model.body_mass[body]), model.body_inertia[body]
+    mass, (tumble, _, spin) = float(model.body_mass[body]), model.body_inertia[body].tolist()
     # the box of equal inertia, as in MuJoCo's documentation ("Fluid forces", inertia model)
     wide, long = float(np.sqrt(6 * spin / mass)), float(np.sqrt(6 * (2 * tumble - spin) / mass))
-    density = model.opt.density
-    numbers = np.empty(9)
-    numbers[[layout.MASS, layout.TUMBLE, layout.ROUND]] = mass, tumble, spin
-    numbers[[layout.LENGTH, layout.STRETCH]] = config.bead_length, _STIFF
-    numbers[layout.ACROSS] = 0.5 * density * wide * long
-    numbers[layout.ALONG] = 0.5 * density * wide * wide
-    numbers[layout.TURN] = density * wide * (wide**4 + long**4) / 64
-    numbers[layout.ROLL] = density * long * 2 * wide**4 / 64
+    density = float(model.opt.density)
     damping = np.full(config.beads, config.joint_damping)
     # no joint where MuJoCo joins two sub-chains, and none at vertex 0, where `banded` cuts the
     # loop
     damping[[first for first, _ in sub_chains(config)]] = 0.0
     # a contact of two beads far from the ends of their sub-chains
     geom = int(model.body_geomadr[body])
-    constant, impedance = model.geom_solref[geom, 0], model.geom_solimp[geom, 1]
-    weight = 2 * np.median(model.body_invweight0[rope.bodies, 0])
+    constant, impedance = float(model.geom_solref[geom, 0]), float(model.geom_solimp[geom, 1])
+    weight = 2 * float(np.median(model.body_invweight0[rope.bodies, 0]))
     # R of the constraint; MuJoCo's documentation, "Computation", on the parameters of constraints
     soft = (1 - impedance) / impedance * weight
-    contact = np.empty(4)
-    contact[[layout.RADIUS, layout.FLOOR]] = config.radius, _FLOOR * 2 * config.radius
-    contact[layout.STIFFNESS] = 1 / (impedance * constant) ** 2 / soft
-    contact[layout.DAMPING] = 2 / (impedance * constant) / soft
-    return numbers, damping, contact
+    return layout.Physics(
+        mass=mass,
+        tumble=tumble,
+        round=spin,
+        length=config.bead_length,
+        drag_across=0.5 * density * wide * long,
+        drag_along=0.5 * density * wide * wide,
+        drag_turn=density * wide * (wide**4 + long**4) / 64,
+        drag_roll=density * long * 2 * wide**4 / 64,
+        stretch=_STIFF,
+        damping=damping,
+        radius=config.radius,
+        contact_stiffness=1 / (impedance * constant) ** 2 / soft,
+        contact_damping=2 / (impedance * constant) / soft,
+        floor=_FLOOR * 2 * config.radius,
+    )
 
 
 def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
@@ -232,48 +231,10 @@ def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
     return sides / np.linalg.norm(sides, axis=2, keepdims=True)
 
 
-def to_qpos(rope: Rope, points: Array, sides: Array) -> Array:
-    """Generalized positions of ropes whose beads are turned as given.
-
-    Args:
-        points, sides: float64 (ropes, beads, 3): vertices in metres, the beads' y axes.
-
-    Returns:
-        float64 (ropes, nq).
-    """
-    along, model = _along(points), rope.model
-    # Each bead's orientation in the world; a ball joint holds that relative to the parent's,
-    # q_joint = (q_parent q_rest)^-1 q_world.
-    world = _quaternions(np.stack([along, sides, np.cross(along, sides)], axis=-1))
-    qpos = np.empty((len(points), rope.nq))
-    bead_of = {int(body): bead for bead, body in enumerate(rope.bodies)}
-    for bead, body in enumerate(rope.bodies):
-        parent = bead_of.get(int(model.body_parentid[body]))
-        at = int(model.jnt_qposadr[model.body_jntadr[body]])
-        if parent is None:
-            qpos[:, at : at + 3], qpos[:, at + 3 : at + 7] = points[:, bead], world[:, bead]
-        else:
-            before = _product(world[:, parent], model.body_quat[body][None])
-            qpos[:, at : at + 4] = _product(before * [1, -1, -1, -1], world[:, bead])
-    return qpos
-
-
 def _along(points: Array) -> Array:
     edges = np.roll(points, -1, axis=1) - points
     unit: Array = edges / np.linalg.norm(edges, axis=2, keepdims=True)
     return unit
-
-
-def _product(a: Array, b: Array) -> Array:
-    """The Hamilton product of quaternions (n, 4), w first."""
-    w, x, y, z = (a[:, i, None] for i in range(4))
-    turned = np.stack([-b[:, 1], b[:, 0], -b[:, 3], b[:, 2]], axis=1)
-    return (
-        w * b
-        + x * turned
-        + y * np.stack([-b[:, 2], b[:, 3], b[:, 0], -b[:, 1]], axis=1)
-        + z * np.stack([-b[:, 3], -b[:, 2], b[:, 1], b[:, 0]], axis=1)
-    )
 
 
 def _quaternions(axes: Array) -> Array:

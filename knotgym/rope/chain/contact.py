@@ -26,34 +26,22 @@ of a plain Gauss-Seidel, and no pair end a substep below the floor; then `python
 benchmarks/long_play.py --engine chain`: no change of knot type.
 """
 
-import math
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System, forward
-from knotgym.rope.chain.layout import (
-    CORNER_DIAGONAL,
-    DAMPING,
-    DIAGONAL,
-    EDGE_I,
-    EDGE_J,
-    FLOOR,
-    GAP,
-    MAY,
-    NORMAL,
-    ON_I,
-    ON_J,
-    RADIUS,
-    STIFFNESS,
-    THEN,
-)
+from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
+from knotgym.rope.chain.vectors import along, dot, minus, norm, vector
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+# pairs of edges: `start` (n + 1,) and `other`, i with each of other[start[i] : start[i + 1]]
+Pairs = tuple[Ints, Ints]
 
 LISTED = 0.048  # m, between midpoints
 DRIFT = 0.004  # m
@@ -76,18 +64,18 @@ def middles(x: Array, middle: Array) -> None:
 
 
 @njit(nogil=True)
-def list_pairs(middle: Array, within: float, start: Ints, other: Ints) -> None:
-    """List the pairs of edges that are near in some lane: i with other[start[i] : start[i + 1]]."""
+def list_pairs(middle: Array, within: float, pairs: Pairs) -> None:
+    """Write the pairs of edges whose midpoints are near in some lane."""
+    start, other = pairs
     n, count, bound = len(middle), 0, within * within
     for i in range(n):
         start[i] = count
-        x, y, z = load(middle, (i, 0)), load(middle, (i, 1)), load(middle, (i, 2))
+        own = vector(middle, i)
         # Every pair once. The last edges are near the first along the loop, so for i < _NEXT the
         # range ends before those that are within _NEXT of i on the other side.
         for j in range(i + _NEXT, n if i >= _NEXT else n - _NEXT + 1 + i):
-            a, b = load(middle, (j, 0)) - x, load(middle, (j, 1)) - y
-            c = load(middle, (j, 2)) - z
-            if any_below(fma(a, a, fma(b, b, c * c)), bound):
+            apart = minus(vector(middle, j), own)
+            if any_below(dot(apart, apart), bound):
                 other[count] = j
                 count += 1
     start[n] = count
@@ -104,14 +92,9 @@ def closest(x: Array, i: int, j: int) -> Any:
     """
     n = len(x)
     k, m = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
-    x0, y0, z0 = load(x, (i, 0)), load(x, (i, 1)), load(x, (i, 2))
-    x1, y1, z1 = load(x, (j, 0)), load(x, (j, 1)), load(x, (j, 2))
-    ux, uy, uz = load(x, (k, 0)) - x0, load(x, (k, 1)) - y0, load(x, (k, 2)) - z0
-    vx, vy, vz = load(x, (m, 0)) - x1, load(x, (m, 1)) - y1, load(x, (m, 2)) - z1
-    wx, wy, wz = x0 - x1, y0 - y1, z0 - z1
-    uu, vv = fma(ux, ux, fma(uy, uy, uz * uz)), fma(vx, vx, fma(vy, vy, vz * vz))
-    uv, uw = fma(ux, vx, fma(uy, vy, uz * vz)), fma(ux, wx, fma(uy, wy, uz * wz))
-    vw = fma(vx, wx, fma(vy, wy, vz * wz))
+    start, other = vector(x, i), vector(x, j)
+    u, v, w = minus(vector(x, k), start), minus(vector(x, m), other), minus(start, other)
+    uu, vv, uv, uw, vw = dot(u, u), dot(v, v), dot(u, v), dot(u, w), dot(v, w)
     # Least |w + s u - t v|^2. For endless lines s = (uv vw - uw vv) / det, with det = |u x v|^2;
     # then each place is clamped to its edge, and the other is computed for the clamped one.
     both = uu * vv
@@ -122,10 +105,8 @@ def closest(x: Array, i: int, j: int) -> Any:
     t = min(max(free, 0.0), 1.0)
     # an end of the other edge is nearest: the nearest point to it
     s = where_below(abs(free - t), 1e-300, s, min(max(fma(uv, t, -uw) / uu, 0.0), 1.0))
-    nx = fma(t, vx, fma(-s, ux, -wx))
-    ny = fma(t, vy, fma(-s, uy, -wy))
-    nz = fma(t, vz, fma(-s, uz, -wz))
-    return math.sqrt(fma(nx, nx, fma(ny, ny, nz * nz))), s, t, nx, ny, nz
+    to = along(along((-w[0], -w[1], -w[2]), -s, u), t, v)
+    return norm(to), s, t, to
 
 
 @njit(nogil=True)
@@ -134,11 +115,9 @@ def find_rows(
     v: Array,
     tangent: Array,
     middle: Array,
-    start: Ints,
-    other: Ints,
+    pairs: Pairs,
     step: Array,
-    contact: Array,
-    length: float,
+    physics: Physics,
     motion: Array,
     rows: Array,
     found: Ints,
@@ -148,32 +127,31 @@ def find_rows(
     Args:
         x, v: where vertices are, and their velocities without contact.
         tangent, middle: of the edges at x.
-        start, other: pairs, as of `list_pairs`.
+        pairs: as of `list_pairs`.
         step: (1, LANES), seconds.
-        contact, length: numbers of the contact; of an edge, metres.
+        physics: of the rope.
         motion: (n, LANES), overwritten.
         rows: (ROWS, 8, LANES), the contacts, see `layout`; written.
         found: int64 (LANES,), how many rows each lane has; written.
     """
-    n = len(x)
+    n, (start, other) = len(x), pairs
     h = load(step, (0,))
-    touch = 2.0 * contact[RADIUS]
+    touch, length = 2.0 * physics.radius, physics.length
     spot = np.empty((8, LANES))
     _vertex_most(v, motion)
     found[:] = 0
     close = STRETCH * length + touch
     for i in range(n):
-        mx, my, mz = load(middle, (i, 0)), load(middle, (i, 1)), load(middle, (i, 2))
+        own = vector(middle, i)
         # Edges meet in the substep only if their midpoints are nearer than an edge's length, a
         # diameter and the way that both go; LOOKAHEAD bounds that way.
         way = fma(h, load(motion, (i,)), close)
         for p in range(start[i], start[i + 1]):
             j = other[p]
-            dx, dy = load(middle, (j, 0)) - mx, load(middle, (j, 1)) - my
-            dz = load(middle, (j, 2)) - mz
+            apart = minus(vector(middle, j), own)
             reach = min(fma(h, load(motion, (j,)), way), close + LOOKAHEAD)
-            if any_below(fma(dx, dx, fma(dy, dy, dz * dz)), reach * reach):
-                put(spot, (MAY,), -1.0)
+            if any_below(dot(apart, apart), reach * reach):
+                put(spot, (layout.MAY,), -1.0)
                 _try_row(x, v, i, j, h, touch, spot, rows, found)
     # Edges i and k with one between them are L apart at least if both joints turn by less than a
     # right angle: |L u + a t + b w|^2 >= L^2 + (a - b)^2 where u . t, u . w >= 0.
@@ -182,7 +160,7 @@ def find_rows(
         k = j + 1 if j + 1 < n else 0
         least = sharpness(tangent, i, j, k)
         if any_below(least, SHARP):
-            put(spot, (MAY,), least - SHARP)
+            put(spot, (layout.MAY,), least - SHARP)
             _try_row(x, v, i, k, h, touch, spot, rows, found)
 
 
@@ -190,12 +168,9 @@ def find_rows(
 def _vertex_most(v: Array, most: Array) -> None:
     """Write the larger speed of each edge's two vertices."""
     n = len(v)
-    x, y, z = load(v, (0, 0)), load(v, (0, 1)), load(v, (0, 2))
-    last = math.sqrt(fma(x, x, fma(y, y, z * z)))
+    last = norm(vector(v, 0))
     for i in range(n):
-        j = i + 1 if i + 1 < n else 0
-        x, y, z = load(v, (j, 0)), load(v, (j, 1)), load(v, (j, 2))
-        own = math.sqrt(fma(x, x, fma(y, y, z * z)))
+        own = norm(vector(v, i + 1 if i + 1 < n else 0))
         put(most, (i,), max(last, own))
         last = own
 
@@ -207,32 +182,32 @@ def _try_row(
     """Add a row for edges i and j to the lanes where they would overlap, if spot[MAY] < 0."""
     n = len(x)
     k, m = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
-    far, s, t, nx, ny, nz = closest(x, i, j)
+    far, s, t, to = closest(x, i, j)
     shrink = 1.0 / far
     # Speed at which the nearest points part, along the line between them.
-    apart = 0.0 * far
+    parting = 0.0 * far
     for c in range(3):
         one = fma(s, load(v, (k, c)) - load(v, (i, c)), load(v, (i, c)))
         two = fma(t, load(v, (m, c)) - load(v, (j, c)), load(v, (j, c)))
-        along = shrink * (nx if c == 0 else (ny if c == 1 else nz))
-        put(spot, (NORMAL + c,), along)
-        apart = fma(along, two - one, apart)
-    then = fma(h, apart, far)
+        normal = shrink * to[c]
+        put(spot, (layout.NORMAL + c,), normal)
+        parting = fma(normal, two - one, parting)
+    then = fma(h, parting, far)
     if not any_below(then, touch):
         return
-    put(spot, (ON_I,), s)
-    put(spot, (ON_J,), t)
-    put(spot, (GAP,), far)
-    put(spot, (THEN,), then)
+    put(spot, (layout.ON_I,), s)
+    put(spot, (layout.ON_J,), t)
+    put(spot, (layout.GAP,), far)
+    put(spot, (layout.THEN,), then)
     for lane in range(LANES):
         row = found[lane]
         # a vertex belongs to the edge that begins there, so that it makes one row
-        inside = spot[ON_I, lane] < 1.0 and spot[ON_J, lane] < 1.0
-        near = spot[THEN, lane] < touch and spot[GAP, lane] < touch + LOOKAHEAD
-        if inside and near and spot[MAY, lane] < 0.0 and row < ROWS:
-            for c in range(GAP + 1):
+        inside = spot[layout.ON_I, lane] < 1.0 and spot[layout.ON_J, lane] < 1.0
+        near = spot[layout.THEN, lane] < touch and spot[layout.GAP, lane] < touch + LOOKAHEAD
+        if inside and near and spot[layout.MAY, lane] < 0.0 and row < ROWS:
+            for c in range(layout.GAP + 1):
                 rows[row, c, lane] = spot[c, lane]
-            rows[row, EDGE_I, lane], rows[row, EDGE_J, lane] = i, j
+            rows[row, layout.EDGE_I, lane], rows[row, layout.EDGE_J, lane] = i, j
             found[lane] = row + 1
 
 
@@ -243,7 +218,7 @@ def push_apart(
     most: int,
     v: Array,
     step: Array,
-    contact: Array,
+    physics: Physics,
     system: System,
     right: Array,
 ) -> None:
@@ -255,7 +230,7 @@ def push_apart(
     Args:
         rows, found: as of `find_rows`; `most` is the largest of `found`.
         v: velocities without contact.
-        step, contact: as of `find_rows`.
+        step, physics: as of `find_rows`.
         system: as `banded.factor` left it.
         right: (n + 1, 4, LANES), changed in place.
     """
@@ -270,9 +245,9 @@ def push_apart(
         first = n
         for lane in range(LANES):
             if r < found[lane]:
-                i, j = int(rows[r, EDGE_I, lane]), int(rows[r, EDGE_J, lane])
+                i, j = int(rows[r, layout.EDGE_I, lane]), int(rows[r, layout.EDGE_J, lane])
                 k, m = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
-                s, t = rows[r, ON_I, lane], rows[r, ON_J, lane]
+                s, t = rows[r, layout.ON_I, lane], rows[r, layout.ON_J, lane]
                 # The point at s of edge i moves at (1 - s) v_i + s v_k, so J has -(1 - s) n and
                 # -s n there, and (1 - t) n and t n at the other edge. Vertex 0 is the corner,
                 # block n.
@@ -280,14 +255,14 @@ def push_apart(
                     block = vertex if vertex > 0 else n
                     first = min(first, block)
                     for c in range(3):
-                        own = share * rows[r, NORMAL + c, lane]
+                        own = share * rows[r, layout.NORMAL + c, lane]
                         column[r, block, c, lane] += own
                         speed[r, lane] += own * v[vertex, c, lane]
         forward(system, column[r], first)
         for i in range(first, n):
-            for c, e in enumerate(DIAGONAL):
+            for c, e in enumerate(layout.DIAGONAL):
                 put(scaled, (i, c), load(column, (r, i, c)) * load(diag, (i, e)))
-        for c, e in enumerate(CORNER_DIAGONAL):
+        for c, e in enumerate(layout.CORNER_DIAGONAL):
             put(scaled, (n, c), load(column, (r, n, c)) * load(corner, (e,)))
         for q in range(r + 1):
             # Two sums side by side, so that the processor doesn't wait for each; their order is
@@ -301,7 +276,7 @@ def push_apart(
             put(weight, (r, q), a + b)
             put(weight, (q, r), a + b)
     for lane in range(LANES):
-        _solve_forces(rows, found[lane], lane, step[0, lane], contact, weight, speed, force)
+        _solve_forces(rows, found[lane], lane, step[0, lane], physics, weight, speed, force)
     for r in range(most):
         own = load(force, (r,))
         for i in range(n + 1):
@@ -315,7 +290,7 @@ def _solve_forces(
     count: int,
     lane: int,
     h: float,
-    contact: Array,
+    physics: Physics,
     weight: Array,
     speed: Array,
     force: Array,
@@ -325,7 +300,7 @@ def _solve_forces(
     Each is a falling function of its own speed u = u' + w f, u' being what the others make of it,
     so that f = c0 - c1 u is solved by f = (c0 - c1 u') / (1 + c1 w).
     """
-    slope = contact[STIFFNESS] * h + contact[DAMPING]
+    slope = physics.contact_stiffness * h + physics.contact_damping
     for _ in range(ROUNDS):
         change = 0.0
         for r in range(count):
@@ -333,14 +308,14 @@ def _solve_forces(
             for q in range(count):
                 if q != r:
                     without += weight[r, q, lane] * force[q, lane]
-            own, distance = weight[r, r, lane], rows[r, GAP, lane]
-            gap = distance - 2.0 * contact[RADIUS]
+            own, distance = weight[r, r, lane], rows[r, layout.GAP, lane]
+            gap = distance - 2.0 * physics.radius
             if gap > 0.0:
                 soft = -slope * (gap / h + without) / (1.0 + slope * own)
             else:
-                soft = -(contact[STIFFNESS] * gap + slope * without) / (1.0 + slope * own)
+                soft = -(physics.contact_stiffness * gap + slope * without) / (1.0 + slope * own)
             # What keeps the distance at FLOOR at the end of the substep, whatever pulls.
-            hard = (-(distance - contact[FLOOR]) / h - without) / own
+            hard = (-(distance - physics.floor) / h - without) / own
             new = max(0.0, max(soft, hard))
             change = max(change, abs(new - force[r, lane]))
             force[r, lane] = new
@@ -351,7 +326,5 @@ def _solve_forces(
 @njit(nogil=True)
 def sharpness(tangent: Array, i: int, j: int, k: int) -> Any:
     """The smaller cosine of the angles between edge j and its neighbours i and k."""
-    x, y, z = load(tangent, (j, 0)), load(tangent, (j, 1)), load(tangent, (j, 2))
-    one = fma(load(tangent, (i, 0)), x, fma(load(tangent, (i, 1)), y, load(tangent, (i, 2)) * z))
-    two = fma(load(tangent, (k, 0)), x, fma(load(tangent, (k, 1)), y, load(tangent, (k, 2)) * z))
-    return min(one, two)
+    middle = vector(tangent, j)
+    return min(dot(vector(tangent, i), middle), dot(vector(tangent, k), middle))

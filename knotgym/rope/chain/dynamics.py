@@ -37,31 +37,15 @@ tests/rope/chain/test_chain_equations.py`: velocities must be those of the dense
 `python benchmarks/chain.py distance`, see `solver`.
 """
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System
-from knotgym.rope.chain.layout import (
-    ACROSS,
-    ALONG,
-    BEND_0,
-    COSINE,
-    LENGTH,
-    LESS_0,
-    MASS,
-    ROLL,
-    ROUND,
-    SPIN_DIAGONAL,
-    STRETCH,
-    SUM_0,
-    TUMBLE,
-    TURN,
-    TWIST_0,
-)
+from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.simd import LANES, fma, load, put
+from knotgym.rope.chain.vectors import along, cross, dot, minus, norm, put_vector, unit, vector
 
 Array = NDArray[np.float64]
 
@@ -73,13 +57,8 @@ def tangents(x: Array, v: Array, ahead: Array, tangent: Array) -> None:
     h = load(ahead, (0,))
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
-        a = fma(h, load(v, (j, 0)) - load(v, (i, 0)), load(x, (j, 0)) - load(x, (i, 0)))
-        b = fma(h, load(v, (j, 1)) - load(v, (i, 1)), load(x, (j, 1)) - load(x, (i, 1)))
-        c = fma(h, load(v, (j, 2)) - load(v, (i, 2)), load(x, (j, 2)) - load(x, (i, 2)))
-        shrink = 1.0 / math.sqrt(fma(a, a, fma(b, b, c * c)))
-        put(tangent, (i, 0), shrink * a)
-        put(tangent, (i, 1), shrink * b)
-        put(tangent, (i, 2), shrink * c)
+        edge = minus(vector(x, j), vector(x, i))
+        put_vector(tangent, i, unit(along(edge, h, minus(vector(v, j), vector(v, i)))))
 
 
 @njit(nogil=True)
@@ -88,12 +67,9 @@ def assemble(
     side: Array,
     v: Array,
     spin: Array,
-    guess: Array,
-    guess_spin: Array,
     pull: Array,
     step: Array,
-    numbers: Array,
-    damping: Array,
+    physics: Physics,
     system: System,
     right: Array,
 ) -> None:
@@ -101,114 +77,86 @@ def assemble(
 
     Args:
         tangent, side: (n, 3, LANES), unit vectors along the edges and of the beads' first axes.
-        v, spin: (n, 3, LANES) and (n, LANES), velocities when the substep begins.
-        guess, guess_spin: about which the drag is made linear.
+        v, spin: (n, 3, LANES) and (n, LANES), velocities when the substep begins; the drag is made
+            linear about them.
         pull: (n, 3, LANES), forces on the vertices, newtons.
         step: (1, LANES), seconds.
-        numbers: of the model, see `layout`.
-        damping: (n,), of the joints at the vertices, N m s; 0 at vertex 0.
+        physics: of the rope; the joint at vertex 0 must not be damped.
         system: written, not yet factored.
         right: (n + 1, 4, LANES), written.
     """
     diag, near, far, _, _ = system
-    n = len(tangent)
+    n, damping = len(tangent), physics.damping
     joint, bead = np.empty((n, 13, LANES)), np.empty((n, 12, LANES))
-    length = numbers[LENGTH]
+    length, stiff = physics.length, physics.stretch
     # Everything is divided by the substep: inertia becomes m / h, in kg/s, and stands beside
     # damping. Half of a bead's motion belongs to either vertex, hence the quarter.
     rate = 1.0 / load(step, (0,))
-    centre = 0.25 * numbers[MASS] * rate
-    tumble = numbers[TUMBLE] / (length * length) * rate
-    turn = numbers[TURN] / (length * length * length)
-    roll = numbers[ROUND] * rate
-    across, along = 0.5 * numbers[ACROSS], 0.5 * numbers[ALONG]
+    centre = 0.25 * physics.mass * rate
+    tumble = physics.tumble / (length * length) * rate
+    turn = physics.drag_turn / (length * length * length)
+    roll = physics.round * rate
+    across, fore = 0.5 * physics.drag_across, 0.5 * physics.drag_along
     for i in range(n + 1):
         for c in range(4):
             put(right, (i, c), 0.0)
     for i in range(n):
         h = i - 1 if i > 0 else n - 1
         j = i + 1 if i + 1 < n else 0
-        tx, ty, tz = load(tangent, (i, 0)), load(tangent, (i, 1)), load(tangent, (i, 2))
+        t, u = vector(tangent, i), vector(tangent, h)
         # Joint i, between beads h and i. Of c |w_i - w_h|^2 / 2 the mixed term of a_h and a_i is
         # -a_h^T X a_i with X = c / L^2 ((t_h . t_i) 1 - t_i t_h^T), as (t x a) . (t' x a') is
         # (t . t') (a . a') - (t . a') (t' . a). Spins are coupled with a by n = c / L t_i x t_h:
         # -s_i n . a_h + s_h n . a_i. X stands at BEND_0, n at TWIST_0, c t_h . t_i at COSINE.
-        bend, cross = damping[i] / (length * length), damping[i] / length
-        ux, uy, uz = load(tangent, (h, 0)), load(tangent, (h, 1)), load(tangent, (h, 2))
-        cosine = fma(tx, ux, fma(ty, uy, tz * uz))
-        put(joint, (i, BEND_0 + 0), bend * fma(-tx, ux, cosine))
-        put(joint, (i, BEND_0 + 1), -bend * tx * uy)
-        put(joint, (i, BEND_0 + 2), -bend * tx * uz)
-        put(joint, (i, BEND_0 + 3), -bend * ty * ux)
-        put(joint, (i, BEND_0 + 4), bend * fma(-ty, uy, cosine))
-        put(joint, (i, BEND_0 + 5), -bend * ty * uz)
-        put(joint, (i, BEND_0 + 6), -bend * tz * ux)
-        put(joint, (i, BEND_0 + 7), -bend * tz * uy)
-        put(joint, (i, BEND_0 + 8), bend * fma(-tz, uz, cosine))
-        put(joint, (i, TWIST_0 + 0), cross * fma(ty, uz, -tz * uy))
-        put(joint, (i, TWIST_0 + 1), cross * fma(tz, ux, -tx * uz))
-        put(joint, (i, TWIST_0 + 2), cross * fma(tx, uy, -ty * ux))
-        put(joint, (i, COSINE), damping[i] * cosine)
+        bend, twist = damping[i] / (length * length), damping[i] / length
+        cosine, turned = dot(t, u), cross(t, u)
+        for a in range(3):
+            for b in range(3):
+                x = bend * fma(-t[a], u[a], cosine) if a == b else -bend * t[a] * u[b]
+                put(joint, (i, layout.BEND_0 + 3 * a + b), x)
+            put(joint, (i, layout.TWIST_0 + a), twist * turned[a])
+        put(joint, (i, layout.COSINE), damping[i] * cosine)
         # Drag on bead i: p is its side, q the third axis. Each vertex takes half of the force
         # and half of the centre's motion is its own, so k becomes 2 k / 4 in the matrix and k / 2
-        # at the right: `across` and `along` are k / 2.
-        px, py, pz = load(side, (i, 0)), load(side, (i, 1)), load(side, (i, 2))
-        qx, qy, qz = fma(ty, pz, -tz * py), fma(tz, px, -tx * pz), fma(tx, py, -ty * px)
-        gx, gy, gz = load(guess, (i, 0)), load(guess, (i, 1)), load(guess, (i, 2))
-        kx, ky, kz = load(guess, (j, 0)), load(guess, (j, 1)), load(guess, (j, 2))
-        mx, my, mz = 0.5 * (gx + kx), 0.5 * (gy + ky), 0.5 * (gz + kz)
-        one = fma(mx, px, fma(my, py, mz * pz))
-        two = fma(mx, qx, fma(my, qy, mz * qz))
-        fore = fma(mx, tx, fma(my, ty, mz * tz))
-        r1, r2, rt = across * abs(one), across * abs(two), along * abs(fore)
-        o1, o2, ot = r1 * one, r2 * two, rt * fore
+        # at the right: `across` and `fore` are k / 2.
+        p = vector(side, i)
+        q = cross(t, p)
+        vi, vj = vector(v, i), vector(v, j)
+        middle = 0.5 * (vi[0] + vj[0]), 0.5 * (vi[1] + vj[1]), 0.5 * (vi[2] + vj[2])
+        on_p, on_q, on_t = dot(middle, p), dot(middle, q), dot(middle, t)
+        rp, rq, rt = across * abs(on_p), across * abs(on_q), fore * abs(on_t)
         # Terms in a_i alone. That a has no part along t is kept by STRETCH, so |t x a|^2 = |a|^2;
         # what turning resists is small, and taken as equal about both axes across.
-        ax, ay, az = kx - gx, ky - gy, kz - gz
-        fast = math.sqrt(fma(ax, ax, fma(ay, ay, az * az)))
-        whirl = turn * fast
-        d1, d2, dt = r1 - r2, rt - r2, r2 + centre
-        stiff = numbers[STRETCH]
-        # At SUM_0 of `bead` stands the lower triangle of C + S, at LESS_0 that of C - S, where
-        # u^T C u is the part of the centre and a^T S a that of the difference.
+        ai = minus(vj, vi)
+        whirl = turn * norm(ai)
         apart = tumble + 2.0 * whirl + (damping[i] + damping[j]) / (length * length)
-        xx, xy, xz = tx * tx, tx * ty, tx * tz
-        yy, yz, zz = ty * ty, ty * tz, tz * tz
-        cxx = fma(d1, px * px, fma(d2, xx, dt))
-        cxy = fma(d1, px * py, d2 * xy)
-        cxz = fma(d1, px * pz, d2 * xz)
-        cyy = fma(d1, py * py, fma(d2, yy, dt))
-        cyz = fma(d1, py * pz, d2 * yz)
-        czz = fma(d1, pz * pz, fma(d2, zz, dt))
-        sxx, sxy, sxz = fma(stiff, xx, apart), stiff * xy, stiff * xz
-        syy, syz, szz = fma(stiff, yy, apart), stiff * yz, fma(stiff, zz, apart)
-        put(bead, (i, SUM_0 + 0), cxx + sxx)
-        put(bead, (i, SUM_0 + 1), cxy + sxy)
-        put(bead, (i, SUM_0 + 2), cyy + syy)
-        put(bead, (i, SUM_0 + 3), cxz + sxz)
-        put(bead, (i, SUM_0 + 4), cyz + syz)
-        put(bead, (i, SUM_0 + 5), czz + szz)
-        put(bead, (i, LESS_0 + 0), cxx - sxx)
-        put(bead, (i, LESS_0 + 1), cxy - sxy)
-        put(bead, (i, LESS_0 + 2), cyy - syy)
-        put(bead, (i, LESS_0 + 3), cxz - sxz)
-        put(bead, (i, LESS_0 + 4), cyz - syz)
-        put(bead, (i, LESS_0 + 5), czz - szz)
+        # With C, of the part u^T C u of the centre, and S, of that a^T S a of the difference, the
+        # lower triangle of C + S stands at SUM_0 of `bead`, that of C - S at LESS_0. As p p^T +
+        # q q^T + t t^T = 1, C = rq 1 + (rp - rq) p p^T + (rt - rq) t t^T.
+        dp, dt, same = rp - rq, rt - rq, rq + centre
+        e = 0
+        for a in range(3):
+            for b in range(a + 1):
+                tt = t[a] * t[b]
+                one = fma(dt, tt, same) if a == b else dt * tt
+                two = fma(stiff, tt, apart) if a == b else stiff * tt
+                one = fma(dp, p[a] * p[b], one)
+                put(bead, (i, layout.SUM_0 + e), one + two)
+                put(bead, (i, layout.LESS_0 + e), one - two)
+                e += 1
+        # Right side: momenta of the old velocities, and the part -|u'| u' of the drag. The
+        # centre's share is the same for both vertices, that of turning opposite.
+        op, oq, ot = rp * on_p, rq * on_q, rt * on_t
         for c in range(3):
-            p = load(side, (i, c))
-            q = qx if c == 0 else (qy if c == 1 else qz)
-            back = fma(o1, p, fma(o2, q, ot * load(tangent, (i, c))))
-            vi, vj = load(v, (i, c)), load(v, (j, c))
-            back = fma(centre, vi + vj, back)
-            # Right side: momenta of the old velocities, and the part -|u'| u' of the drag. The
-            # centre's share is the same for both vertices, that of turning opposite.
-            swing = fma(tumble, vj - vi, whirl * (load(guess, (j, c)) - load(guess, (i, c))))
+            back = fma(op, p[c], fma(oq, q[c], ot * t[c]))
+            back = fma(centre, vi[c] + vj[c], back)
+            swing = fma(tumble, ai[c], whirl * ai[c])
             put(right, (i, c), load(right, (i, c)) + (back - swing))
             put(right, (j, c), load(right, (j, c)) + (back + swing))
-        gs = load(guess_spin, (i,))
-        spun = numbers[ROLL] * abs(gs)
-        put(diag, (i, SPIN_DIAGONAL), damping[i] + damping[j] + roll + 2.0 * spun)
-        put(right, (i, 3), fma(roll, load(spin, (i,)), spun * gs))
+        own = load(spin, (i,))
+        spun = physics.drag_roll * abs(own)
+        put(diag, (i, layout.SPIN_DIAGONAL), damping[i] + damping[j] + roll + 2.0 * spun)
+        put(right, (i, layout.SPIN), fma(roll, own, spun * own))
     # Blocks: with a_h = v_i - v_h and a_i = v_j - v_i, each X of joint i adds X + X^T at (i, i),
     # -X^T at (j, i) and (i, h), and X^T at (j, h).
     for i in range(n):
@@ -217,23 +165,31 @@ def assemble(
         e = 0
         for a in range(3):
             for b in range(a + 1):
-                own = load(joint, (i, BEND_0 + 3 * a + b)) + load(joint, (i, BEND_0 + 3 * b + a))
-                put(diag, (i, e), load(bead, (i, SUM_0 + e)) + load(bead, (h, SUM_0 + e)) + own)
+                own = load(joint, (i, layout.BEND_0 + 3 * a + b)) + load(
+                    joint, (i, layout.BEND_0 + 3 * b + a)
+                )
+                put(
+                    diag,
+                    (i, e),
+                    load(bead, (i, layout.SUM_0 + e)) + load(bead, (h, layout.SUM_0 + e)) + own,
+                )
                 e += 1
         for a in range(3):
-            put(diag, (i, 6 + a), -load(joint, (i, TWIST_0 + a)))
+            put(diag, (i, layout.SPIN_ROW + a), -load(joint, (i, layout.TWIST_0 + a)))
             for b in range(3):
                 low, up = max(a, b), min(a, b)
-                s = load(bead, (i, LESS_0 + low * (low + 1) // 2 + up))
-                s -= load(joint, (i, BEND_0 + 3 * b + a)) + load(joint, (j, BEND_0 + 3 * b + a))
+                s = load(bead, (i, layout.LESS_0 + low * (low + 1) // 2 + up))
+                s -= load(joint, (i, layout.BEND_0 + 3 * b + a)) + load(
+                    joint, (j, layout.BEND_0 + 3 * b + a)
+                )
                 put(near, (i, 4 * a + b), s)
-                put(far, (i, 4 * a + b), load(joint, (j, BEND_0 + 3 * b + a)))
-            turned = load(joint, (j, TWIST_0 + a))
-            put(near, (i, 4 * a + 3), -turned)
-            put(near, (i, 12 + a), turned)
-            put(far, (i, 4 * a + 3), turned)
+                put(far, (i, 4 * a + b), load(joint, (j, layout.BEND_0 + 3 * b + a)))
+            turned = load(joint, (j, layout.TWIST_0 + a))
+            put(near, (i, 4 * a + layout.SPIN), -turned)
+            put(near, (i, 4 * layout.SPIN + a), turned)
+            put(far, (i, 4 * a + layout.SPIN), turned)
             put(right, (i, a), load(right, (i, a)) + load(pull, (i, a)))
-        put(near, (i, 15), -load(joint, (j, COSINE)))
+        put(near, (i, 4 * layout.SPIN + layout.SPIN), -load(joint, (j, layout.COSINE)))
     _cut(system, right)
 
 
@@ -250,7 +206,7 @@ def _cut(system: System, right: Array) -> None:
         put(corner, (e,), load(diag, (0, e)))
         put(diag, (0, e), 1.0 if e == 0 or e == 2 or e == 5 else 0.0)
     for a in range(3):
-        put(diag, (0, 6 + a), 0.0)
+        put(diag, (0, layout.SPIN_ROW + a), 0.0)
         put(right, (n, a), load(right, (0, a)))
         put(right, (0, a), 0.0)
         for b in range(4):
@@ -276,31 +232,21 @@ def set_lengths(x: Array, length: float, rounds: int) -> None:
     """
     n = len(x)
     edge = np.empty((n, 4, LANES))
-    beside, wing, inverse, share = (
-        np.empty((n, LANES)),
-        np.empty((n, LANES)),
-        np.empty((n, LANES)),
-        np.empty((n, LANES)),
-    )
+    beside, wing = np.empty((n, LANES)), np.empty((n, LANES))
+    inverse, share = np.empty((n, LANES)), np.empty((n, LANES))
     for _ in range(rounds):
         for i in range(n):
             j = i + 1 if i + 1 < n else 0
-            a = load(x, (j, 0)) - load(x, (i, 0))
-            b = load(x, (j, 1)) - load(x, (i, 1))
-            c = load(x, (j, 2)) - load(x, (i, 2))
-            far = math.sqrt(fma(a, a, fma(b, b, c * c)))
+            apart = minus(vector(x, j), vector(x, i))
+            far = norm(apart)
             shrink = 1.0 / far
-            put(edge, (i, 0), shrink * a)
-            put(edge, (i, 1), shrink * b)
-            put(edge, (i, 2), shrink * c)
+            put_vector(edge, i, (shrink * apart[0], shrink * apart[1], shrink * apart[2]))
             put(edge, (i, 3), far - length)
         for i in range(n):
             j = i + 1 if i + 1 < n else 0
             # The matrix has 2 on its diagonal and -cos of the joint's angle beside it, so it is
             # positive definite unless the rope is straight all round, which no closed rope is.
-            cosine = load(edge, (i, 2)) * load(edge, (j, 2))
-            cosine = fma(load(edge, (i, 1)), load(edge, (j, 1)), cosine)
-            put(beside, (i,), -fma(load(edge, (i, 0)), load(edge, (j, 0)), cosine))
+            put(beside, (i,), -dot(vector(edge, i), vector(edge, j)))
         last = load(edge, (n - 1, 3))
         pivot = 2.0 + 0.0 * last
         put(wing, (0,), load(beside, (n - 1,)))
@@ -358,22 +304,10 @@ def turn_sides(side: Array, old: Array, new: Array, spin: Array, step: Array) ->
     """Turn the beads' sides, in place, with their edges from `old` to `new`, and by their spins."""
     h = load(step, (0,))
     for i in range(len(side)):
-        px, py, pz = load(side, (i, 0)), load(side, (i, 1)), load(side, (i, 2))
-        tx, ty, tz = load(old, (i, 0)), load(old, (i, 1)), load(old, (i, 2))
-        ux, uy, uz = load(new, (i, 0)), load(new, (i, 1)), load(new, (i, 2))
+        p, t, u = vector(side, i), vector(old, i), vector(new, i)
         # smallest rotation from t to u, of p across t: p - (p . u) / (1 + t . u) (t + u)
-        k = fma(px, ux, fma(py, uy, pz * uz)) / fma(tx, ux, fma(ty, uy, fma(tz, uz, 1.0)))
-        px, py, pz = fma(-k, tx + ux, px), fma(-k, ty + uy, py), fma(-k, tz + uz, pz)
+        k = dot(p, u) / fma(t[0], u[0], fma(t[1], u[1], fma(t[2], u[2], 1.0)))
+        p = along(p, -k, (t[0] + u[0], t[1] + u[1], t[2] + u[2]))
         # Then by the spin: p + angle (t x p), made perpendicular and of unit length below.
-        angle = h * load(spin, (i,))
-        px, py, pz = (
-            fma(angle, fma(uy, pz, -uz * py), px),
-            fma(angle, fma(uz, px, -ux * pz), py),
-            fma(angle, fma(ux, py, -uy * px), pz),
-        )
-        fore = fma(px, ux, fma(py, uy, pz * uz))
-        px, py, pz = fma(-fore, ux, px), fma(-fore, uy, py), fma(-fore, uz, pz)
-        shrink = 1.0 / math.sqrt(fma(px, px, fma(py, py, pz * pz)))
-        put(side, (i, 0), shrink * px)
-        put(side, (i, 1), shrink * py)
-        put(side, (i, 2), shrink * pz)
+        p = along(p, h * load(spin, (i,)), cross(u, p))
+        put_vector(side, i, unit(along(p, -dot(p, u), u)))

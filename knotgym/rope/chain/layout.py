@@ -27,20 +27,55 @@ n is the number of beads of a rope. Arrays marked `L` end with one more axis of 
     a rope's counts, `counts`    int64 (ropes, 4)    | SUBSTEPS | REJECTED | CONTACTS | LOST |
     near pairs of edges          int64 start (n + 1,), other: i with other[start[i]:start[i + 1]]
 
-    the rope, `numbers` (9,)     MASS kg, TUMBLE and ROUND kg m^2 (across, along a bead), LENGTH m,
-                                 ACROSS and ALONG N s^2/m^2, TURN and ROLL N m s^2 (drag across,
-                                 along), STRETCH N s/m
-    the joints, `damping` (n,)   N m s at vertex i; 0 at vertex 0 and at MuJoCo's closures
-    the contact, `contact` (4,)  RADIUS m, STIFFNESS N/m, DAMPING N s/m, FLOOR m, the least distance
-
 After a change of any of these run `pytest tests/rope/chain`: the equations are compared with a
 dense reference, lanes with each other, and the engine with MuJoCo.
 """
 
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Physics(NamedTuple):
+    """What the solver needs to know of a rope; `chain_simulation.physics_of` reads it.
+
+    Attributes:
+        mass: of a bead, kg.
+        tumble, round: its moments of inertia across and along its axis, kg m^2.
+        length: of an edge, metres.
+        drag_across, drag_along: of a bead that moves, N s^2/m^2.
+        drag_turn, drag_roll: of a bead that turns across and about its axis, N m s^2.
+        stretch: what an edge resists being stretched with, N s/m.
+        damping: float64 (n,), N m s, of the joint at each vertex; 0 at vertex 0 and at MuJoCo's
+            closures.
+        radius: of a bead, metres.
+        contact_stiffness, contact_damping: N/m and N s/m.
+        floor: the least distance of two edges' axes, metres.
+    """
+
+    mass: float
+    tumble: float
+    round: float
+    length: float
+    drag_across: float
+    drag_along: float
+    drag_turn: float
+    drag_roll: float
+    stretch: float
+    damping: NDArray[np.float64]
+    radius: float
+    contact_stiffness: float
+    contact_damping: float
+    floor: float
+
+
 # a vertex, and the bead that begins there
 X, V, SIDE, SPUN, STATE = 0, 3, 6, 9, 10
 
-# one bead's numbers in the packed triangle of a 4 x 4 and of a 3 x 3 block: its diagonal
+# in a block of unknowns 0 1 2 are the velocity; in a packed triangle its row begins at SPIN_ROW
+SPIN, SPIN_ROW = 3, 6
+# where the diagonals of packed triangles stand, of 4 x 4 and 3 x 3
 DIAGONAL = (0, 2, 5, 9)
 CORNER_DIAGONAL = (0, 2, 5)
 SPIN_DIAGONAL = 9
@@ -60,6 +95,3 @@ THEN, MAY = 6, 7
 ROPE, STAGE, LEFT, TICK = range(4)
 # counted for each rope; LOST in ticks of its action that were taken back
 SUBSTEPS, REJECTED, CONTACTS, LOST = range(4)
-
-MASS, TUMBLE, ROUND, LENGTH, ACROSS, ALONG, TURN, ROLL, STRETCH = range(9)
-RADIUS, STIFFNESS, DAMPING, FLOOR = range(4)

@@ -26,15 +26,16 @@ from knotgym.rope.chain.contact import (
     LOOKAHEAD,
     SHARP,
     STRETCH,
+    Pairs,
     closest,
     list_pairs,
     middles,
     sharpness,
 )
 from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
+from knotgym.rope.chain.vectors import dot, minus, norm, vector
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Edges not listed are LISTED - L = 34.6 mm apart when the list is made and 34.6 - 2 DRIFT = 26.6 mm
 # when a substep begins: out of reach of contact, and they can't meet if vertices move by < 13.3 mm.
@@ -57,10 +58,8 @@ def judge(
     tangent: Array,
     middle: Array,
     motion: Array,
-    start: Ints,
-    other: Ints,
-    start_far: Ints,
-    other_far: Ints,
+    pairs: Pairs,
+    wider: Pairs,
     length: float,
     accepted: NDArray[np.bool_],
 ) -> None:
@@ -70,8 +69,8 @@ def judge(
         x, new: where vertices are and would be.
         tangent: of the edges at x.
         middle, motion: (n, 3, LANES) and (n, LANES), overwritten.
-        start, other: pairs, as of `list_pairs`.
-        start_far, other_far: for more pairs, overwritten.
+        pairs: as of `list_pairs`.
+        wider: for more pairs, overwritten.
         length: of an edge, metres.
         accepted: bool (LANES,); written. False too where something is not finite, a vertex would
             move by LEAP or an edge's length be off by 0.1 %.
@@ -79,42 +78,38 @@ def judge(
     n = len(x)
     turn, spot = np.empty((n, LANES)), np.empty((2, LANES))
     widest, worst = 0.0 * load(x, (0, 0)), 0.0 * load(x, (0, 0))
-    a0, a1 = load(new, (0, 0)) - load(x, (0, 0)), load(new, (0, 1)) - load(x, (0, 1))
-    a2 = load(new, (0, 2)) - load(x, (0, 2))
-    last = math.sqrt(fma(a0, a0, fma(a1, a1, a2 * a2)))
+    move = minus(vector(new, 0), vector(x, 0))
+    last = norm(move)
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
-        b0, b1 = load(new, (j, 0)) - load(x, (j, 0)), load(new, (j, 1)) - load(x, (j, 1))
-        b2 = load(new, (j, 2)) - load(x, (j, 2))
-        own = math.sqrt(fma(b0, b0, fma(b1, b1, b2 * b2)))
+        after = minus(vector(new, j), vector(x, j))
+        own = norm(after)
         put(motion, (i,), max(last, own))
         widest = where_below(own, widest, widest, own)  # max() would pass by a NaN
-        d0, d1, d2 = b0 - a0, b1 - a1, b2 - a2
-        put(turn, (i,), math.sqrt(fma(d0, d0, fma(d1, d1, d2 * d2))))
-        e0, e1 = load(new, (j, 0)) - load(new, (i, 0)), load(new, (j, 1)) - load(new, (i, 1))
-        e2 = load(new, (j, 2)) - load(new, (i, 2))
-        off = abs(fma(e0, e0, fma(e1, e1, fma(e2, e2, -length * length))))
+        put(turn, (i,), norm(minus(after, move)))
+        e = minus(vector(new, j), vector(new, i))
+        off = abs(fma(e[0], e[0], fma(e[1], e[1], fma(e[2], e[2], -length * length))))
         worst = where_below(off, worst, worst, off)
-        a0, a1, a2, last = b0, b1, b2, own
+        move, last = after, own
     put(spot, (0,), widest)
     put(spot, (1,), worst)
     for lane in range(LANES):
         accepted[lane] = spot[0, lane] < LEAP and spot[1, lane] < 2e-3 * length * length
     if any_below(-widest, -STROLL):
         middles(x, middle)
-        list_pairs(middle, FAR_APART, start_far, other_far)
-        start, other = start_far, other_far
+        list_pairs(middle, FAR_APART, wider)
+        pairs = wider
+    start, other = pairs
     middles(new, middle)
     for i in range(n):
-        mx, my, mz = load(middle, (i, 0)), load(middle, (i, 1)), load(middle, (i, 2))
+        own = vector(middle, i)
         way = load(motion, (i,)) + (STRETCH * length + SAFE)
         for p in range(start[i], start[i + 1]):
             j = other[p]
-            dx, dy = load(middle, (j, 0)) - mx, load(middle, (j, 1)) - my
-            dz = load(middle, (j, 2)) - mz
+            apart = minus(vector(middle, j), own)
             # d1 > m already, by the midpoints alone, unless they are nearer than this
             reach = way + load(motion, (j,))
-            if any_below(fma(dx, dx, fma(dy, dy, dz * dz)), reach * reach):
+            if any_below(dot(apart, apart), reach * reach):
                 _check(x, new, i, j, spot, accepted)
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
@@ -134,14 +129,10 @@ def relative_motion(x: Array, new: Array, i: int, j: int) -> Any:
     """
     n, most = len(x), 0.0 * load(x, (i, 0))
     for p in (i, i + 1 if i + 1 < n else 0):
-        a = load(new, (p, 0)) - load(x, (p, 0))
-        b = load(new, (p, 1)) - load(x, (p, 1))
-        c = load(new, (p, 2)) - load(x, (p, 2))
+        one = minus(vector(new, p), vector(x, p))
         for q in (j, j + 1 if j + 1 < n else 0):
-            d = a - (load(new, (q, 0)) - load(x, (q, 0)))
-            e = b - (load(new, (q, 1)) - load(x, (q, 1)))
-            f = c - (load(new, (q, 2)) - load(x, (q, 2)))
-            most = max(most, fma(d, d, fma(e, e, f * f)))
+            way = minus(one, minus(vector(new, q), vector(x, q)))
+            most = max(most, dot(way, way))
     return math.sqrt(most)
 
 

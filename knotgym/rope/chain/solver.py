@@ -22,34 +22,23 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import backward, factor, forward
 from knotgym.rope.chain.contact import (
     DRIFT,
     LISTED,
     ROWS,
+    Pairs,
     find_rows,
     list_pairs,
     middles,
     push_apart,
 )
 from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents, turn_sides
-from knotgym.rope.chain.layout import (
-    CONTACTS,
-    LEFT,
-    LENGTH,
-    LOST,
-    REJECTED,
-    ROPE,
-    SIDE,
-    SPUN,
-    STAGE,
-    SUBSTEPS,
-    TICK,
-    V,
-    X,
-)
+from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.passage import judge
-from knotgym.rope.chain.simd import LANES, any_below, fma, load, put
+from knotgym.rope.chain.simd import LANES, any_below, load, put
+from knotgym.rope.chain.vectors import along, dot, minus, put_vector, vector
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -66,9 +55,7 @@ def advance(
     states: Array,
     beads: Ints,
     forces: Array,
-    numbers: Array,
-    damping: Array,
-    contact: Array,
+    physics: Physics,
     duration: float,
     schedule: Ints,
     counts: Ints,
@@ -79,7 +66,7 @@ def advance(
         states: float64 (ropes, n, layout.STATE).
         beads: int64 (ropes,), pulled at their centres.
         forces: float64 (ropes, 3), newtons.
-        numbers, damping, contact: of the rope, see `layout`.
+        physics: of the rope.
         duration: of the action, seconds.
         schedule: as SCHEDULE.
         counts: int64 (ropes, 4): substeps taken, substeps rejected, contacts summed over substeps,
@@ -88,14 +75,10 @@ def advance(
     ropes, n = states.shape[0], states.shape[1]
     group, after, spare = _empty_group(n), _empty_group(n), _empty_scratch(n)
     pull, step = np.zeros((n, 3, LANES)), np.empty((1, LANES))
-    listed, start, other = (
-        np.empty((n, 3, LANES)),
-        np.empty(n + 1, np.int64),
-        np.empty(n * n // 2, np.int64),
-    )
+    listed, pairs = np.empty((n, 3, LANES)), _empty_pairs(n)
     accepted, found = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.int64)
     clock = np.ones((4, LANES), dtype=np.int64)
-    clock[ROPE] = -1
+    clock[layout.ROPE] = -1
     shares = 0
     for share in schedule:
         shares += share
@@ -107,50 +90,37 @@ def advance(
     counts[:] = 0
     while True:
         for lane in range(LANES):
-            if clock[ROPE, lane] < 0 and waiting < ropes:
+            if clock[layout.ROPE, lane] < 0 and waiting < ropes:
                 _take(states[waiting], beads[waiting], forces[waiting], lane, group, pull)
-                clock[ROPE, lane], clock[STAGE, lane] = waiting, 0
-                clock[LEFT, lane] = clock[TICK, lane] = schedule[0] * TICKS
+                clock[layout.ROPE, lane], clock[layout.STAGE, lane] = waiting, 0
+                clock[layout.LEFT, lane] = clock[layout.TICK, lane] = schedule[0] * TICKS
                 waiting, stale = waiting + 1, True
         if not _keep_busy(clock, group, pull):
             break
         for lane in range(LANES):
-            step[0, lane] = clock[TICK, lane] * unit
+            step[0, lane] = clock[layout.TICK, lane] * unit
         if stale or _drifted(group[0], listed):
-            _list(group[0], spare, listed, start, other)
+            _list(group[0], spare, listed, pairs)
             stale = False
-        _substep(
-            group,
-            after,
-            pull,
-            step,
-            numbers,
-            damping,
-            contact,
-            start,
-            other,
-            spare,
-            found,
-            accepted,
-        )
+        _substep(group, after, pull, step, physics, pairs, spare, found, accepted)
         # nearly always every lane's substep is accepted: both groups change places, without a copy
         whole = True
         for lane in range(LANES):
-            whole = whole and (accepted[lane] or clock[ROPE, lane] < 0)
+            whole = whole and (accepted[lane] or clock[layout.ROPE, lane] < 0)
         if whole:
             group, after = after, group
         for lane in range(LANES):
-            if clock[ROPE, lane] < 0:
+            if clock[layout.ROPE, lane] < 0:
                 continue
             if accepted[lane] and not whole:
                 _copy(after, lane, group, lane)
-            own = counts[clock[ROPE, lane]]
-            own[CONTACTS] += found[lane]
+            own = counts[clock[layout.ROPE, lane]]
+            own[layout.CONTACTS] += found[lane]
             if _next(clock, lane, accepted[lane], schedule, own):
-                if own[LOST]:
+                if own[layout.LOST]:
                     _stop(group, lane)
-                _give(states[clock[ROPE, lane]], lane, group)
-                clock[ROPE, lane] = -1
+                _give(states[clock[layout.ROPE, lane]], lane, group)
+                clock[layout.ROPE, lane] = -1
 
 
 @njit(nogil=True)
@@ -172,8 +142,12 @@ def _empty_scratch(n: int) -> tuple[Any, ...]:
     rights = np.empty((n + 1, 4, LANES)), np.empty((n + 1, 4, LANES))
     directions = np.empty((n, 3, LANES)), np.empty((n, 3, LANES))
     middle, motion, rows = np.empty((n, 3, LANES)), np.empty((n, LANES)), np.zeros((ROWS, 8, LANES))
-    far = np.empty(n + 1, np.int64), np.empty(n * n // 2, np.int64)
-    return system, rights, directions, middle, motion, rows, far
+    return system, rights, directions, middle, motion, rows, _empty_pairs(n)
+
+
+@njit(nogil=True)
+def _empty_pairs(n: int) -> Pairs:
+    return np.empty(n + 1, np.int64), np.empty(n * n // 2, np.int64)
 
 
 @njit(nogil=True)
@@ -182,11 +156,8 @@ def _substep(
     after: Group,
     pull: Array,
     step: Array,
-    numbers: Array,
-    damping: Array,
-    contact: Array,
-    start: Ints,
-    other: Ints,
+    physics: Physics,
+    pairs: Pairs,
     spare: tuple[Any, ...],
     found: Ints,
     accepted: NDArray[np.bool_],
@@ -196,10 +167,8 @@ def _substep(
     """
     x, v, side, spin = group
     x1, v1, side1, spin1 = after
-    system, (right, loaded), (tangent, tangent1), middle, motion, rows, (start_far, other_far) = (
-        spare
-    )
-    n, length = len(x), numbers[LENGTH]
+    system, (right, loaded), (tangent, tangent1), middle, motion, rows, wider = spare
+    n, length = len(x), physics.length
     # Directions of the edges now, for contact and for turning the sides, and at x + h v / 2, the
     # middle of the substep, for the system: so edges keep their length to second order in h.
     ahead = np.zeros((1, LANES))
@@ -208,7 +177,7 @@ def _substep(
     tangents(x, v, ahead, tangent1)
     # Velocities without contact, A v* = b. The forward half of the solution is kept in `loaded`:
     # contact forces are added to it there, so that A is factored once.
-    assemble(tangent1, side, v, spin, v, spin, pull, step, numbers, damping, system, right)
+    assemble(tangent1, side, v, spin, pull, step, physics, system, right)
     factor(system)
     forward(system, right, 0)
     for i in range(n + 1):
@@ -218,12 +187,12 @@ def _substep(
     _read(right, v1, spin1)
     # velocities with contact: L^-1 (b + J^T f), then the backward half once more
     middles(x, middle)
-    find_rows(x, v1, tangent, middle, start, other, step, contact, length, motion, rows, found)
+    find_rows(x, v1, tangent, middle, pairs, step, physics, motion, rows, found)
     most = 0
     for lane in range(LANES):
         most = max(most, found[lane])
     if most > 0:
-        push_apart(rows, found, most, v1, step, contact, system, loaded)
+        push_apart(rows, found, most, v1, step, physics, system, loaded)
         backward(system, loaded)
         _read(loaded, v1, spin1)
     # Implicit Euler: vertices move at the velocities of the substep's end. The directions t in
@@ -231,37 +200,38 @@ def _substep(
     # `set_lengths` undoes.
     h = load(step, (0,))
     for i in range(n):
-        for c in range(3):
-            put(x1, (i, c), fma(h, load(v1, (i, c)), load(x, (i, c))))
-            put(side1, (i, c), load(side, (i, c)))
+        put_vector(x1, i, along(vector(x, i), h, vector(v1, i)))
+        put_vector(side1, i, vector(side, i))
     set_lengths(x1, length, 2)
     put(ahead, (0,), 0.0)
     tangents(x1, v1, ahead, tangent1)
     turn_sides(side1, tangent, tangent1, spin1, step)
-    judge(x, x1, tangent, middle, motion, start, other, start_far, other_far, length, accepted)
+    judge(x, x1, tangent, middle, motion, pairs, wider, length, accepted)
 
 
 @njit(nogil=True)
 def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) -> bool:
     """Set a lane's next substep, after one accepted or not; return whether its action is over."""
     if accepted:
-        counts[SUBSTEPS] += 1
-        clock[LEFT, lane] -= clock[TICK, lane]
-        if clock[LEFT, lane] == 0:
-            clock[STAGE, lane] += 1
-            if clock[STAGE, lane] == len(schedule):
+        counts[layout.SUBSTEPS] += 1
+        clock[layout.LEFT, lane] -= clock[layout.TICK, lane]
+        if clock[layout.LEFT, lane] == 0:
+            clock[layout.STAGE, lane] += 1
+            if clock[layout.STAGE, lane] == len(schedule):
                 return True
-            clock[LEFT, lane] = clock[TICK, lane] = schedule[clock[STAGE, lane]] * TICKS
-        clock[TICK, lane] = min(clock[TICK, lane], clock[LEFT, lane])
+            clock[layout.LEFT, lane] = clock[layout.TICK, lane] = (
+                schedule[clock[layout.STAGE, lane]] * TICKS
+            )
+        clock[layout.TICK, lane] = min(clock[layout.TICK, lane], clock[layout.LEFT, lane])
         return False
     # half of one tick is 0: nothing shorter is tried, and the rest of the action is lost
-    counts[REJECTED] += 1
-    clock[TICK, lane] //= 2
-    if clock[TICK, lane] > 0:
+    counts[layout.REJECTED] += 1
+    clock[layout.TICK, lane] //= 2
+    if clock[layout.TICK, lane] > 0:
         return False
-    counts[LOST] = clock[LEFT, lane]
-    for later in range(clock[STAGE, lane] + 1, len(schedule)):
-        counts[LOST] += TICKS * schedule[later]
+    counts[layout.LOST] = clock[layout.LEFT, lane]
+    for later in range(clock[layout.STAGE, lane] + 1, len(schedule)):
+        counts[layout.LOST] += TICKS * schedule[later]
     return True
 
 
@@ -270,28 +240,27 @@ def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
     """Let lanes without a rope do what another does, and nobody looks; return if there is one."""
     busy = -1
     for lane in range(LANES):
-        if clock[ROPE, lane] >= 0:
+        if clock[layout.ROPE, lane] >= 0:
             busy = lane
     if busy < 0:
         return False
     for lane in range(LANES):
-        if clock[ROPE, lane] < 0:
+        if clock[layout.ROPE, lane] < 0:
             _copy(group, busy, group, lane)
             for i in range(len(pull)):
                 for c in range(3):
                     pull[i, c, lane] = pull[i, c, busy]
-            clock[TICK, lane] = clock[TICK, busy]
+            clock[layout.TICK, lane] = clock[layout.TICK, busy]
     return True
 
 
 @njit(nogil=True)
-def _list(x: Array, spare: tuple[Any, ...], listed: Array, start: Ints, other: Ints) -> None:
+def _list(x: Array, spare: tuple[Any, ...], listed: Array, pairs: Pairs) -> None:
     """List near pairs of edges, and keep where the vertices were."""
     middles(x, spare[3])
-    list_pairs(spare[3], LISTED, start, other)
+    list_pairs(spare[3], LISTED, pairs)
     for i in range(len(x)):
-        for c in range(3):
-            put(listed, (i, c), load(x, (i, c)))
+        put_vector(listed, i, vector(x, i))
 
 
 @njit(nogil=True)
@@ -301,9 +270,9 @@ def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: 
     n = len(state)
     for i in range(n):
         for c in range(3):
-            x[i, c, lane], v[i, c, lane] = state[i, X + c], state[i, V + c]
-            side[i, c, lane], pull[i, c, lane] = state[i, SIDE + c], 0.0
-        spin[i, lane] = state[i, SPUN]
+            x[i, c, lane], v[i, c, lane] = state[i, layout.X + c], state[i, layout.V + c]
+            side[i, c, lane], pull[i, c, lane] = state[i, layout.SIDE + c], 0.0
+        spin[i, lane] = state[i, layout.SPUN]
     # f on the bead's centre does the work f . (v_i + v_j) / 2: half of it pulls each end
     for c in range(3):
         pull[bead, c, lane] = pull[(bead + 1) % n, c, lane] = 0.5 * force[c]
@@ -315,9 +284,9 @@ def _give(state: Array, lane: int, group: Group) -> None:
     x, v, side, spin = group
     for i in range(len(state)):
         for c in range(3):
-            state[i, X + c], state[i, V + c] = x[i, c, lane], v[i, c, lane]
-            state[i, SIDE + c] = side[i, c, lane]
-        state[i, SPUN] = spin[i, lane]
+            state[i, layout.X + c], state[i, layout.V + c] = x[i, c, lane], v[i, c, lane]
+            state[i, layout.SIDE + c] = side[i, c, lane]
+        state[i, layout.SPUN] = spin[i, lane]
 
 
 @njit(nogil=True)
@@ -354,9 +323,7 @@ def _read(right: Array, v: Array, spin: Array) -> None:
 def _drifted(x: Array, listed: Array) -> bool:
     """Whether some vertex has moved by DRIFT since pairs were listed."""
     for i in range(len(x)):
-        a = load(x, (i, 0)) - load(listed, (i, 0))
-        b = load(x, (i, 1)) - load(listed, (i, 1))
-        c = load(x, (i, 2)) - load(listed, (i, 2))
-        if any_below(-fma(a, a, fma(b, b, c * c)), -DRIFT * DRIFT):
+        way = minus(vector(x, i), vector(listed, i))
+        if any_below(-dot(way, way), -DRIFT * DRIFT):
             return True
     return False

@@ -3,7 +3,7 @@ import pytest
 
 from knotgym.control.planning.batched_search import BatchedSearch, Orders, Report, Search, Trial
 from knotgym.rope.macro_action_config import MacroActionConfig
-from knotgym.rope.macro_actions import Pass, pass_straight, propose_haul
+from knotgym.rope.macro_actions import Pass, propose_haul
 from knotgym.rope.towing import TowBound
 from knotgym.topology.gauss import GaussCode
 
@@ -62,7 +62,7 @@ def test_a_trial_ends_where_its_goal_is_shown(ropes: BatchedSearch) -> None:
 
 
 def test_a_watched_trial_reports_every_change_and_its_pulls(ropes: BatchedSearch) -> None:
-    move = pass_straight(ropes.ropes.points[0], 20, 34, 1, CONFIG)
+    move = Pass(20, 34, 1)
     ((_, reports),) = ropes.run([one_trial(Trial(START[0], move, 10, KINK, watch=True))])
     assert [report.over for report in reports] == [False] * (len(reports) - 1) + [True]
     last = reports[-1]

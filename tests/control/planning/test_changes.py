@@ -69,7 +69,6 @@ def test_proposals_imitate_what_made_a_change() -> None:
     config = PullPlannerConfig(guided=1.0, template_noise=0.0)
     moves = [Proposals(changes).draw(points, rng, config) for _ in range(40)]
     assert {(move.bead, move.target) for move in moves} == {(30, 50), (70, 50)}
-    assert {move.kind for move in moves} == {"pass"}
 
 
 def test_the_table_that_ships_is_small() -> None:

@@ -5,8 +5,9 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.rope.chain.banded import backward, factor, forward
-from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
+from knotgym.rope.chain.chain_simulation import ChainSimulation, physics_of
 from knotgym.rope.chain.dynamics import assemble, set_lengths
+from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.model import Rope
 
@@ -26,11 +27,11 @@ def dense(
     spin: Array,
     pull: Array,
     h: float,
-    numbers: Array,
-    damping: Array,
+    physics: Physics,
 ) -> tuple[Array, Array]:
     """Velocities and spins after a substep of one rope, see `dynamics`."""
-    mass, tumble, roll_mass, length, across, along, turn, roll, stretch = numbers
+    mass, tumble, roll_mass, length, *drag, stretch, damping = physics[:10]
+    across, along, turn, roll = drag
     matrix, right = np.zeros((4 * N, 4 * N)), np.zeros(4 * N)
     now = np.concatenate([v, spin[:, None]], axis=1).reshape(-1)
 
@@ -56,7 +57,7 @@ def dense(
         for axis, k in ((side[i], across), (np.cross(t, side[i]), across), (t, along)):
             speed = axis @ centre @ now
             add(axis[None] @ centre, 2 * k * abs(speed), speed / 2)
-        fast = np.linalg.norm(apart @ now)
+        fast = float(np.linalg.norm(apart @ now))
         add(apart, 2 * turn * fast / length**3, apart @ now / 2)
         add(spun, 2 * roll * abs(spin[i]), spin[i] / 2)
         # what the compiled code adds for the chord's own direction, which STRETCH keeps at 0
@@ -71,7 +72,7 @@ def dense(
 
 @pytest.mark.thorough
 def test_a_substep_solves_the_equations_of_motion(rope: Rope) -> None:
-    numbers, damping, _ = parameters(rope)
+    physics = physics_of(rope)
     rng = np.random.default_rng(0)
     v, pull = rng.normal(0, 0.2, (N, 3, LANES)), rng.normal(0, 0.1, (N, 3, LANES))
     spin = rng.normal(0, 3.0, (N, LANES))
@@ -82,7 +83,7 @@ def test_a_substep_solves_the_equations_of_motion(rope: Rope) -> None:
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     step = np.linspace(0.005, 0.03, LANES)[None]
     system, right = empty_system(), np.empty((N + 1, 4, LANES))
-    assemble(tangent, side, v, spin, v, spin, pull, step, numbers, damping, system, right)
+    assemble(tangent, side, v, spin, pull, step, physics, system, right)
     factor(system)
     forward(system, right, 0)
     backward(system, right)
@@ -94,8 +95,7 @@ def test_a_substep_solves_the_equations_of_motion(rope: Rope) -> None:
             spin[:, lane],
             pull[..., lane],
             step[0, lane],
-            numbers,
-            damping,
+            physics,
         )
         found = np.concatenate([right[N:, :3, lane], right[1:N, :3, lane]])
         assert np.abs(found - told).max() < 1e-8 * np.abs(told).max()

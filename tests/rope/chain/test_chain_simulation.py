@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
+from knotgym.rope.chain.chain_simulation import ChainSimulation, physics_of
 from knotgym.rope.chain.contact import closest
 from knotgym.rope.chain.simd import LANES, put
 from knotgym.rope.closed_curves import clearance
@@ -126,11 +126,12 @@ def test_edges_keep_their_length(rope: Rope, curls: Array) -> None:
 
 
 def test_the_numbers_are_mujocos_own(rope: Rope) -> None:
-    numbers, damping, contact = parameters(rope)
+    physics = physics_of(rope)
+    damping = physics.damping
     volume = np.pi * 0.005**2 * LENGTH + 4 / 3 * np.pi * 0.005**3
-    assert numbers[0] == pytest.approx(1000 * volume)
+    assert physics.mass == pytest.approx(1000 * volume)
     assert damping.max() == 0.01 and (damping == 0).sum() == 7 and damping[0] == 0
-    assert contact[0] == 0.005
+    assert physics.radius == 0.005
 
 
 def test_strands_pulled_through_each_other_stay_apart(rope: Rope, curls: Array) -> None:
@@ -142,7 +143,7 @@ def test_strands_pulled_through_each_other_stay_apart(rope: Rope, curls: Array) 
         bead = int(crossings.over_place[0]) % 100 if crossings.nx else 0
         chain.step([bead], np.array([[0.0, 0.0, -0.2]]))
         assert is_unknot(label(chain.points[0]))
-        assert clearance(chain.points[0]) > 0.002
+        assert clearance(chain.points[0], 1.0) > 0.002
 
 
 def test_random_play_never_ties_or_unties_a_knot(rope: Rope, curls: Array) -> None:
@@ -153,7 +154,7 @@ def test_random_play_never_ties_or_unties_a_knot(rope: Rope, curls: Array) -> No
         chain.step(beads, np.sign(forces) * 0.2)
         codes = label_many(chain.points)
         assert all(map(is_unknot, codes[:5])) and knot_type(codes[5]) == "3_1"
-    assert chain.steps_reduced == 0 and chain.steps_taken == 240
+        assert (chain.applied_shares == 1).all()
 
 
 def test_a_substep_that_cannot_be_proved_safe_is_taken_back(rope: Rope, curls: Array) -> None:
@@ -164,7 +165,7 @@ def test_a_substep_that_cannot_be_proved_safe_is_taken_back(rope: Rope, curls: A
     chain.restore(states)
     before = chain.points.copy()
     assert chain.step([3, 3], np.zeros((2, 3))).tolist() == [True, True]
-    assert (chain.applied_shares == 1).tolist() == [True, False] and chain.steps_reduced == 1
+    assert (chain.applied_shares == 1).tolist() == [True, False]
     assert np.abs(chain.points - before).max() < 1e-3
     chain.step([3, 3], np.full((2, 3), 0.1))
     assert (chain.applied_shares == 1).all()
@@ -215,7 +216,7 @@ def test_ropes_not_named_stand_still(rope: Rope, curls: Array) -> None:
     before = chain.states()
     chain.act(np.full((2, 6), 0.5), [1, 3])
     assert np.array_equal(chain.states([0, 2, 4]), before[[0, 2, 4]])
-    assert not np.array_equal(chain.states([1]), before[[1]]) and chain.steps_taken == 2
+    assert not np.array_equal(chain.states([1]), before[[1]])
 
 
 def test_a_rope_goes_to_mujoco_and_back(rope: Rope, curls: Array) -> None:

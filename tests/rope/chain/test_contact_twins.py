@@ -5,10 +5,11 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.rope.chain.banded import backward, factor, forward
-from knotgym.rope.chain.chain_simulation import parameters
+from knotgym.rope.chain.chain_simulation import physics_of
 from knotgym.rope.chain.contact import (
     LISTED,
     ROWS,
+    Pairs,
     find_rows,
     list_pairs,
     middles,
@@ -16,17 +17,12 @@ from knotgym.rope.chain.contact import (
 )
 from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents
 from knotgym.rope.chain.layout import (
-    DAMPING,
     EDGE_I,
     EDGE_J,
-    FLOOR,
     GAP,
-    LENGTH,
     NORMAL,
     ON_I,
     ON_J,
-    RADIUS,
-    STIFFNESS,
 )
 from knotgym.rope.chain.passage import LEAP, judge
 from knotgym.rope.chain.simd import LANES
@@ -47,6 +43,10 @@ def tangled() -> Array:
     return np.ascontiguousarray(np.moveaxis(states.points[rows], 0, -1))
 
 
+def empty_pairs(n: int) -> Pairs:
+    return np.empty(n + 1, np.int64), np.empty(n * n, np.int64)
+
+
 def squeezed(x: Array, speed: float) -> Array:
     """Velocities that press a rope flat, so that its strands meet."""
     v = np.zeros_like(x)
@@ -55,7 +55,7 @@ def squeezed(x: Array, speed: float) -> Array:
 
 
 def test_contact_forces_are_those_of_a_plain_gauss_seidel(rope: Rope, tangled: Array) -> None:
-    numbers, damping, contact = parameters(rope)
+    physics = physics_of(rope)
     x, n = tangled.copy(), len(tangled)
     x[:, 2] *= 0.3  # strands lie on each other at the crossings
     v, spin, step = squeezed(x, 0.4), np.zeros((n, LANES)), np.full((1, LANES), H)
@@ -68,9 +68,7 @@ def test_contact_forces_are_those_of_a_plain_gauss_seidel(rope: Rope, tangled: A
         np.empty((*shape, LANES)) for shape in ((n, 10), (n, 16), (n, 12), (n, 12), (6,))
     )
     right = np.empty((n + 1, 4, LANES))
-    assemble(
-        tangent, side, v, spin, v, spin, np.zeros_like(x), step, numbers, damping, system, right
-    )
+    assemble(tangent, side, v, spin, np.zeros_like(x), step, physics, system, right)
     factor(system)
     forward(system, right, 0)
     free = right.copy()
@@ -79,25 +77,21 @@ def test_contact_forces_are_those_of_a_plain_gauss_seidel(rope: Rope, tangled: A
     def velocities(solution: Array) -> Array:
         return np.concatenate([solution[n:, :3], solution[1:n, :3]])
 
-    middle, start, other = np.empty_like(x), np.empty(n + 1, np.int64), np.empty(n * n, np.int64)
+    middle, pairs = np.empty_like(x), empty_pairs(n)
     middles(x, middle)
-    list_pairs(middle, LISTED, start, other)
+    list_pairs(middle, LISTED, pairs)
     rows, found, motion = (
         np.zeros((ROWS, 8, LANES)),
         np.zeros(LANES, np.int64),
         np.empty((n, LANES)),
     )
-    length = float(numbers[LENGTH])
-    find_rows(
-        *(x, velocities(free), tangent, middle, start, other),
-        *(step, contact, length, motion, rows, found),
-    )
+    find_rows(x, velocities(free), tangent, middle, pairs, step, physics, motion, rows, found)
     assert found.max() > 3
     pushed = right.copy()
-    push_apart(rows, found, int(found.max()), velocities(free), step, contact, system, pushed)
+    push_apart(rows, found, int(found.max()), velocities(free), step, physics, system, pushed)
     backward(system, pushed)
 
-    slope = contact[STIFFNESS] * H + contact[DAMPING]
+    slope = physics.contact_stiffness * H + physics.contact_damping
     for lane in range(LANES):
         count = int(found[lane])
         jacobian = np.zeros((count, n, 3))
@@ -120,20 +114,20 @@ def test_contact_forces_are_those_of_a_plain_gauss_seidel(rope: Rope, tangled: A
             answer[r] = velocities(unit)[..., lane]
         weight = np.einsum("qvc,rvc->qr", jacobian, answer)
         speed = np.einsum("rvc,vc->r", jacobian, velocities(free)[..., lane])
-        gap, force = rows[:count, GAP, lane] - 2 * contact[RADIUS], np.zeros(count)
+        gap, force = rows[:count, GAP, lane] - 2 * physics.radius, np.zeros(count)
         for _ in range(400):
             for r in range(count):
                 own = weight[r, r]
                 without = speed[r] + weight[r] @ force - own * force[r]
-                spring = gap[r] / H if gap[r] > 0 else contact[STIFFNESS] * gap[r] / slope
+                spring = gap[r] / H if gap[r] > 0 else physics.contact_stiffness * gap[r] / slope
                 soft = -slope * (spring + without) / (1 + slope * own)
-                hard = (-(rows[r, GAP, lane] - contact[FLOOR]) / H - without) / own
+                hard = (-(rows[r, GAP, lane] - physics.floor) / H - without) / own
                 force[r] = max(0.0, soft, hard)
         told = velocities(free)[..., lane] + np.einsum("r,rvc->vc", force, answer)
         assert np.abs(velocities(pushed)[..., lane] - told).max() < 1e-6
         # no pair ends the substep nearer than the floor
         parting = np.einsum("rvc,vc->r", jacobian, velocities(pushed)[..., lane])
-        assert (rows[:count, GAP, lane] + H * parting > contact[FLOOR] - 1e-7).all()
+        assert (rows[:count, GAP, lane] + H * parting > physics.floor - 1e-7).all()
 
 
 def distances(x: Array, pairs: Array, places: int = 21) -> Array:
@@ -163,27 +157,24 @@ def test_what_is_judged_safe_is_safe_for_every_pair_of_edges(
     set_lengths(new, length, 4)
     tangent, middle, motion = np.empty_like(x), np.empty_like(x), np.empty((n, LANES))
     tangents(x, np.zeros_like(x), np.zeros((1, LANES)), tangent)
-    start, other = np.empty(n + 1, np.int64), np.empty(n * n, np.int64)
+    pairs = empty_pairs(n)
     middles(x, middle)
-    list_pairs(middle, LISTED, start, other)
+    list_pairs(middle, LISTED, pairs)
     accepted = np.zeros(LANES, dtype=np.bool_)
-    judge(
-        *(x, new, tangent, middle, motion, start, other),
-        *(np.empty(n + 1, np.int64), np.empty(n * n, np.int64), length, accepted),
-    )
+    judge(x, new, tangent, middle, motion, pairs, empty_pairs(n), length, accepted)
     i, j = np.triu_indices(n, 2)
     every = np.stack([i, j], axis=1)[(j - i < n - 1)]
     for lane in range(LANES):
         before, after = x[..., lane], new[..., lane]
         # the others' midpoints are further apart than two edges and both motions
         between = np.linalg.norm(before[every[:, 0]] - before[every[:, 1]], axis=1)
-        pairs = every[between < 0.06]
+        near = every[between < 0.06]
         move = after - before
-        ends = [(pairs[:, 0] + a) % n for a in (0, 1)], [(pairs[:, 1] + b) % n for b in (0, 1)]
+        ends = [(near[:, 0] + a) % n for a in (0, 1)], [(near[:, 1] + b) % n for b in (0, 1)]
         relative = np.max(
             [np.linalg.norm(move[p] - move[q], axis=1) for p in ends[0] for q in ends[1]], axis=0
         )
-        both = distances(before, pairs) + distances(after, pairs)
+        both = distances(before, near) + distances(after, near)
         if accepted[lane]:
             assert (both > relative).all()
         stretched = np.abs(np.linalg.norm(np.roll(after, -1, 0) - after, axis=1) / length - 1)

@@ -1,4 +1,4 @@
-"""Digests of everything that episodes depend on; results and datasets hold them.
+"""Digests of the files that episodes depend on; results and datasets hold them.
 
 Only runs with equal digests are resumed or pooled.
 """
@@ -9,9 +9,8 @@ from typing import Any
 from knotgym.common.atomic_files import sha256
 from knotgym.control.policies import policy_digests
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.envs.task_states import SHIPPED, state_origins
+from knotgym.envs.task_states import SHIPPED, task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.runs.identity import identity
 from knotgym.states.state_file import shipped, ships, states_file
 
 
@@ -24,17 +23,11 @@ def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> di
     """
     files = {}
     for task in tasks:
-        for origin in state_origins(task).values():
+        for side in task_sides(task):
             # a state file without plain loops borrows the included ones
-            borrowed = origin == SHIPPED and not ships(task.states)
-            files[origin] = shipped() if borrowed else states_file(task.states)
+            borrowed = side.origin == SHIPPED and not ships(task.states)
+            files[side.origin] = shipped() if borrowed else states_file(task.states)
     return {
         "states": {origin: sha256(path) for origin, path in sorted(files.items())},
         "policies": {one.policy: policy_digests(one) for one in policies},
     }
-
-
-def digests(source: dict[str, Any]) -> dict[str, Any]:
-    """Return `sources` with the `versions` of all code and the fingerprint of the `rope`."""
-    whole = identity({}, source)
-    return {**whole["source"], "versions": whole["versions"], "rope": whole["rope"]}

@@ -1,0 +1,74 @@
+"""Vectors of lanes, in compiled code: three `simd.Lanes` as a tuple (x, y, z).
+
+Products are summed from z to x, each rounded once by `fma`, and always in this order: another
+one would round otherwise, and recorded episodes would no longer repeat.
+
+After a change run `pytest tests/rope/chain tests/data`: states must keep their bits.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from knotgym.rope.chain.simd import fma, load, put
+
+Array = NDArray[np.float64]
+Vector = tuple[Any, Any, Any]  # lanes
+
+
+@njit(nogil=True)
+def vector(array: Array, i: int) -> Vector:
+    """Load row i of an array (n, 3, LANES)."""
+    return load(array, (i, 0)), load(array, (i, 1)), load(array, (i, 2))
+
+
+@njit(nogil=True)
+def put_vector(array: Array, i: int, a: Vector) -> None:
+    """Write row i of an array (n, 3, LANES)."""
+    put(array, (i, 0), a[0])
+    put(array, (i, 1), a[1])
+    put(array, (i, 2), a[2])
+
+
+@njit(nogil=True)
+def minus(a: Vector, b: Vector) -> Vector:
+    """Return a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@njit(nogil=True)
+def along(a: Vector, way: Any, b: Vector) -> Vector:
+    """Return a + way * b."""
+    return fma(way, b[0], a[0]), fma(way, b[1], a[1]), fma(way, b[2], a[2])
+
+
+@njit(nogil=True)
+def dot(a: Vector, b: Vector) -> Any:
+    """Return a . b."""
+    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
+
+
+@njit(nogil=True)
+def cross(a: Vector, b: Vector) -> Vector:
+    """Return a x b."""
+    return (
+        fma(a[1], b[2], -a[2] * b[1]),
+        fma(a[2], b[0], -a[0] * b[2]),
+        fma(a[0], b[1], -a[1] * b[0]),
+    )
+
+
+@njit(nogil=True)
+def norm(a: Vector) -> Any:
+    """Return |a|."""
+    return math.sqrt(dot(a, a))
+
+
+@njit(nogil=True)
+def unit(a: Vector) -> Vector:
+    """Return a / |a|."""
+    shrink = 1.0 / norm(a)
+    return shrink * a[0], shrink * a[1], shrink * a[2]
