@@ -136,7 +136,7 @@ class EpisodeRows:
 
     def keys(self) -> list[list[Hashable]]:
         own, untying = self.dataset.episodes.episodes, self.dataset.task.start_nx > 0
-        tied = own["goal_visits"].any(axis=1)
+        tied = np.asarray(own["goal_visits"].any(axis=1))
         # states without crossings are shared by nearly all episodes
         return [
             [row for row, crosses in ((start, untying), (goal, tying)) if crosses]
