@@ -223,8 +223,8 @@ def test_the_example_to_train_learns_a_policy_that_evaluate_takes(
 ELSEWHERE = {
     "data.md": "images(",  # below, with pictures
     "images.md": "read_rows(",
-    "drawn-coverage.md": "write_png(",  # makes the figures of the page, in minutes
-    "hard-unknots.md": "write_png(",
+    "drawn-coverage.md": "write_gallery(",  # makes the figures of the page, in minutes
+    "hard-unknots.md": "write_gallery(",
 }
 
 

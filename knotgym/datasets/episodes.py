@@ -237,20 +237,6 @@ def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None)
     return GaussCode(numbers, "".join(letters))
 
 
-def held_for(shown: NDArray[np.bool_], episodes: Episodes) -> NDArray[np.int64]:
-    """Count the consecutive states of an episode, up to each one, that show something.
-
-    Args:
-        shown: bool (rows,), for each row of steps whether it does.
-        episodes: the episodes that the rows belong to.
-    """
-    index = np.arange(len(shown), dtype=np.int64)
-    before = np.repeat(episodes.offsets[:-1], episodes.episodes["length"] + 1) - 1
-    # the last row up to this one that doesn't show it, but none of an earlier episode
-    without = np.maximum(np.maximum.accumulate(np.where(shown, -1, index)), before)
-    return np.where(shown, index - without, 0)
-
-
 def within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]:
     """Return which states lie within the bound on towing: bool (rows,), see `rope.towing`."""
     seen = episodes.steps["observation"]

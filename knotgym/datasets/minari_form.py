@@ -35,7 +35,7 @@ from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.common.tables import new_hdf5
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
-from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes
 from knotgym.envs.tasks import TaskConfig
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
@@ -271,7 +271,7 @@ def _minari_episodes(
     max_force = dataset.task.rope.max_force
     goals = gauss_codes(own["goal_visits"])
     codes, chiral = gauss_codes(steps["visits"]), gauss_codes(steps["visits"], steps["signs"])
-    reached = outcomes(dataset.episodes, dataset.task).reached
+    reached = goal_reached(dataset.episodes, dataset.task)
     for k in range(own.rows):
         pulls, states = slice(offsets[k], offsets[k + 1] - 1), slice(offsets[k], offsets[k + 1])
         count = int(own["length"][k])

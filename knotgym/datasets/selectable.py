@@ -58,11 +58,11 @@ class StateRows:
         return {"row": self.ids} | {name.replace("/", "."): flat[name] for name in flat}
 
     def keys(self) -> list[list[Hashable]]:
-        source = self.states.source
-        shared = {"near": families(self.states.points)}
-        shared |= {name: source[name] for name in ("seed", "trajectory") if name in source}
+        near, seed = families(self.states.points), self.states.source.get("seed")
+        seeds = self.ids[:, None] if seed is None else seed
         return [
-            [(name, values[row].tobytes()) for name, values in shared.items()] for row in self.ids
+            [("near", int(near[row])), ("rope", tuple(seeds[row].tolist()))]
+            for row in range(len(near))
         ]
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
@@ -96,13 +96,9 @@ class _PictureRows:
         return self.columns["source.row"]
 
     def keys(self) -> list[list[Hashable]]:
-        shared = {"near": families(points_of(self.table))}
-        names = ("source.family", "source.walk", "source.rope", "source.episode")
-        shared |= {name: self.columns[name] for name in names if name in self.columns}
-        return [
-            [(name, values[row].item()) for name, values in shared.items()]
-            for row in range(len(self.ids))
-        ]
+        near = families(points_of(self.table)).tolist()
+        ropes = zip(self.columns["source.seed"], self.columns["source.rope"], strict=True)
+        return [[("near", one), ("rope", *rope)] for one, rope in zip(near, ropes, strict=True)]
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
         kept = np.isin(np.arange(len(self.ids)), rows)

@@ -74,7 +74,7 @@ def split(
 ) -> list[Path]:
     """Write a dataset as several, by fractions of its rows.
 
-    What belongs together stays together: near-duplicates; rows of one trajectory, walk or family;
+    What belongs together stays together: near-duplicates; rows of one rope;
     episodes with a common start or goal state that has crossings (all start or end in the few plain
     loops). The column `split` isn't changed.
 

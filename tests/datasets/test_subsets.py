@@ -16,7 +16,7 @@ from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.subsets import kept, row_numbers
-from knotgym.states.state_file import read_states
+from knotgym.states.state_file import read_states, shipped, write_states
 
 COLUMNS = {
     "row": np.arange(4),
@@ -160,6 +160,14 @@ def test_states_are_selected_split_and_deleted_by_the_same_functions(
     assert left.attributes["selection"][0]["deleted"] == [0]
     train = read_states(select(states_path, where="split = 'train'", out=tmp_path / "c.h5"))
     assert set(train.split.tolist()) == {"train"}
+
+
+def test_states_without_demonstrations_are_split(tmp_path: Path) -> None:
+    states = read_states(shipped("hard-unknots"))
+    bare = states.replaced({"source/trajectory": np.full(len(states), -1)})
+    write_states(tmp_path / "s.h5", bare)
+    parts = split(tmp_path / "s.h5", "a=0.5,b=0.5", out=tmp_path / "p.h5")
+    assert [len(read_states(one)) for one in parts] == [4, 4]
 
 
 def test_an_output_that_is_there_is_kept(states_path: str, tmp_path: Path) -> None:

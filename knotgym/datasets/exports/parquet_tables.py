@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.tables import Column, Schema, Table
 from knotgym.datasets.episode_dataset import EpisodeDataset
-from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
 from knotgym.datasets.image_table import SHOWS_IMAGE, arrow, encode, picture_column
 
@@ -64,7 +64,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
         "episode": number + episode,
         "step": ranges(np.zeros_like(own["length"]), own["length"] + 1),
         "is_last": is_last,
-        "is_success": outcomes(part.episodes, part.task).reached,
+        "is_success": goal_reached(part.episodes, part.task),
         "goal_points": own["goal_points"][episode],
     }
     if pictures:
