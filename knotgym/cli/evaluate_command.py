@@ -1,6 +1,5 @@
 """The command `knotgym evaluate`."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, command, extra, field_help
@@ -39,7 +38,5 @@ def evaluate(given: Given) -> None:
             given.config(PolicyConfig, {"policy": name}, section="policy")
             for name in (given["policy"] if "policy" in given.typed else ["random"])
         ]
-    config = given.config(EvaluateConfig, more, usual={"filmed": 2})
-    if given["video"] is None:
-        config = replace(config, filmed=0)
+    config = given.config(EvaluateConfig, more)
     run(config, given.run, out=given["out"], video=given["video"], progress=given.progress)

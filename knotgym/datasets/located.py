@@ -13,7 +13,7 @@ from knotgym.common.tables import format_of
 from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
 from knotgym.datasets.image_table import is_images, shards
 from knotgym.datasets.minari_form import dataset_files
-from knotgym.states.state_file import SHIPPED, minari_root, shipped, states_at
+from knotgym.states.state_file import SHIPPED, leads_out, minari_root, shipped, states_at
 
 
 class Located(NamedTuple):
@@ -73,7 +73,7 @@ def root_of(named: str) -> Path:
         return Path(named)
     if named in SHIPPED:
         return shipped(named)
-    if (minari_root() / named).is_dir():
+    if not leads_out(named) and (minari_root() / named).is_dir():
         return minari_root() / named
     raise MissingFile(
         f"no such file: {named}, nor a Minari dataset of this id under {minari_root()},"

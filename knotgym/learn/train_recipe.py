@@ -5,13 +5,13 @@ them; a training that is interrupted continues from its one checkpoint.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import knotgym
-from knotgym.common.configuration import read_json
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.control.policies import make_policy
@@ -33,7 +33,7 @@ from knotgym.learn.training_data import (
     states_and_pulls,
 )
 from knotgym.runs.compilation import compile_first
-from knotgym.runs.identity import identity
+from knotgym.runs.identity import identity, identity_of
 from knotgym.runs.journal import Result
 from knotgym.runs.progress import Progress
 from knotgym.runs.run import Call, Recipe, checkpoint_of, run
@@ -98,7 +98,15 @@ def train(
         if getattr(config, "demonstrations", 0):
             compile_first(progress, "chain", options.workers)
 
-    return run(recipe, out, whole, options, progress, prepare=prepare, made_by=_identity_in)
+    return run(
+        recipe,
+        out,
+        whole,
+        options,
+        progress,
+        prepare=prepare,
+        made_by=partial(identity_of, file=CARD),
+    )
 
 
 def _train_reader(
@@ -184,11 +192,3 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     )
     played = rollouts(make_policy(PolicyConfig(policy=config.policy)), setup, seeds)
     return decisions_of(played)._asdict()
-
-
-def _identity_in(out: Path) -> dict[str, Any] | None:
-    try:
-        found: dict[str, Any] = read_json(out / CARD)["identity"]
-        return found
-    except (OSError, ValueError, KeyError, TypeError):
-        return None

@@ -5,11 +5,11 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.common.configuration import read_json
 from knotgym.prompting.chat import Chat
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompted_episodes import flat, packed, play, read, unpacked
@@ -17,7 +17,7 @@ from knotgym.prompting.prompts import as_text
 from knotgym.prompting.reading_scores import reading_scores
 from knotgym.prompting.summary import summarize
 from knotgym.prompting.transcripts import FILE, line
-from knotgym.runs.identity import identity
+from knotgym.runs.identity import identity, identity_of
 from knotgym.runs.journal import Result
 from knotgym.runs.progress import Progress
 from knotgym.runs.run import Recipe, run
@@ -82,7 +82,7 @@ def run_prompts(
         progress,
         pool=pool,
         count=lambda kept: {"retries": sum(unpacked(kept)["retries"].values())},
-        made_by=_identity_in,
+        made_by=partial(identity_of, file=_RESULT),
     )
 
 
@@ -96,14 +96,6 @@ def sample_prompt(
 
     (asked,) = next(read(config, rows[:1], ask) if rows else play(config, ask))[0].arguments
     return as_text(asked)
-
-
-def _identity_in(out: Path) -> dict[str, Any] | None:
-    try:
-        found: dict[str, Any] = read_json(out / _RESULT)["identity"]
-        return found
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
 
 
 class _Requests(Executor):

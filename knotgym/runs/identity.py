@@ -52,12 +52,13 @@ def versions() -> dict[str, str]:
     }
 
 
-def identity_of(out: Path) -> dict[str, Any] | None:
-    """Return the identity in the manifest of a folder, or in a JSON file; None if unknown."""
+def identity_of(out: Path, file: str = "manifest.json") -> dict[str, Any] | None:
+    """Return the identity in this file of a folder, or in a JSON file; None if unknown."""
     try:
-        content = read_json(out / "manifest.json" if out.is_dir() else out)
+        content = read_json(out / file if out.is_dir() else out)
+        content = content.get("identity", content)
         return {name: content[name] for name in FIELDS}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (AttributeError, OSError, ValueError, KeyError, TypeError):
         return None
 
 

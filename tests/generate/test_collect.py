@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
+from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.rollouts import episode_seed
 from knotgym.control.verification import verify
@@ -77,15 +77,11 @@ def test_blocks_are_about_equal_and_hold_every_episode(episodes: int) -> None:
         assert max(map(len, made)) - min(map(len, made)) <= 1 and max(map(len, made)) <= 1024
 
 
-def test_bytes_depend_neither_on_workers_nor_on_blocks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bytes_do_not_depend_on_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one = collect(config(), tmp_path / "one", QUIET)
-    two = collect(config(), tmp_path / "two", replace(QUIET, workers=2))
-    smaller = [range(2), range(2, 3), range(3, 6)]
-    monkeypatch.setattr(collecting, "blocks", lambda *_: smaller)
-    three = collect(config(), tmp_path / "three", QUIET)
-    assert len({sha256(folder / "data/episodes.h5") for folder in (one, two, three)}) == 1
+    monkeypatch.setattr(collecting, "blocks", lambda *_: [range(2), range(2, 3), range(3, 6)])
+    two = collect(config(), tmp_path / "two", QUIET)
+    assert len({sha256(folder / "data/episodes.h5") for folder in (one, two)}) == 1
 
 
 def test_labels_are_the_expert_s_and_change_nothing_that_is_played(tmp_path: Path) -> None:
@@ -99,16 +95,11 @@ def test_labels_are_the_expert_s_and_change_nothing_that_is_played(tmp_path: Pat
 def test_of_several_attempts_the_shortest_success_is_kept(tmp_path: Path) -> None:
     task = TaskConfig(task="unknot", nx=1, engine="chain", observation="state", horizon=12)
     many = config(task=task, policy="scripted", episodes=8, attempts=3)
-    kept = columns_of(collect(many, tmp_path, QUIET)).episodes
-    tried = []
-    for attempt in range(3):
-        own = collecting.play(replace(many, attempts=1), range(8)) if not attempt else None
-        tried.append(own)
-    assert tried[0] is not None
-    once = tried[0]["episodes/success"]
-    assert (kept.episodes["success"] >= once).all() and kept.episodes["success"].sum() > once.sum()
-    both = once & kept.episodes["success"]
-    assert (kept.episodes["length"][both] <= tried[0]["episodes/length"][both]).all()
+    kept = columns_of(collect(many, tmp_path, QUIET)).episodes.episodes
+    first = collecting.play(replace(many, attempts=1), range(8))
+    once = first["episodes/success"]
+    assert (kept["success"] >= once).all() and kept["success"].sum() > once.sum()
+    assert (kept["length"][once] <= first["episodes/length"][once]).all()
 
 
 def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> None:
@@ -118,13 +109,9 @@ def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> N
     tally = run_facts(folder)["tally"]
     assert columns_of(folder).episodes.episodes["success"].all()
     assert 0 < tally["kept"] == tally["succeeded"] < tally["played"] == 12
-
-
-def test_with_nothing_left_nothing_is_written(tmp_path: Path) -> None:
-    asked = config(policy="constant", episodes=2, keep_failed=False)
     with pytest.raises(InvalidInput, match="none of 2 episodes reached the goal"):
-        collect(asked, tmp_path, QUIET)
-    assert not list(tmp_path.rglob("episodes.h5"))
+        collect(config(policy="constant", episodes=2, keep_failed=False), tmp_path, QUIET)
+    assert [path.parents[1] for path in tmp_path.rglob("episodes.h5")] == [folder]
 
 
 def test_a_finished_dataset_is_not_replaced_unasked(tmp_path: Path) -> None:
@@ -138,15 +125,6 @@ def test_a_finished_dataset_is_not_replaced_unasked(tmp_path: Path) -> None:
     assert sha256(folder / "data/episodes.h5") == before
     collect(config(episodes=2), tmp_path, replace(QUIET, overwrite=True))
     assert sha256(folder / "data/episodes.h5") != before
-
-
-def test_a_dataset_says_nothing_of_a_run_that_it_does_not_come_from(tmp_path: Path) -> None:
-    folder = collect(config(episodes=1), tmp_path, QUIET)
-    from knotgym.datasets.episode_dataset import write_episodes
-
-    write_episodes(tmp_path / "some.h5", [open_episodes(folder).episodes], CHAIN)
-    with pytest.raises(InvalidFile, match="nothing about the run"):
-        run_facts(tmp_path / "some.h5")
 
 
 @pytest.mark.parametrize(
@@ -242,10 +220,8 @@ def test_transcripts_are_no_policy_of_a_dataset() -> None:
         ["--task", "knit"],
         ["--split", "dev"],
         ["--id", "no version"],
-        ["--set", "policy.shares=a"],
         ["--set", "task.views=top,below"],
         ["--episodes", "0"],
-        ["--seed", "-1"],
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(

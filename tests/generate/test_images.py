@@ -17,12 +17,11 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.cli.main import main
-from knotgym.common.errors import Failed, InvalidFile, InvalidInput, MissingExtra
+from knotgym.common.errors import Failed, InvalidFile, MissingExtra
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import (
     COLUMNS,
-    GRADES,
     decode,
     encode,
     read_rows,
@@ -34,9 +33,9 @@ from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
 from knotgym.loaders import images as load
 from knotgym.quality.difficulty import grade
-from knotgym.quality.measures import UNITS, Limits, measure
+from knotgym.quality.measures import Limits, measure
 from knotgym.rendering.appearance_config import VARIED, AppearanceConfig
-from knotgym.rope.model import Array, Rope
+from knotgym.rope.model import Rope
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.near_duplicates import NEAR, distances
 from knotgym.states.splits import IMAGE_SPLITS
@@ -85,14 +84,12 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def test_there_are_as_many_pictures_as_asked_for_of_each_nx(rows: list[dict[str, Any]]) -> None:
-    assert len(rows) == CONFIG.count
+def test_pictures_are_as_many_as_asked_for_and_show_their_codes(rows: list[dict[str, Any]]) -> None:
     assert [sum(row["nx"] == nx for row in rows) for nx in CONFIG.nx] == [2, 2, 2]
-
-
-def test_the_largest_nx_is_for_test_nx_alone(rows: list[dict[str, Any]]) -> None:
-    assert {row["nx"] for row in rows if row["split"] == "test-nx"} == {2}
+    assert {row["nx"] for row in rows if row["split"] == "test-nx"} == {2}  # there alone
     assert {row["nx"] for row in rows if row["split"] in ("train", "test")} == {0, 1}
+    for row in rows:
+        assert label(np.array(row["points"]).reshape(-1, 3)).chiral == row["gauss_code_chiral"]
 
 
 def test_every_check_passes(folder: Path) -> None:
@@ -107,12 +104,6 @@ def test_no_two_rows_are_near_duplicates(folder: Path) -> None:
     assert len(points) == CONFIG.count
     for k in range(len(points) - 1):
         assert distances(points[k], points[k + 1 :]).min() >= NEAR
-
-
-def test_another_run_is_not_resumed_and_what_differs_is_named(folder: Path, tmp_path: Path) -> None:
-    shutil.copytree(folder, tmp_path / "table")
-    with pytest.raises(InvalidInput, match="config.count is 6 there and 15 here"):
-        made(tmp_path / "table", replace(CONFIG, count=15), resume=True)
 
 
 @pytest.mark.parametrize(
@@ -195,14 +186,11 @@ def test_a_near_duplicate_in_another_split_is_found(
     assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault
 
 
-def test_a_missing_shard_is_found(folder: Path, tmp_path: Path) -> None:
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
-    shards(copy, "test")[0].unlink()
-    assert "data/test-00000-of-00001.parquet is missing" in image_faults(copy)
-
-
-def test_a_torn_shard_is_one_fault(folder: Path, tmp_path: Path) -> None:
+def test_missing_and_torn_files_are_found(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "copy")
+    shards(tmp_path / "copy", "test")[0].unlink()
+    found = list(image_faults(tmp_path / "copy"))
+    assert "data/test-00000-of-00001.parquet is missing" in found
     torn = tmp_path / "torn.parquet"
     torn.write_bytes(shards(folder)[0].read_bytes()[:-100])
     assert len(list(image_faults(torn))) == 1
@@ -213,11 +201,6 @@ def test_a_foreign_parquet_file_is_refused(tmp_path: Path) -> None:
     parquet.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
     with pytest.raises(InvalidFile, match="format"):
         read_table(tmp_path / "a.parquet")
-
-
-def test_pictures_come_back_as_they_were_written() -> None:
-    image = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-    assert np.array_equal(decode(encode(image)), image)
 
 
 def test_without_pyarrow_one_line_names_the_extra(
@@ -240,12 +223,7 @@ def test_without_pyarrow_one_line_names_the_extra(
         ["--set", "test_nx=0"],
         ["--vary", "hue"],
         ["--size", "12"],
-        ["--size", "big"],
-        ["--seed", "-1"],
-        ["--workers", "-1"],
         ["--set", "code_share=0.9"],
-        ["--archive", "nowhere.h5"],
-        ["--archive", "a.h5", "--states", "b.h5"],
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(
@@ -258,15 +236,31 @@ def test_a_mistake_is_one_line_and_status_2(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_show_and_verify_know_a_table(folder: Path, capsys: Any) -> None:
-    for command in (
-        ["dataset", "show", str(folder)],
-        ["dataset", "verify", str(shards(folder)[0])],
-    ):
-        with pytest.raises(SystemExit) as left:
-            main(command)
-        assert left.value.code == 0
-    assert "no faults" in capsys.readouterr().out
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (("show",), 0, "accepted"),
+        (("verify",), 0, "no faults"),
+        (("gallery", "--out", "g.png"), 0, "pictures"),
+        (("page", "--out", "made.html"), 0, "made.html: "),
+        (("export", "--to", "huggingface", "--out", "hub"), 2, "is ready to upload as it is"),
+    ],
+)
+def test_commands_on_datasets_know_a_folder_of_pictures(
+    words: tuple[str, ...],
+    status: int,
+    said: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert knotgym("dataset", words[0], folder, *words[1:]) == status
+    told = "".join(capsys.readouterr())
+    assert said in told
+    assert all(len(line) <= 80 or str(folder) in line for line in told.splitlines())
 
 
 def test_all_frames_of_a_rope_are_in_one_split_and_several_are_shown(tmp_path: Path) -> None:
@@ -301,10 +295,6 @@ def test_states_that_give_no_more_pictures_end_the_run(
         made(tmp_path / "table", config)
 
 
-def test_quality_holds_every_measure() -> None:
-    assert tuple(COLUMNS["quality"]) == tuple(UNITS)
-
-
 def test_quotas_add_up_and_hold_the_shares() -> None:
     config = ImagesConfig(nx=(0, 1, 2, 3, 4), count=1003)
     wanted = quotas(config, {0: 1, 1: 2, 2: 8, 3: 46, 4: 344})
@@ -321,12 +311,6 @@ def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
             **{**vars(quality), "crossing_angle": factor * (limits.crossing_angle or 0)}
         )
         assert grade(worse, limits) == name
-
-
-def test_the_code_shown_is_the_one_of_the_points(rows: list[dict[str, Any]]) -> None:
-    for row in rows:
-        points: Array = np.array(row["points"]).reshape(-1, 3)
-        assert label(points).chiral == row["gauss_code_chiral"]
 
 
 def test_a_loader_without_its_library_names_the_extra(
@@ -346,45 +330,8 @@ def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(
     monkeypatch.setattr(sys, "path", [str(ROOT), str(tmp_path)])
     monkeypatch.delitem(sys.modules, "datasets", raising=False)
     assert load(folder, kind="huggingface") == "theirs"
-    monkeypatch.delitem(sys.modules, "datasets")
+    del sys.modules["datasets"]
     assert sys.path == [str(ROOT), str(tmp_path)]
-
-
-def test_a_gallery_is_drawn_of_pictures(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert knotgym("dataset", "gallery", folder, "--out", tmp_path / "g.png") == 0
-    assert "pictures" in capsys.readouterr().out and (tmp_path / "g.png").is_file()
-
-
-def test_a_summary_of_pictures_fits_eighty_columns_heads_whole(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    assert knotgym("dataset", "show", folder) == 0
-    lines = [line for line in capsys.readouterr().out.splitlines() if str(folder) not in line]
-    assert all(len(line) <= 80 for line in lines)
-    heads = [
-        line.split() for line in lines if ("codes" in line or "easy" in line) and ":" not in line
-    ]
-    assert heads[0] == ["pictures", "codes", "chiral", "of", "a", "code", "accepted"]
-    assert heads[1] == ["train", "test", "test-code", "test-nx", *GRADES]
-    assert sum(line.startswith(" train ") for line in lines) == 2  # rows have their names
-
-
-def test_a_folder_of_pictures_has_a_page(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert knotgym("dataset", "page", folder, "--out", tmp_path / "made.html") == 0
-    assert "made.html: " in capsys.readouterr().out and (tmp_path / "made.html").exists()
-
-
-def test_a_folder_of_pictures_is_uploaded_as_it_is(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = ("--to", "huggingface", "--out", tmp_path / "hub")
-    assert knotgym("dataset", "export", folder, *out) == 2
-    assert "is ready to upload as it is" in capsys.readouterr().err
 
 
 def test_an_unknown_kind_or_split_is_refused(folder: Path) -> None:
@@ -444,32 +391,23 @@ def hugging_face(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.clients
-@pytest.mark.parametrize("way", ["our loader", "the card", "data files", "one split"])
+@pytest.mark.parametrize("way", ["our loader", "the card", "one split"])
 def test_hugging_face_reads_every_column_of_every_split(
     way: str, folder: Path, rows: list[dict[str, Any]], hugging_face: Any
 ) -> None:
-    wanted = {
-        split.replace("-", "_"): [row for row in rows if row["split"] == split]
-        for split in IMAGE_SPLITS
-    }
-    wanted = {name: own for name, own in wanted.items() if own}
-    if way == "our loader":
-        found = load(folder, kind="huggingface")
-    elif way == "the card":
+    splits = ["train"] if way == "one split" else IMAGE_SPLITS
+    wanted = {name: [row for row in rows if row["split"] == name] for name in splits}
+    if way == "the card":
         found = hugging_face.load_dataset(str(folder))
-    elif way == "data files":
-        found = hugging_face.load_dataset(
-            "parquet",
-            data_files={name: str(folder / "data" / f"{name}-*.parquet") for name in wanted},
-        )
+    elif way == "our loader":
+        found = load(folder, kind="huggingface")
     else:
-        wanted = {"train": wanted["train"]}
         found = {"train": load(folder, "train", "huggingface")}
-    assert set(found) == set(wanted)
-    for name, own in wanted.items():
-        assert set(found[name].features) == set(COLUMNS) and isinstance(
-            found[name].features["image"], hugging_face.Image
-        )
+    assert set(found) == {name.replace("-", "_") for name, own in wanted.items() if own}
+    for name in found:
+        own = wanted[name.replace("_", "-")]
+        assert set(found[name].features) == set(COLUMNS)
+        assert isinstance(found[name].features["image"], hugging_face.Image)
         for seen, row in zip(found[name], own, strict=True):
             assert np.array_equal(np.asarray(seen.pop("image")), decode(row["image"]))
             assert seen == {column: value for column, value in row.items() if column != "image"}

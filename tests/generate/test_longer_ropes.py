@@ -15,7 +15,7 @@ from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import draw, picture_of
-from knotgym.rope.model import RopeConfig, rope_of
+from knotgym.rope.model import rope_of
 from knotgym.states.state_file import merge_states, read_states, shipped
 
 from ..small_job import knotgym as run
@@ -29,11 +29,6 @@ def states(tmp_path_factory: pytest.TempPathFactory) -> Path:
     given = f"--no-demonstrations --nx 0,1 --count 2 --set beads={BEADS} --engine chain --workers 1"
     assert run("generate", *given.split(), "--out", folder) == 0
     return folder / "states.h5"
-
-
-def test_the_usual_rope_is_the_one_of_a_hundred_beads() -> None:
-    assert rope_of(100) == RopeConfig()
-    assert rope_of(200).bead_length == pytest.approx(RopeConfig().bead_length)
 
 
 def test_states_of_another_rope_say_so_and_have_no_fault(states: Path) -> None:
@@ -88,7 +83,9 @@ def test_a_list_of_codes_may_be_sampled_and_filtered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "codes.txt"
-    path.write_text("# kinks\n1 -1\n-1 1  # below\n\n1+,1-,2+,2-\n[[2,2,1,1]]\n[4,6,2]\n")
+    path.write_text(
+        "\ufeff# kinks\n1 -1\n-1 1  # below\n\n1+,1-,2+,2-\n[[2,2,1,1]]\n[4,6,2]\n", "utf-8"
+    )
 
     def read(
         nx: tuple[int, ...] | None = None, count: int | None = None, seed: int = 0

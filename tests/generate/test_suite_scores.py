@@ -105,41 +105,28 @@ def test_a_learner_s_training_stands_beside_its_scores(tmp_path: Path) -> None:
     assert re.search(r"\| random \|.*\| 766 \|$", page, re.M)
 
 
-def test_outcomes_that_are_no_columns_are_refused(tmp_path: Path) -> None:
-    for name, values in {
-        "goal": [0],
-        "success": [2] * 4,
-        "start": [-1] * 4,
-        "steps": "1234",
-    }.items():
-        path = told(tmp_path / name, 1, 2, 4)
-        changed(path, "results", 0, "outcomes", name, value=values)
-        with pytest.raises(InvalidFile, match="outcomes"):
-            read_scores([path])
-
-
-@pytest.mark.parametrize("name, value", [("policy", []), ("split", "\x1b[2J"), ("nx", "2")])
-def test_what_no_evaluation_says_is_refused(name: str, value: Any, tmp_path: Path) -> None:
-    path = told(tmp_path / "a", seed=0, successes=1, episodes=2)
-    said = json.loads(path.read_text())
-    said["results"][0][name] = value
-    path.write_text(json.dumps(said))
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("results", 0, "outcomes", "goal"), [0]),
+        (("results", 0, "outcomes", "success"), [2] * 4),
+        (("results", 0, "outcomes", "start"), [-1] * 4),
+        (("results", 0, "outcomes", "steps"), "1234"),
+        (("results", 0, "policy"), []),
+        (("results", 0, "split"), "\x1b[2J"),
+        (("results", 0, "nx"), "2"),
+        (("results", 0, "planned_actions"), 10**400),
+        (("learners", "random"), {"seconds": 10**400}),
+        (("versions",), {}),
+        (("source",), "none"),
+    ],
+)
+def test_what_no_evaluation_says_is_refused(
+    place: tuple[Any, ...], value: Any, tmp_path: Path
+) -> None:
+    path = told(tmp_path / "a", 1, 2, 4)
+    changed(path, *place, value=value)
     with pytest.raises(InvalidFile, match="isn't a file of `knotgym evaluate --out`"):
-        read_scores([path])
-
-
-@pytest.mark.parametrize("name", ["planned_actions", "seconds"])
-def test_numbers_beyond_all_bounds_are_refused(name: str, tmp_path: Path) -> None:
-    path = told(tmp_path / "a", seed=0, successes=1, episodes=2)
-    said = json.loads(path.read_text())
-    holder = (
-        said["results"][0]
-        if name == "planned_actions"
-        else said["learners"].setdefault("random", {})
-    )
-    holder[name] = 10**400
-    path.write_text(json.dumps(said))
-    with pytest.raises(InvalidFile, match="evaluate --out`"):
         read_scores([path])
 
 

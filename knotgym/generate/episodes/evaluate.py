@@ -7,7 +7,7 @@ splits, the results are a generalization matrix for policies trained on one of t
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -62,20 +62,19 @@ class Evaluation:
         self.films: list[Episodes] = []
 
 
-def evaluation(config: EvaluateConfig, found: Evaluation) -> Recipe[str]:
-    """Play every setup; fill `found`, and return a summary."""
+def evaluation(config: EvaluateConfig, found: Evaluation, filmed: int = 0) -> Recipe[str]:
+    """Play every setup, and its first episodes for a film; fill `found`, and return a summary."""
     setups = list(config.setups())
     numbers = blocks(config.episodes, config.task)
-    filmed = [range(config.filmed)] if config.filmed else []
     calls = [
         Call(f"setup {setup} {few.start}-{few.stop - 1}", play, (*one, few, config.seed, False))
         for setup, one in enumerate(setups, 1)
         for few in numbers
     ]
     films = [
-        Call(f"film {setup}", play, (*one, few, config.seed, True))
+        Call(f"film {setup}", play, (*one, range(filmed), config.seed, True))
         for setup, one in enumerate(setups, 1)
-        for few in filmed
+        if filmed
     ]
     parts = [from_result(part) for part in (yield [*calls, *films])]
     count = len(numbers)
@@ -126,7 +125,7 @@ def run(
         config: what to evaluate.
         options: how to execute the run; with `resume`, a finished evaluation is only printed.
         out: JSON file to write, see `report`; a shard writes its journal beside it.
-        video: film to write, of `config.filmed` episodes per setup, or 2.
+        video: film to write, of `config.filmed` episodes per setup.
         progress: where progress is shown.
 
     Returns:
@@ -147,14 +146,13 @@ def run(
         from knotgym.rendering.video import require_film
 
         require_film(video)
-        config = replace(config, filmed=config.filmed or 2)
     require_playable(config)
     source, found = sources_of(config), Evaluation()
 
     def recipe(place: Path | None) -> Recipe[str]:
         if video is not None:
             require_output(video, folder=False, overwrite=options.overwrite)
-        summary = yield from evaluation(config, found)
+        summary = yield from evaluation(config, found, config.filmed if video is not None else 0)
         if video is not None:  # before the output, which says that all is done
             _write_film(config, found, video, options.overwrite)
         if place is not None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-from knotgym.common.configuration import Count, Crossings, Seed, Whole, configuration
+from knotgym.common.configuration import Count, Crossings, Seed, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
@@ -22,7 +22,7 @@ class EvaluateConfig:
             policy.
         seed: random seed; the same seed gives the same episodes, and none of them is in a dataset.
         task: settings shared by all environments; its task, nx and split are not used.
-        filmed: episodes per setup in the film.
+        filmed: episodes per setup in a film.
     """
 
     policies: tuple[PolicyConfig, ...] = (PolicyConfig(),)
@@ -32,7 +32,7 @@ class EvaluateConfig:
     episodes: Count = 256
     seed: Seed = 0
     task: TaskConfig = TaskConfig(task="tie", observation="state")
-    filmed: Whole = 0
+    filmed: Count = 2
 
     def __post_init__(self) -> None:
         if not all((self.policies, self.tasks, self.nx, self.splits)):

@@ -114,10 +114,7 @@ def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> N
             f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",
             highlight=False,
         )
-    if engine == MUJOCO:
-        for line in reference_lines(results):
-            console.print(line, highlight=False)
-    else:
+    if engine != MUJOCO:
         console.print(f"engine {engine}, not the reference engine {MUJOCO}", highlight=False)
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
@@ -137,24 +134,6 @@ def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> N
 def _acting(result: Result) -> str:
     """Name the policy, and the view that it acted in unless that is "pull"."""
     return result.policy if result.action == "pull" else f"{result.policy} ({result.action})"
-
-
-def reference_lines(results: Sequence[Result]) -> list[str]:
-    """Return a line per task and nx with reference returns to compare a result with.
-
-    References are always measured on readable states, with MuJoCo.
-    """
-    known = reference_scores()
-    lines = []
-    for task, nx in dict.fromkeys((one.task, one.nx) for one in results if one.action == "pull"):
-        scores = known.get(f"{task}-nx{nx}")
-        if scores is not None:
-            lines.append(
-                f"for reference, mean return of {task} nx {nx}: random {scores['random']:.2f},"
-                f" expert {scores['expert']:.2f} ({scores['episodes']} episodes, test split,"
-                " readable states)"
-            )
-    return lines
 
 
 def reference_scores() -> dict[str, Any]:

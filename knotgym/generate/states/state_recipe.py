@@ -26,7 +26,6 @@ from knotgym.generate.states.demonstrations import (
 )
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.play_source import ropes_of, rows_of_ropes, split_of
 from knotgym.generate.states.state_rows import Rows, states_of
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.identity import identity
@@ -86,10 +85,15 @@ def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]
         "source": config.source,
         "knot": type_of(config.knot),
     }
-    source = drawn_rows if config.source == DRAWING else rows_of_ropes
-    rows = yield from source(config, report)
+    if config.source == DRAWING:
+        rows = yield from drawn_rows(config, report)
+        split = _splits(config, rows)
+    else:
+        from knotgym.generate.states.play_source import ropes_of, rows_of_ropes, split_of
+
+        rows = yield from rows_of_ropes(config, report)
+        split = np.array([split_of(config, rope) for rope in ropes_of(rows)])
     engine, facts = config.engine_used, made_by["config"]
-    split = _splits(config, rows)
     place.mkdir(parents=True)
     located: dict[str, NDArray[Any]] = {}
     if config.demonstrations:
@@ -111,9 +115,7 @@ def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]
 
 
 def _splits(config: GenerateConfig, rows: Rows) -> NDArray[np.str_]:
-    """Assign rows to train and test; those of one rope, and near duplicates, stay together."""
-    if config.source != DRAWING:
-        return np.array([split_of(config, rope) for rope in ropes_of(rows)])
+    """Assign drawn rows to train and test; near duplicates stay together."""
     codes = [GaussCode.parse(text) for text in rows["gauss_code_chiral"].tolist()]
     assigned = np.full(len(codes), STATE_SPLITS[0], dtype="<U5")
     for nx in config.nx:

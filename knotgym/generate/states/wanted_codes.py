@@ -10,7 +10,6 @@ from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import based_diagrams, diagram_of, type_of
 from knotgym.topology.knots import LISTED_NX, codes_of, shows
-from knotgym.topology.uniform_codes import uniform_code
 
 _RARE = 20_000  # random codes to try until one shows the knot
 
@@ -74,6 +73,8 @@ class WantedCodes:
 
     def _next(self) -> GaussCode:
         """Draw the next random code that shows the knot."""
+        from knotgym.topology.uniform_codes import uniform_code  # most runs list their codes
+
         for _ in range(_RARE):
             code = uniform_code(self._nx, self._rng)
             if shows(code, self._knot):
