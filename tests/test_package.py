@@ -21,7 +21,7 @@ import pytest
 import knotgym
 from knotgym.common.errors import KnotgymError
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.picture import PictureConfig
+from knotgym.rendering.camera import PictureConfig
 from knotgym.rope.model import Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import with_chirality

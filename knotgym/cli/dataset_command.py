@@ -96,11 +96,6 @@ def merge(given: Given) -> None:
     sources = given["sources"] or ()
     if not sources:
         raise InvalidInput("name what to merge: two datasets at least")
-    if any(source.endswith(".journal") for source in sources):
-        raise InvalidInput(
-            "shards of a run are merged by running its command again, without run.shard, where"
-            " their journals lie"
-        )
     from knotgym.datasets.merging import merge as merge_datasets
 
     given.progress.stage("merging")

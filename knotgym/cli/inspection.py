@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
-from knotgym.common.atomic_files import (
-    atomic_write,
-    require_output,
-)
+from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.control import verification
 from knotgym.datasets.episode_dataset import open_episodes

@@ -73,7 +73,7 @@ class Transitions:
             dataset: id or folder of a Minari dataset, `minari.MinariDataset`, or an episode file.
             observation: "pixels", "state", "both", "symbolic" or "marked"; None for the
                 environment's.
-            picture: a `knotgym.rendering.picture.PictureConfig` to render with; None for the
+            picture: a `knotgym.rendering.camera.PictureConfig` to render with; None for the
                 environment's pictures.
             action: "pull", "bead" or "macro"; None for the environment's.
             relabel: None for episodes as they are. "last": the goal becomes the last new code that
@@ -303,10 +303,8 @@ class Transitions:
         states = rows + segments
         ends = (states, states + found.steps)
         shown = [self._states[self._stack(one, segments)] for one in ends]
-        if apart:
-            seen = self._frames.alone([*shown, goals])
-        else:
-            seen = self._frames.observe(shown, goals)
+        alone, observe = self._frames.alone, self._frames.observe
+        seen = alone([*shown, goals]) if apart else observe(shown, goals)
         batch = {
             "observations": seen[0],
             "actions": self.actions[rows],

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from knotgym.common.streams import Stream, generator
 from knotgym.quality.limits import RESET_NOISE, UNITS, Limits, Quality
-from knotgym.rendering.picture import DEFAULT, PictureConfig, picture_of, project
+from knotgym.rendering.camera import DEFAULT, PictureConfig, picture_of, project
 from knotgym.rope.model import Array
 from knotgym.rope.reset_noise import noised
 from knotgym.topology.crossings import Crossings, find_crossings, label_many

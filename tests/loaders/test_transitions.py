@@ -27,7 +27,7 @@ from knotgym.loaders import (
     to_tensordict,
     torch_dataset,
 )
-from knotgym.rendering.picture import PictureConfig
+from knotgym.rendering.camera import PictureConfig
 
 LENGTHS = [3, 1, 6, 2]
 N, S = sum(LENGTHS), len(LENGTHS)

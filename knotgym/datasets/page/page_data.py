@@ -21,7 +21,7 @@ from knotgym.datasets.image_table import points_of, read_table
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest
 from knotgym.quality.limits import UNITS
-from knotgym.rendering.camera import rope_colours
+from knotgym.rendering.camera import bead_colours
 from knotgym.rope.model import Array, RopeConfig
 from knotgym.states.state_file import read_states
 from knotgym.topology.crossings import find_crossings
@@ -63,7 +63,7 @@ def page_data(title: str, given: Located) -> dict[str, Any]:
         data |= found
     if given.pictures is not None:
         data |= _pictures(given.pictures, notices)
-    data["colours"] = ["#" + bytes(colour).hex() for colour in rope_colours(data["beads"])]
+    data["colours"] = ["#" + bytes(colour).hex() for colour in bead_colours(data["beads"])]
     counts = [(len(data["states"]), "state"), (len(data["episodes"]), "episode")]
     contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
     if not contents:
