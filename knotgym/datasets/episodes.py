@@ -253,7 +253,7 @@ def codes_held(
     """Number the code of each state, and count for how many steps it has been shown.
 
     Returns:
-        int64 (rows,) each: the codes as `_code_ids` numbers them, but -1 where none counts: from the
+        int64 (rows,) each: the codes, numbered from 0, but -1 where none counts: from the
         first state beyond the bound on towing on, and where the simulation blew up; and the steps.
     """
     offsets, episode = episodes.offsets, episodes.episode_of()
