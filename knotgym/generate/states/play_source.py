@@ -50,8 +50,7 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
         Failed: states are missing, although `config.attempts` are used up.
     """
     ropes, selection = config.lives.ropes, Selection()
-    have, rejected = Counter[tuple[int, str]](), {nx: Counter[str]() for nx in config.nx}
-    of_code = Counter[tuple[str, GaussCode]]()
+    have, of_code = Counter[tuple[int, str]](), Counter[tuple[str, GaussCode]]()
     lived = 0
     while lacking := [
         (nx, split)
@@ -73,7 +72,7 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
         for result in (yield calls):
             rows, reasons = without_report(result)
             for nx, each in reasons:
-                rejected[nx].update(each)
+                selection.rejected[nx].update(each)
             for row, rope in enumerate(ropes_of(rows)):
                 code = GaussCode.parse(str(rows["gauss_code"][row]))
                 split = split_of(config, rope)
@@ -85,15 +84,10 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
                 if selection.offer(rows, row):
                     have[code.nx, split] += 1
                     of_code[split, code] += 1
-    for nx in config.nx:
-        rejected[nx]["near-duplicate"] += selection.near[nx]
     report.update(
         existing_codes={str(nx): len(codes_of(UNKNOT, nx)) for nx in config.nx},
         attempts=lived,
-        rejected={
-            str(nx): {reason: n for reason, n in sorted(each.items()) if n}
-            for nx, each in rejected.items()
-        },
+        rejected=selection.reasons(config.nx),
     )
     rows = selection.rows()
     return joined([taken(rows, rows["nx"] == nx) for nx in config.nx])
