@@ -102,7 +102,29 @@ def _require_kernel_cache() -> None:
     os.environ["NUMBA_CACHE_DIR"] = folder  # worker processes inherit it
 
 
+def _ignore_numba_config() -> None:
+    """Make numba ignore a `.numba_config.yaml` in the current folder.
+
+    Numba reads it when it is imported and before it compiles. The folder may have been downloaded,
+    and the file could change what numba does, or crash it.
+    """
+    if not os.path.lexists(".numba_config.yaml"):
+        return
+    import sys
+    import warnings
+
+    yaml = sys.modules.get("yaml")
+    sys.modules["yaml"] = None  # type: ignore[assignment]  # numba then warns, and reads no file
+    with warnings.catch_warnings(action="ignore"):
+        from numba.core import config
+    config._config_fname = ""
+    del sys.modules["yaml"]
+    if yaml is not None:
+        sys.modules["yaml"] = yaml
+
+
 _require_kernel_cache()
+_ignore_numba_config()
 
 for _task in ("unknot", "tie", "convert"):
     gymnasium.register(

@@ -327,10 +327,12 @@ def import_curves(
 
     A curve is cut into beads, scaled to the rope's length, relaxed where needed, and judged by the
     limits of generated states. It keeps its Gauss code as seen from +z; its knot is certified. All
-    states are in split train; `dataset split` makes others.
+    states are in split train; `dataset split` makes others. Curves that can't be laid are listed,
+    and the exit status is then 1, or 2 if there is no other curve.
 
     Args:
-        curves: Files of closed curves: .csv (x,y,z or curve,x,y,z), .obj or .npz.
+        curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat, .xyz),
+            .obj, .vect, .json, .npy or .npz.
         out: State file to write, such as states.h5.
     """
     if not curves:
@@ -341,11 +343,15 @@ def import_curves(
 
     progress.stage("relaxing curves")
     require_output(out, folder=False, overwrite=overwrite)
-    states = lay(curves, split="train", seed=0)
+    states, refused = lay(curves)
     with atomic_write(out, overwrite=overwrite) as temporary:
         write_states(temporary, states)
     knots = ", ".join(sorted(set(states.knot.tolist())))
     progress.say(f"{out}: {len(states)} states, of {knots}")
+    for line in refused:
+        progress.console.print(f"refused: {line}", soft_wrap=True, highlight=False, markup=False)
+    if refused:
+        raise Failed(f"{len(refused)} files or curves were refused; {out} holds {len(states)}")
 
 
 def _require_own(path: str, out: Path | None, dataset_id: str) -> None:

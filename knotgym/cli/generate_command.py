@@ -12,7 +12,7 @@ from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.notation import parse_code
+from knotgym.topology.notation import code_texts, parse_code
 
 HARD_UNKNOTS = "hard-unknots"  # the list of codes that ships
 MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
@@ -86,7 +86,7 @@ def generate(given: Given) -> None:
 def code_list(
     path: Path, nx: Sequence[int] | None, count: int | None, rng: np.random.Generator
 ) -> list[GaussCode]:
-    """Read Gauss, PD or DT codes from a file, one per line; "#" begins a comment.
+    """Read Gauss, PD or DT codes from a file; see `code_texts`.
 
     Args:
         path: the file, of any size, or HARD_UNKNOTS for the one that ships.
@@ -104,8 +104,8 @@ def code_list(
     kept: dict[int, GaussCode] = {}  # slot -> code; the sample is in the order of the file
     seen, most = 0, count or MOST_CODES
     try:
-        with open(path, encoding="utf-8") as lines:
-            for text in filter(None, (line.partition("#")[0].strip() for line in lines)):
+        with open(path, encoding="utf-8-sig") as lines:
+            for text in code_texts(lines):
                 code = parse_code(text)
                 if nx is not None and code.nx not in nx:
                     continue

@@ -14,14 +14,18 @@ import stat
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, Occupied
 
 # what identifies a folder as an output of this package, so that --overwrite may replace it
-_OUTPUT_MARKS = (
-    "manifest.json policy.json suite.json CITATION.cff page.html *.h5 *.tar meta/info.json"
-    " data/episodes.h5 */*/data/episodes.h5 */*/*/data/episodes.h5"
+_MARKS = (
+    "manifest.json policy.json CITATION.cff page.html result.json data/episodes.h5 *.h5".split()
+)
+_BESIDE = (
+    "README.md gallery.png minari data croissant.json namespace_metadata.json weights.safetensors"
+    " curve.csv curve.png transcripts.jsonl reset.png expert.gif expert.mp4"
 ).split()
 _AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2(2)
 
@@ -73,11 +77,24 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
         raise Occupied(f"{target} is a device or a pipe, which is never replaced")
     if folder and Path.cwd().is_relative_to(target.resolve()):
         raise Occupied(f"{target} contains the current folder; choose another --out")
-    marks = [mark for mark in _OUTPUT_MARKS if folder and any(target.glob(mark))]
-    if folder and not marks and any(target.iterdir()):
+    if folder and (foreign := _foreign(target)):
         raise Occupied(
-            f"{target} isn't an output of this package, so it isn't replaced; choose another --out"
+            f"{target} isn't replaced, because {foreign} in it isn't an output of this package;"
+            " choose another --out"
         )
+
+
+def _foreign(folder: Path) -> str:
+    """Return the name of an entry of a folder that this package doesn't write there, or ""."""
+    entries = sorted(folder.iterdir())
+    marks = [mark for mark in _MARKS if any(folder.glob(mark))]
+    known = [*marks, *_BESIDE] if marks else []
+    for entry in entries:
+        is_known = any(fnmatchcase(entry.name, one) for one in known)
+        inside = entry.is_dir() and not entry.is_symlink() and any(entry.iterdir())
+        if not is_known and (not inside or _foreign(entry)):
+            return entry.name
+    return ""
 
 
 def require_writable(path: str | os.PathLike[str]) -> None:

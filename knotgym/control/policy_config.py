@@ -30,7 +30,7 @@ class PassPlannerConfig:
     candidates: Count = 12
     budget: Count = 2000
     steps: Count = 50
-    last_resort: Whole = 2000
+    last_resort: Whole = 60000
     macro_actions: MacroActionConfig = MacroActionConfig()
 
 

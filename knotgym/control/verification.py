@@ -5,25 +5,33 @@ Episodes are played again by `rollouts`, which is why this module isn't in `data
 
 import os
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from knotgym.common.configuration import read_json
 from knotgym.common.tables import format_of
 from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.rollouts import rollouts
+from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_dataset import FORMAT as EPISODES_FORMAT
+from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
 from knotgym.datasets.episodes import Episodes
 from knotgym.datasets.image_table import is_images
 from knotgym.datasets.machine import others
 from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
+from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import read_states, shipped
+from knotgym.states.state_file import read_states, shipped, ships
 
 # a phrase in the faults of replays, which may differ on another machine because of rounding
 _REPLAYED = ("bit for bit", "played again")
 OVERLAPS = "overlaps.json"  # beside the shipped sets: file -> nx -> `splits.overlap`
+_LANES = 256
+_MOST_EPISODES = 10_000_000
+_ROUNDING = 1e-9  # m and 1: other processors round the noise of a reset differently
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
 
 
@@ -85,4 +93,36 @@ def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator
         stored = read_json(given.with_name(OVERLAPS)) if given.parent == shipped().parent else {}
         yield from overlap_faults(states, stored.get(given.name, {}), OVERLAPS)
     else:
-        yield from verify_episodes(str(source), replay, count=count)
+        found = [*verify_episodes(str(source), replay, count=count)]
+        yield from found or _start_faults(str(source))
+
+
+def _start_faults(source: str) -> Iterator[str]:
+    """Yield episodes of a collection that don't begin as the seeds of its run say."""
+    dataset = open_episodes(source)
+    run, rows, task = dataset.attributes.get("run"), dataset.episodes.episodes, dataset.task
+    config = run.get("config") if isinstance(run, dict) else None
+    if not isinstance(config, dict):
+        return
+    seed, count = config.get("seed"), config.get("episodes")
+    if type(seed) is not int or type(count) is not int or not 0 <= count <= _MOST_EPISODES:
+        yield f"{dataset.path}: its run had seed {seed!r} and {count!r} episodes, not two numbers"
+        return
+    of_run = [episode_seed(seed, number) for number in range(count)]
+    if not ships(task.states):
+        task = replace(task, states=str(dataset.states_path()))
+    whole = np.flatnonzero(~rows["relabelled"])
+    for some in np.split(whole, range(_LANES, len(whole), _LANES)) if len(whole) else ():
+        own = rows.take(some)
+        batch = EpisodeBatch(task, len(some))
+        batch.begin(np.arange(len(some)), own["seed"].clip(0).tolist())
+        off = np.abs(batch.start_qpos - own["start_qpos"]).max(axis=1)
+        wrong = {
+            "its seed is none of the run's": ~np.isin(own["seed"], of_run),
+            "its seed draws another start": batch.start_row != own["start"],
+            "its seed draws another goal": batch.goal_row != own["goal"],
+            "its seed draws another noise of the start": off > _ROUNDING,
+        }
+        for row, faults in zip(some.tolist(), zip(*wrong.values(), strict=True), strict=True):
+            if any(faults):
+                yield f"{dataset.path}, episode {row}: {[*wrong][faults.index(True)]}"

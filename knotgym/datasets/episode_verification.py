@@ -150,6 +150,14 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
         yield f"{dataset.path}: a pull is of a bead or with a force that doesn't exist"
     if "expert_action" in steps and np.abs(steps["expert_action"]).max(initial=0) > 1:
         yield f"{dataset.path}: an expert's action lies outside [-1, 1]"
+    if (own["seed"] < -1).any() or (own["planned"] < 0).any():
+        yield f"{dataset.path}: a seed or a number of planned pulls is negative"
+    if "macro_side" in steps:
+        side, bead = steps["macro_side"], steps["macro_bead"]
+        led = (bead == steps["bead"]) & (steps["macro_target"] < dataset.task.beads)
+        alone = (side == 0) & ~steps["macro_start"] & (bead == 0) & (steps["macro_target"] == 0)
+        if not np.where(side == 0, alone, led & (abs(side) == 1)).all():
+            yield f"{dataset.path}: a pull isn't one of the macro-action that it belongs to"
     missing = ~own["relabelled"] & (own["goal"] < 0)
     if missing.any() or (own["start"] < 0).any():
         row = int((missing | (own["start"] < 0)).argmax())

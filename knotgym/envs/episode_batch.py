@@ -245,8 +245,8 @@ class EpisodeBatch:
         while len(rows):
             last = self.pull(ids[rows], *self.view.pulls_of(ids[rows]))
             self.view.pulled(ids[rows], last.terminated | last.truncated)
-            for whole, part in zip(total, last, strict=True):
-                whole[rows] = part  # rewards before the last pull are 0
+            total.rewards[rows] += last.rewards
+            total.terminated[rows], total.truncated[rows] = last.terminated, last.truncated
             rows = rows[self.view.busy[ids[rows]]]
         return total
 

@@ -7,7 +7,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import InvalidInput
+
 Array = NDArray[np.float64]
+
+_MOST = 20_000  # points of a curve whose pairs of chords are all looked at
+_SAME = 1e-9  # distance, relative to the size of a curve, at which two places are the same
+_JUMP = 10  # a chord so many times longer than the median one belongs to no curve
 
 
 @numba.njit(cache=True, nogil=True)
@@ -112,6 +118,74 @@ def equal_chords(curve: Array, count: int) -> Array:
     close_loops(along[None])
     ends = np.cumsum(along, axis=0)
     return np.roll(ends, 1, axis=0) - ends.mean(axis=0)
+
+
+def embedded(curve: Array) -> Array:
+    """Return the points of a closed polyline without repeats, after checking that it is embedded.
+
+    Args:
+        curve: float64 (n, 3), finite; the last point is joined to the first, which may also be
+            repeated at the end.
+
+    Raises:
+        InvalidInput: the curve jumps, meets itself, or has more than 20,000 points.
+    """
+    if len(curve) > _MOST:
+        raise InvalidInput(f"a curve has at most {_MOST} points, got {len(curve)}")
+    unit = (curve - curve[0]) / np.ptp(curve, axis=0).max()
+    # Of a repeated point the last is kept, which may be the first of the next round.
+    kept = np.flatnonzero(np.linalg.norm(np.roll(unit, -1, axis=0) - unit, axis=1) > _SAME)
+    points = unit[kept]
+    chords = np.roll(points, -1, axis=0) - points
+    lengths = np.linalg.norm(chords, axis=1)
+    # How long the last may be is for `Rope.from_curve` to judge, or its author repeated a point.
+    longest, usual = int(lengths[:-1].argmax()), float(np.median(lengths))
+    if lengths[longest] > _JUMP * usual:
+        raise InvalidInput(
+            f"points {kept[longest] + 1} and {kept[longest] + 2} are {lengths[longest] / usual:.0f}"
+            " times as far apart as others usually are: two curves need to be parted, and a long"
+            " straight line needs points"
+        )
+    along = chords / lengths[:, None]
+    turned_back = np.flatnonzero((along * np.roll(along, -1, axis=0)).sum(axis=1) < -1 + _SAME)
+    if len(turned_back):
+        one, other = int(turned_back[0]), (int(turned_back[0]) + 1) % len(points)
+    else:
+        low, high = (end(points, np.roll(points, -1, axis=0)) for end in (np.minimum, np.maximum))
+        one, other = _meeting(points, low - _SAME, high + _SAME, np.argsort(low[:, 0]))
+    if one != other:
+        raise InvalidInput(
+            f"it isn't embedded, so it has no knot: after point {kept[one] + 1} it meets itself"
+            f" after point {kept[other] + 1}"
+        )
+    return curve[kept]
+
+
+@numba.njit(cache=True, nogil=True)
+def _meeting(points: Array, low: Array, high: Array, order: NDArray[np.int64]) -> tuple[int, int]:
+    """Return two chords that meet and aren't neighbours; (0, 0) if there are none.
+
+    Args:
+        points: float64 (n, 3); chord i leads from point i to the next.
+        low, high: (n, 3), the bounding box of each chord.
+        order: chords by `low[:, 0]`. One that begins beyond the end of another in x can't meet it,
+            and neither can those after it.
+    """
+    n = len(points)
+    for at in range(n):
+        i = order[at]
+        for later in range(at + 1, n):
+            j = order[later]
+            if low[j, 0] > high[i, 0]:
+                break
+            apart = (low[j, 1] > high[i, 1]) | (low[i, 1] > high[j, 1])
+            apart |= (low[j, 2] > high[i, 2]) | (low[i, 2] > high[j, 2])
+            if apart or (i - j) % n in (0, 1, n - 1):
+                continue
+            a, b, c, d = points[i], points[(i + 1) % n], points[j], points[(j + 1) % n]
+            if _segment_distance(a, b, c, d) <= _SAME:
+                return min(i, j), max(i, j)
+    return 0, 0
 
 
 def _arc_lengths(points: Array) -> Array:

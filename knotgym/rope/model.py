@@ -226,14 +226,14 @@ class Rope:
             float64 (beads, 3), metres.
 
         Raises:
-            InvalidInput: the points are not finite, the curve is not closed or turns too sharply,
-                or beads would overlap.
+            InvalidInput: the points are not finite or not below 1e100, the curve is not closed or
+                turns too sharply, or beads would overlap.
         """
         p = np.array(curve, dtype=np.float64)
         if p.ndim != 2 or p.shape[1] != 3:
             raise InvalidInput(f"a curve is an (n, 3) array of points, got shape {p.shape}")
-        if not np.isfinite(p).all():
-            raise InvalidInput("a curve needs finite coordinates, got NaN or infinity")
+        if not (np.abs(p) < 1e100).all():  # their squares overflow
+            raise InvalidInput("a curve needs finite coordinates, below 1e100, got others")
         if len(p) > 1 and np.array_equal(p[0], p[-1]):
             p = p[:-1]
         different = len(np.unique(p, axis=0))

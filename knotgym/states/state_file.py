@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.atomic_files import require_no_links
 from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.common.tables import Table, digest, joined, read, write
 from knotgym.rope.engines import MUJOCO
@@ -199,8 +200,15 @@ def states_file(named: str | None) -> Path:
 
 
 def states_at(path: Path) -> Path:
-    """Return a path itself, or `states.h5` in it if it is a folder."""
-    return path / "states.h5" if path.is_dir() else path
+    """Return a path itself, or `states.h5` in it if it is a folder.
+
+    Raises:
+        InvalidFile: the folder's file is a link, which could lead to a private file of the user.
+    """
+    if not path.is_dir():
+        return path
+    require_no_links(path, [path / "states.h5"])
+    return path / "states.h5"
 
 
 def leads_out(named: str | os.PathLike[str]) -> bool:

@@ -2,7 +2,7 @@
 
 The search runs in four steps:
 
-1. `_hits`: pairs of edges (i, j), i < j, whose projections cross. Bounding boxes of blocks of
+1. `find_hits`: pairs of edges (i, j), i < j, whose projections cross. Bounding boxes of blocks of
    neighbouring edges rule out most pairs; four exact orientation tests decide the rest.
 2. `_locate`: each hit h has two strands, strand 2 h on edge i and strand 2 h + 1 on edge j. Find
    where along its edge (fraction in [0, 1]) and at which height each strand passes the crossing.
@@ -27,6 +27,7 @@ from knotgym.topology.orientation import side
 # columns of the crossing table
 OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
+ALL = np.iinfo(np.int64).max  # crossings
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
 
@@ -44,7 +45,7 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     """
     if not _all_finite(points):
         return False, np.empty(0, np.int64), np.empty((0, 7))
-    hits = _hits(points)
+    hits = find_hits(points, ALL)
     fractions, heights = _locate(points, hits)
     walk = _walk(points.shape[0], hits, fractions)
     visits = np.empty(len(walk), np.int64)
@@ -147,8 +148,8 @@ def _disjoint(boxes: np.ndarray, one: int, other: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _hits(points: np.ndarray) -> np.ndarray:
-    """Find every pair of edges i < j that cross.
+def find_hits(points: np.ndarray, most: int) -> np.ndarray:
+    """Find the pairs of edges i < j that cross; the search ends once there are more than `most`.
 
     Returns:
         int64 (n, 3): i, j, and the sign of the z-component of d_i x d_j, d being edge directions.
@@ -178,6 +179,8 @@ def _hits(points: np.ndarray) -> np.ndarray:
                             hits = larger
                         hits[count, 0], hits[count, 1], hits[count, 2] = i, j, turn
                         count += 1
+                        if count > most:
+                            return hits[:count]
     return hits[:count]
 
 

@@ -29,6 +29,7 @@ from knotgym.topology.crossing_kernel import (
     UNDER_Z,
     X,
     Y,
+    find_hits,
     scan,
 )
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
@@ -99,6 +100,15 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
         InvalidInput: the shape is wrong, or a coordinate is not finite.
     """
     return read_codes(_checked(points, 3)).objects()
+
+
+def count_crossings(points: ArrayLike, most: int) -> int:
+    """Count the crossings of one rope, at most to `most` + 1, as n points may have n^2 / 2.
+
+    Args:
+        points: finite; otherwise as for `find_crossings`.
+    """
+    return len(find_hits(_checked(points, 2), most))
 
 
 def visit_spacing(crossings: Crossings, beads: int) -> float:

@@ -27,7 +27,8 @@ PD[Loop[1]] can be read too.
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.diagrams import is_planar
@@ -204,7 +205,7 @@ def parse_code(text: str) -> GaussCode:
     """
     if len(text) > _MOST_CHARACTERS:
         raise _invalid(f"{len(text)} characters are too long", text, "Gauss, PD or DT", _SIZE)
-    text = text.strip().removeprefix("\ufeff")  # a byte-order mark of whoever wrote the file
+    text = text.strip()
     tight = text.translate({ord("{"): "[", ord("}"): "]"})  # as KnotInfo writes lists
     rows = [row.strip() for row in re.split(r"[;\n]", tight) if row.strip()]
     if len(rows) > 1 and all(_ROW.fullmatch(row) for row in rows):  # as Knoto-ID writes PD codes
@@ -243,6 +244,26 @@ def parse_code(text: str) -> GaussCode:
     code = GaussCode.parse(text)
     _require_size(code.nx)
     return code
+
+
+def code_texts(lines: Iterable[str]) -> Iterator[str]:
+    """Yield the codes of a list, one a line; "#" begins a comment.
+
+    Consecutive lines with one crossing of a PD code each, as Knoto-ID writes them, make one code.
+
+    >>> [*code_texts(["1+,1-", "4 6 2 # DT", "1 1 2 2", "", "2 2 3 1", "3 4 4 1"])]
+    ['1+,1-', '4 6 2', '1 1 2 2', '2 2 3 1\\n3 4 4 1']
+    """
+    rows: list[str] = []
+    for line in chain(lines, [""]):
+        text = line.partition("#")[0].strip()
+        # all numbers of a DT code are even
+        odd = _ROW.fullmatch(text) and any(int(one) % 2 for one in re.findall(_DIGITS, text))
+        if odd and len(rows) <= MOST_CROSSINGS:
+            rows.append(text)
+            continue
+        yield from filter(None, ("\n".join(rows), text))
+        rows = []
 
 
 def _from_signed(numbers: list[int]) -> GaussCode:

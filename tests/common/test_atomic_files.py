@@ -58,12 +58,12 @@ def test_a_file_is_replaced(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_replaced_whole(tmp_path: Path) -> None:
-    (tmp_path / "set" / "sub").mkdir(parents=True)
+    (tmp_path / "set" / "minari").mkdir(parents=True)
     (tmp_path / "set" / "manifest.json").write_text("{}")
     with atomic_write(tmp_path / "set") as temporary:
-        (temporary / "sub").mkdir(parents=True)
-        (temporary / "sub" / "new.txt").write_text("new")
-    assert [path.name for path in (tmp_path / "set" / "sub").iterdir()] == ["new.txt"]
+        (temporary / "minari").mkdir(parents=True)
+        (temporary / "minari" / "new.txt").write_text("new")
+    assert [path.name for path in (tmp_path / "set" / "minari").iterdir()] == ["new.txt"]
     assert len(list(tmp_path.iterdir())) == 1
 
 
@@ -168,6 +168,8 @@ def make(kind: str, target: Path) -> None:
         target.touch()
     else:
         (target / kind).mkdir(parents=True)
+        if kind == "thesis":  # a folder of the user's, with an output of ours among others
+            (target / "states.h5").touch()
 
 
 @pytest.mark.parametrize(
@@ -176,7 +178,8 @@ def make(kind: str, target: Path) -> None:
         ("pipe", False, "device or a pipe"),
         ("file", True, "never replaces a file"),
         ("unrelated", False, "never replaces a folder"),
-        ("unrelated", True, "isn't an output of this package"),
+        ("unrelated", True, "unrelated in it isn't an output of this package"),
+        ("thesis", True, "isn't replaced, because thesis in it"),
     ],
 )
 def test_nothing_but_an_output_is_replaced(

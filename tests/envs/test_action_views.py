@@ -106,6 +106,17 @@ def test_the_horizon_counts_pulls(task: TaskConfig) -> None:
     assert (reward, terminated, truncated, info["macro_pulls"]) == (-5.0, False, True, 3)
 
 
+def test_a_macro_action_of_an_endless_task_is_paid_for_all_of_its_pulls(task: TaskConfig) -> None:
+    env = KnotEnv("tie", **settings(task, action="macro", endless=True))
+    env.reset(seed=0)
+    env.episodes.wanted[0] = env.episodes.visits[0]  # the goal is what the rope shows now
+    pulls, paid = 0, 0.0
+    while not paid:
+        _, reward, *_, info = env.step(np.array([0, 50, 1]))
+        pulls, paid = pulls + info["macro_pulls"], paid + reward
+    assert paid == env.episodes.held[0] * task.success_reward and pulls > 3
+
+
 @pytest.mark.parametrize("view", VIEWS)
 def test_ropes_of_a_vector_environment_act_as_single_ones(view: str, task: TaskConfig) -> None:
     made = settings(task, action=view, horizon=12)

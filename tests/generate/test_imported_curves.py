@@ -1,79 +1,381 @@
-"""Curves from files become states, or one line says why not; curves of states come back."""
+"""Curves of others become states with the code that pyknotid reads, or one line says why not."""
 
+import codecs
+import io
+import json
+import zipfile
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.control.verification import verify
-from knotgym.datasets.exports.curves_export import write_curves
-from knotgym.generate.states.imported_curves import import_curves, read_curves
+from knotgym.generate.states.imported_curves import import_curves, shown_code
+from knotgym.rope.curve_files import read_curves, write_curves
+from knotgym.rope.model import Rope
 from knotgym.states.state_file import read_states, shipped, write_states
 from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import knot_type
+from knotgym.topology.reference_labeller import pyknotid_code
 
 from ..conftest import trefoil
 from ..small_job import knotgym
 
+Points = NDArray[np.float64]
 
-def figure_eight() -> NDArray[np.float64]:
+
+def figure_eight() -> Points:
     at = np.linspace(0, 2 * np.pi, 300, endpoint=False)
     radius = 2 + np.cos(2 * at)
     return np.stack([radius * np.cos(3 * at), radius * np.sin(3 * at), np.sin(4 * at)], axis=1)
 
 
+def hopf_link() -> tuple[Points, Points]:
+    at = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    flat = np.stack([np.cos(at), np.sin(at), 0.1 * np.sin(2 * at)], axis=1)
+    return flat, np.stack([1 + np.cos(at), 0.1 * np.sin(3 * at), np.sin(at)], axis=1)
+
+
+def table(points: Iterable[Iterable[object]], parted_by: str = ",", end: str = "\n") -> str:
+    return "".join(parted_by.join(map(str, row)) + end for row in points)
+
+
+def numbered(points: Points, first: object = 0) -> list[list[object]]:
+    """Rows with a first column: a count from a number, or a name."""
+    rows = enumerate(points.tolist(), first if isinstance(first, int) else 0)
+    return [[count if isinstance(first, int) else first, *point] for count, point in rows]
+
+
+def obj(points: Points, lines: Iterable[str] = ()) -> str:
+    return table([["v", *point] for point in points.tolist()], " ") + "\n".join(lines)
+
+
+def segments(count: int, step: int = 1) -> list[str]:
+    """Line elements of two vertices, every `step`th at a time, so in no order; half reversed."""
+    starts = [k * step % count for k in range(count)]
+    return [f"l {k + 1} {(k + 1) % count + 1}" if k % 2 else f"l {(k + 1) % count + 1} {k + 1}"
+            for k in starts]  # fmt: skip
+
+
+def vect(*curves: Points, closed: bool = True, colours: str = "") -> str:
+    counts = [-len(curve) if closed else len(curve) for curve in curves]
+    many = sum(map(len, curves))
+    head = f"VECT\n{len(curves)} {many} {1 if colours else 0}\n{' '.join(map(str, counts))}\n"
+    return head + "1 " * len(curves) + "\n" + table(np.concatenate(curves), " ") + colours
+
+
+def npy(values: object) -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.asarray(values), allow_pickle=True)
+    return file.getvalue()
+
+
+def npz(**arrays: object) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=True, **{k: np.asarray(v) for k, v in arrays.items()})
+    return file.getvalue()
+
+
+def twice(points: Points) -> Points:
+    return np.repeat(points, 2, axis=0)
+
+
+def closed(points: Points, off: float = 0.0) -> Points:
+    return np.concatenate([points, points[:1] + off])
+
+
+def with_blank_lines(text: str) -> str:
+    return text.replace("\n", "\n\n")
+
+
+# how others write one closed curve
+ONE: dict[str, Callable[[Points], str | bytes]] = {
+    "commas.csv": table,
+    "spaces after commas.csv": lambda p: table(p, ", "),
+    "names of columns.csv": lambda p: "x,y,z\n" + table(p),
+    "quoted names.csv": lambda p: '"X","Y","Z"\n' + table(p),
+    "quoted numbers.csv": lambda p: table([[f'"{x}"' for x in row] for row in p]),
+    "SUFFIX.CSV": table,
+    "byte-order mark.csv": lambda p: codecs.BOM_UTF8 + table(p).encode(),
+    "names after a mark.csv": lambda p: codecs.BOM_UTF8 + b"x,y,z\n" + table(p).encode(),
+    "of a spreadsheet.txt": lambda p: table(p, "\t").encode("utf-16"),
+    "ends of Windows.csv": lambda p: table(p, end="\r\n"),
+    "comments.csv": lambda p: "# a\n#\n" + table(p[:9]) + "# b\n" + table(p[9:], end=" # c\n"),
+    "index of pandas.csv": lambda p: ",x,y,z\n" + table(numbered(p)),
+    "index without names.csv": lambda p: table(numbered(p)),
+    "curve and name.csv": lambda p: "curve,x,y,z\n" + table(numbered(p, "3_1#4_1")),
+    "semicolons.csv": lambda p: table(p, ";"),
+    "empty rows at the end.csv": lambda p: table(p) + ",,\n,,\n\n",
+    "repeated first point.csv": lambda p: table(closed(p)),
+    "nearly repeated first point.csv": lambda p: table(closed(p, 1e-15)),
+    "every point twice.csv": lambda p: table(twice(p)),
+    "tabs.tsv": lambda p: table(p, "\t"),
+    "count from 1.tsv": lambda p: table(numbered(p, 1), "\t"),
+    "spaces.txt": lambda p: table(p, " "),
+    "aligned.dat": lambda p: table([[f"{x:24.17e}" for x in row] for row in p], "  "),
+    "of savetxt.txt": lambda p: table([[f"{x:.18e}" for x in row] for row in p], " "),
+    "rows.xyz": lambda p: table(p, " "),
+    "residues.xyz": lambda p: table(numbered(p, 17), " "),
+    "molecule.xyz": lambda p: f"{len(p)}\na knot\n" + table(numbered(p, "C"), " "),
+    "molecule without comment.xyz": lambda p: f"{len(p)}\n\n" + table(numbered(p, "C"), "\t"),
+    "vertices.obj": obj,
+    "repeated first vertex.obj": lambda p: obj(closed(p)),
+    "one line.obj": lambda p: obj(p, ["l " + " ".join(map(str, [*range(1, len(p) + 1), 1]))]),
+    "open line.obj": lambda p: obj(p, ["l " + " ".join(map(str, range(1, len(p) + 1)))]),
+    "line to a repeated vertex.obj": lambda p: obj(
+        closed(p), ["l " + " ".join(map(str, range(1, len(p) + 2)))]
+    ),
+    "segments.obj": lambda p: obj(p, [f"l {k + 1} {(k + 1) % len(p) + 1}" for k in range(len(p))]),
+    "segments in no order.obj": lambda p: obj(p, segments(len(p), 77)),
+    "a vertex for each end.obj": lambda p: obj(
+        np.stack([p, np.roll(p, -1, axis=0)], axis=1).reshape(-1, 3),
+        [f"l {2 * k + 1} {2 * k + 2}" for k in range(len(p))],
+    ),
+    "continued.obj": lambda p: obj(
+        p, ["l " + " \\\n".join(map(str, [*range(1, len(p) + 1), 1])), "# end"]
+    ),
+    "from the last.obj": lambda p: obj(p, ["l " + " ".join(map(str, [*range(-len(p), 0), 1]))]),
+    "texture.obj": lambda p: obj(p, ["l " + " ".join(f"{k + 1}/1" for k in [*range(len(p)), 0])]),
+    "colours.obj": lambda p: "mtllib x\no knot\n" + obj(np.hstack([p, p * 0 + 1])),
+    "segments and ends of Windows.obj": lambda p: obj(p, segments(len(p))).replace("\n", "\r\n"),
+    "byte-order mark.obj": lambda p: codecs.BOM_UTF8 + obj(p).encode(),
+    "closed.vect": vect,
+    "open.VECT": lambda p: vect(p, closed=False),
+    "repeated first vertex.vect": lambda p: vect(closed(p), closed=False),
+    "comments and colours.vect": lambda p: "# KnotPlot\n" + vect(p, colours="1 0 0 1 # red\n"),
+    "on few lines.vect": lambda p: " ".join(vect(p).split()),
+    "list.json": lambda p: json.dumps(p.tolist()),
+    "one of one.json": lambda p: json.dumps([p.tolist()]),
+    "named.json": lambda p: json.dumps({"name": "knot", "points": p.tolist()}),
+    "byte-order mark.json": lambda p: codecs.BOM_UTF8 + json.dumps(p.tolist()).encode(),
+    "float64.npy": npy,
+    "float32.npy": lambda p: npy(p.astype(np.float32)),
+    "columns.npy": lambda p: npy(np.asfortranarray(p)),
+    "integers.npy": lambda p: npy((p * 1e6).astype(np.int32)),
+    "one of one.npy": lambda p: npy(p[None]),
+    "repeated points.npy": lambda p: npy(closed(twice(p))),
+    "compressed.npz": lambda p: npz(points=p),
+}  # fmt: skip
+# the same of several curves with names of their own
+SEVERAL: dict[str, Callable[[Points, Points], str | bytes]] = {
+    "names.csv": lambda p, q: "curve,x,y,z\n" + table(numbered(p, "a") + numbered(q, "b")),
+    "empty rows.csv": lambda p, q: table(numbered(p, "a")) + "\n" + table(numbered(q, "b")),
+    "numbers.txt": lambda p, q: table(numbered(p, "0") + numbered(q, "1"), " "),
+    "objects.obj": lambda p, q: "o a\n" + obj(p) + "o b\n" + obj(q),
+    "objects of segments.obj": lambda p, q: "o a\n"
+    + obj(p, segments(len(p)))
+    + "\no b\n"
+    + obj(q, [f"l {-k - 1} {-(k + 1) % -len(q) - 1}" for k in range(len(q))]),
+    "names.json": lambda p, q: json.dumps({"a": p.tolist(), "b": {"points": q[:-1].tolist()}}),
+    "names.npz": lambda p, q: npz(a=p, b=q[:-1]),
+}  # fmt: skip
+
+KNOTS = ("3_1", "4_1", "0_1", "m3_1")
+ROPE = Rope()
+
+
+def knot(number: int) -> Points:
+    """A curve that nothing is special of, seen from +z: one of KNOTS."""
+    loop = hopf_link()[0] * (1, 1, 4)
+    curve = (trefoil(), figure_eight(), loop, trefoil() * (1, 1, -1))[number % 4]
+    q, r = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
+    q *= np.sign(np.diag(r))
+    turned: Points = curve @ (q * np.sign(np.linalg.det(q)))
+    return turned
+
+
+def wrote(path: Path, content: str | bytes) -> Path:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def based(code: GaussCode) -> set[str]:
+    """A code from every base point, in both directions."""
+    ways = (code, code.reversed())
+    return {way.rebased(k).chiral for way in ways for k in range(max(1, 2 * way.nx))}
+
+
+@pytest.mark.parametrize("number", range(len(ONE)), ids=list(ONE))
+def test_a_curve_of_others_has_the_code_that_pyknotid_reads(tmp_path: Path, number: int) -> None:
+    name, write = list(ONE.items())[number]
+    points = knot(number)
+    right = pyknotid_code(points)
+    (curve,) = read_curves(wrote(tmp_path / name, write(points)))
+    code = shown_code(curve.points, ROPE)
+    # pieces in no order have no first vertex and no direction
+    assert code.chiral in (based(right) if "segments" in name else {right.chiral})
+    assert knot_type(code) == KNOTS[number % 4].removeprefix("m")
+
+
+@pytest.mark.parametrize("name", SEVERAL)
+def test_curves_with_names_of_their_own_stay_apart(tmp_path: Path, name: str) -> None:
+    path = wrote(tmp_path / name, SEVERAL[name](knot(0), knot(1)))
+    codes = [shown_code(curve.points, ROPE) for curve in read_curves(path)]
+    assert [knot_type(code) for code in codes] == ["3_1", "4_1"]
+
+
+P, (A, B) = knot(0), hopf_link()
+SHADOW = np.concatenate([P[:, :2], P[:, :1] * 0], axis=1)
+BACK = np.concatenate([P[:40], P[20:21] + (0, 0, 1), P[39:]])[::-1]  # to a spike and back
+REFUSED: list[tuple[str, str | bytes, str]] = [
+    ("blank.csv", table(A) + "\n" + table(B), "a link, 2 components"),
+    ("blank.txt", table(A, " ") + "\n \n" + table(B, " "), "a link, 2 components"),
+    ("spreadsheet.csv", table(A) + ",,\n" + table(B), "a link, 2 components"),
+    ("name.csv", table(numbered(A, "a") + numbered(B, "b") + numbered(A, "a")), "link, 2 .* of a"),
+    ("two.obj", obj(A, segments(100)) + "\n" + obj(B, ["l -1 -2 -3"]), "a link, 2 components"),
+    ("objects.obj", "o a\n" + obj(A) + "o a\n" + obj(B), "a link, 2 components of a"),
+    ("two.vect", vect(A, B), "a link, 2 components"),
+    ("two.json", json.dumps([A.tolist(), B[1:].tolist()]), "a link, 2 components"),
+    ("two.npy", npy([A, B]), "a link, 2 components"),
+    ("two.npz", npz(a=[A, B]), "a link, 2 components of a"),
+    ("frames.xyz", ("100\n\n" + table(numbered(A, "C"), " ")) * 2, "a link, 2 components"),
+    ("joined.csv", table(np.concatenate([A, B])), "points 100 and 101 are .* times as far apart"),
+    ("joined.obj", obj(np.concatenate([A, B])), "points 100 and 101"),
+    ("shadow.csv", table(SHADOW), "after point 105 it meets itself after point 277"),
+    ("shadow.vect", vect(SHADOW), "isn't embedded"),
+    ("through itself.csv", table(np.concatenate([A, A[:1], B - B[0] + A[0]])), "isn't embedded"),
+    ("spike.csv", table([*P[:9], P[8] + P[8] - P[7], P[8] * 0.5 + P[7] * 0.5, *P[9:]]), "embedded"),
+    ("typed.csv", "O.5,0,1\n" + table(P), "line 1: "),
+    ("typed name.csv", "a,0.5,O,1\n" + table(numbered(P, "a")), "line 1: "),
+    ("typed.txt", "x y z\n1 2 x\n", "line 2: "),
+    ("other names.csv", "z,y,x\n" + table(P), "line 1: "),
+    ("names last.csv", "x,y,z,curve\n" + table(P), "line 1: "),
+    ("twice named.csv", "x,y,z\nx,y,z\n" + table(P), "line 2: "),
+    ("flat.csv", table(P[:, :2]), "line 1 has 2 values"),
+    ("wide.csv", table(np.hstack([P, P])), "line 1 has 6 values"),
+    ("radius.csv", table(np.hstack([P, P[:, :1]])), "is no name"),
+    ("commas.csv", table(P).replace(",", ";").replace(".", ","), "line 1"),
+    ("open.csv", table(P[:200]), "isn't closed"),
+    ("few.csv", "0,0,0\n1,0,0\n1,1,0", "at least 4 different points"),
+    ("none.csv", "", "holds no curves"),
+    ("none.txt", "# nothing\n\n", "holds no curves"),
+    ("nan.csv", "nan,0,0\n1,0,0\n1,1,0\n0,1,0", "finite"),
+    ("huge.csv", table(P * 1e200), "finite"),
+    ("walk.npy", npy(np.random.default_rng(0).normal(size=(5_000, 3))), "more than 100 crossings"),
+    ("fine.npy", npy(np.random.default_rng(0).normal(size=(20_001, 3))), "at most 20000 points"),
+    ("face.obj", obj(P, ["f 1 2 3"]), "a face of a surface"),
+    ("beyond.obj", obj(P, ["l 1 301"]), "line 301: there are 300 vertices"),
+    ("zero.obj", obj(P, ["l 0 1"]), "there are 300 vertices before it, and not 0"),
+    ("fork.obj", obj(P, [*segments(300), "l 1 9"]), "three line elements meet"),
+    ("flat.obj", "v 1 2\n", "line 1: "),
+    ("word.obj", "v 1 2 x\n", "line 1: "),
+    ("none.obj", "o knot\n", "holds no curves"),
+    ("counts.vect", vect(P).replace("-300", "-299"), "aren't those announced"),
+    ("short.vect", vect(P)[:-40], "aren't those announced"),
+    ("four.vect", "4" + vect(P), "begins with VECT"),
+    ("none.vect", "", "begins with VECT"),
+    ("text.json", "[[1,2", "can't be read"),
+    ("deep.json", "[" * 99_999, "can't be read"),
+    ("none.json", '{"name": "trefoil"}', "holds no curves"),
+    ("words.json", '[["a", "b", "c"]]', "real numbers"),
+    ("flat.json", "[1, 2, 3]", r"got shape \(3,\)"),
+    ("pickled.npy", npy(np.array([{}], dtype=object)), "can't be read"),
+    ("complex.npy", npy(P * 1j), "real numbers"),
+    ("many.npy", npy(np.zeros((1_000_001, 3), np.int8)), "more than 1000000 points"),
+    ("text.npz", "x", "can't be read"),
+    ("knot.stl", "solid", "curves are read from .csv"),
+    ("long.csv", " " * 1_000_001, "more than 1000000 lines, or characters"),
+    ("lines.vect", "\n" * 1_000_001, "more than 1000000 lines"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "problem"), REFUSED, ids=[one[0] for one in REFUSED])
+def test_what_is_no_closed_curve_is_refused_in_one_line(
+    tmp_path: Path, name: str, content: str | bytes, problem: str
+) -> None:
+    path = wrote(tmp_path / name, content)
+    with pytest.raises(InvalidInput, match=problem) as caught:
+        import_curves([path])
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 600
+    assert name in str(caught.value)
+
+
+def test_sizes_are_limited_before_anything_is_parsed(tmp_path: Path) -> None:
+    for name, megabytes in (("a.csv", 64), ("a.json", 16), ("a.vect", 16), ("a.npy", 64)):
+        with open(tmp_path / name, "wb") as file:
+            file.truncate(1_000_000 * megabytes + 1)
+        with pytest.raises(InvalidInput, match=f"more than {megabytes} MB"):
+            read_curves(tmp_path / name)
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for number in range(3):
+            archive.writestr(f"{number}.npy", npy(np.zeros((1_000_000, 3))))
+    with pytest.raises(InvalidInput, match="unpacks to more than 64 MB"):
+        read_curves(tmp_path / "bomb.npz")
+
+
+@given(st.integers(0, 3), st.lists(st.integers(0, 299), max_size=40), st.booleans())
+def test_repeated_points_change_no_code(number: int, repeated: list[int], again: bool) -> None:
+    points = knot(number)
+    written = np.repeat(points, 1 + np.bincount(repeated, minlength=300)[: len(points)], axis=0)
+    assert shown_code(closed(written) if again else written, ROPE) == label(points)
+
+
+@given(st.sampled_from(sorted(ONE)), st.lists(st.tuples(st.integers(0), st.binary(max_size=3))))
+def test_any_file_is_curves_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, name: str, edits: list[tuple[int, bytes]]
+) -> None:
+    content = ONE[name](knot(0)[::10])
+    content = content.encode() if isinstance(content, str) else content
+    for place, put in edits:
+        at = place % len(content)
+        content = content[:at] + put + content[at + 1 :]
+    try:
+        read_curves(wrote(tmp_path_factory.getbasetemp() / name, content))
+    except InvalidInput as error:
+        assert "\n" not in str(error)
+
+
 @pytest.mark.parametrize("suffix", ["csv", "obj", "npz"])
-def test_several_curves_come_back_exactly(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"two.{suffix}"
-    write_curves(path, ["a", "b"], np.stack([trefoil(), figure_eight()]))
-    for curve, right in zip(read_curves(path), (trefoil(), figure_eight()), strict=True):
-        assert np.array_equal(curve.points[:300], right)
+def test_every_shipped_state_comes_back_from_every_form(tmp_path: Path, suffix: str) -> None:
+    states = read_states(shipped(), images=False)
+    path = tmp_path / f"states.{suffix}"
+    assert len(states) == 177
+    assert knotgym("dataset", "export", shipped(), "--to", "curves", "--out", path, "--quiet") == 0
+    for row, curve in enumerate(read_curves(path)):
+        assert np.array_equal(curve.points[:100], states.points[row])
+        assert shown_code(curve.points, ROPE).chiral == states.gauss_code_chiral[row]
 
 
 def test_a_knotted_curve_is_laid_with_its_code_and_knot(tmp_path: Path) -> None:
-    path = tmp_path / "curve.csv"
-    np.savetxt(path, 40 * trefoil() + 7, delimiter=",")
-    states = import_curves([path])
-    assert states.knot.tolist() == ["3_1"]
+    path = wrote(tmp_path / "curve.csv", table(40 * trefoil() + 7))
+    states, refused = import_curves([path])
+    assert states.knot.tolist() == ["3_1"] and not refused
     assert states.gauss_code_chiral[0] == label(trefoil()).chiral
     write_states(tmp_path / "states.h5", states)
     assert verify(tmp_path / "states.h5") == []
 
 
-def test_exported_states_are_imported_again(tmp_path: Path) -> None:
-    given = ("dataset", "export", shipped("hard-unknots"), "--to", "curves")
-    assert knotgym(*given, "--out", tmp_path / "hard.obj", "--quiet") == 0
+def test_the_exported_curve_of_a_state_is_laid_again(tmp_path: Path) -> None:
     states = read_states(shipped("hard-unknots"), images=False)
-    curves = read_curves(tmp_path / "hard.obj")
-    assert len(curves) == len(states)
-    write_curves(tmp_path / "one.npz", ["one"], curves[0].points[None])
-    again = import_curves([tmp_path / "one.npz"], split="test")
+    write_curves(tmp_path / "one.npz", ["one"], states.points[:1])
+    again, _ = import_curves([tmp_path / "one.npz"])
     assert again.gauss_code_chiral[0] == states.gauss_code_chiral[0]
-    assert again.split[0] == "test"
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "problem"),
-    [
-        ("a.txt", "1,2,3", "curves are read from"),
-        ("a.csv", "", "holds no curves"),
-        ("a.csv", "1,2\n3,4", "has 2 values, should be 3 or 4"),
-        ("a.csv", "x,y,z\n1,2,x", "holds no curves"),
-        ("a.csv", "0,0,0\n1,0,0\n1,1,0", "at least 4 different points"),
-        ("a.csv", "nan,0,0\n1,0,0\n1,1,0\n0,1,0", "finite"),
-        ("a.obj", "v 0 0 0\nl 1 9", "holds no curves"),
-        ("a.npz", "x", "holds no curves"),
-    ],
-)
-def test_what_is_no_curve_is_refused_in_one_line(
-    tmp_path: Path, name: str, text: str, problem: str
+def test_refused_curves_and_files_are_named_and_the_others_imported(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / name).write_text(text)
-    with pytest.raises(InvalidInput, match=problem) as caught:
-        import_curves([tmp_path / name])
-    assert "\n" not in str(caught.value)
-    assert knotgym("dataset", "import", tmp_path / name, "--out", tmp_path / "x.h5") == 2
+    text = table(numbered(trefoil(), "good") + numbered(SHADOW, "shadow"))
+    mixed = wrote(tmp_path / "mixed.csv", text)
+    link = wrote(tmp_path / "link.vect", vect(A, B))
+    out = tmp_path / "states.h5"
+    assert knotgym("dataset", "import", mixed, link, "--out", out, "--quiet") == 1
+    said = capfd.readouterr()
+    assert "link.vect holds a link" in said.out and "mixed.csv:shadow: " in said.out
+    assert len(said.out.splitlines()) == 2 and said.err.startswith("knotgym: 2 files or curves")
+    assert read_states(out).knot.tolist() == ["3_1"]
+
+
+def test_without_any_curve_nothing_is_written(tmp_path: Path) -> None:
+    link = wrote(tmp_path / "link.vect", vect(A, B))
+    assert knotgym("dataset", "import", link, "--out", tmp_path / "x.h5") == 2
+    assert knotgym("dataset", "import", tmp_path / "no.csv", "--out", tmp_path / "x.h5") == 2
     assert not (tmp_path / "x.h5").exists()
 
 
@@ -81,6 +383,5 @@ def test_a_curve_that_cannot_be_laid_says_which_limit_it_misses(tmp_path: Path) 
     at = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
     radius = 2 + 0.5 * np.cos(23 * at)
     coil = [radius * np.cos(2 * at), radius * np.sin(2 * at), 0.5 * np.sin(23 * at)]
-    np.savetxt(tmp_path / "coil.csv", np.stack(coil, axis=1), delimiter=",")
     with pytest.raises(InvalidInput, match=r"coil\.csv: "):
-        import_curves([tmp_path / "coil.csv"])
+        import_curves([wrote(tmp_path / "coil.csv", table(np.stack(coil, axis=1)))])

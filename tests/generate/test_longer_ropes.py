@@ -83,7 +83,9 @@ def test_a_list_of_codes_may_be_sampled_and_filtered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "codes.txt"
-    path.write_text("# kinks\n1 -1\n-1 1  # below\n\n1+,1-,2+,2-\n[[2,2,1,1]]\n[4,6,2]\n")
+    path.write_text(
+        "\ufeff# kinks\n1 -1\n-1 1  # below\n\n1+,1-,2+,2-\n[[2,2,1,1]]\n[4,6,2]\n", "utf-8"
+    )
 
     def read(
         nx: tuple[int, ...] | None = None, count: int | None = None, seed: int = 0

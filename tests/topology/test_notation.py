@@ -20,6 +20,7 @@ from knotgym.topology.knot_table import diagram_of, prime_diagrams
 from knotgym.topology.knots import is_unknot, knot_type
 from knotgym.topology.notation import (
     MOST_CROSSINGS,
+    code_texts,
     dt_code,
     dt_text,
     from_dt,
@@ -282,11 +283,18 @@ def test_snappy_certifies_every_hard_unknot() -> None:
         "1,5,2,4;5,3,6,2;3,1,4,6",
         "X[1,5,2,4]\nX[5,3,6,2]\nX[3,1,4,6]\n",
         "1 5 2 4\n5 3 6 2\n3 1 4 6",
-        "\ufeff[[1,5,2,4],[5,3,6,2],[3,1,4,6]]",
     ],
 )
 def test_other_programs_write_the_left_handed_trefoil(text: str) -> None:
     assert knot_type(parse_code(text)) == "3_1" and parse_code(text).chirality is not None
+
+
+def test_a_list_has_a_code_a_line_or_a_crossing_a_line() -> None:
+    trefoil = ["1 5 2 4", "5 3 6 2", "3 1 4 6"]
+    lines = ["# two", *trefoil, "", *(f"X[{row.replace(' ', ',')}]" for row in trefoil), "O1U1"]
+    lines += ["4 6 8 2", "4 6 8 2 # twice the figure-eight knot", "[[1,1,2,2]]"]
+    codes = [parse_code(text) for text in code_texts(lines)]
+    assert [code.nx for code in codes] == [3, 3, 1, 4, 4, 1] and codes[0] == codes[1] == TREFOIL
 
 
 def test_signs_between_visits_may_part_them_or_be_the_crossings() -> None:

@@ -37,8 +37,7 @@ class Trial(NamedTuple):
         pulls: most pulls that it may take.
         goal: compared without chirality; where it is shown, a trial that isn't watched is over.
         bound: region in which the rope's centre must stay; None for no limit.
-        watch: report every change of code, and the state with its velocities. Otherwise only the
-            end is reported, at rest.
+        watch: report every change of code; otherwise only the end is reported.
     """
 
     state: Array
@@ -247,15 +246,12 @@ class BatchedSearch:
     def _reports(self, news: list[int], due: list[int]) -> list[tuple[_Seat, Reports | None]]:
         """Reports on ropes with news, by their searches; empty ones for searches that are due."""
         ropes, found = self.ropes, dict[int, Report]()
-        for watch, read in ((True, ropes.states), (False, ropes.at_rest)):
-            own = [rope for rope in news if self._lanes[rope].trial.watch == watch]
-            states = read(own) if own else ()
-            for rope, state in zip(own, states, strict=True):
-                lane, points = self._lanes[rope], ropes.points[rope].copy()
-                facts = int(self._pulls[rope]), not self._going[rope], bool(self._lost[rope])
-                forces = np.array(lane.forces, np.float32).reshape(-1, 3)
-                beads = np.array(lane.beads, np.int64)
-                found[rope] = Report(state, points, lane.code, *facts, beads, forces)
+        for rope, state in zip(news, ropes.states(news) if news else (), strict=True):
+            lane, points = self._lanes[rope], ropes.points[rope].copy()
+            facts = int(self._pulls[rope]), not self._going[rope], bool(self._lost[rope])
+            forces = np.array(lane.forces, np.float32).reshape(-1, 3)
+            beads = np.array(lane.beads, np.int64)
+            found[rope] = Report(state, points, lane.code, *facts, beads, forces)
         woken = [*dict.fromkeys(self._seats[rope] for rope in (*news, *due))]
         return [
             (seat, (seat.pulls, [(k, found[r]) for k, r in enumerate(seat.ropes) if r in found]))

@@ -202,7 +202,7 @@ class PlayPlayer(PassPlayer):
         """Search for a random pass that leaves few crossings."""
         rng, beads = self._rngs[index], self.batch.simulation.points.shape[1]
         passes = [random_pass(beads, rng) for _ in range(SLOTS)]
-        (state,), _ = self.desk.at_rest(self.batch.simulation, np.array([index]))
+        (state,), _ = self.desk.in_chain(self.batch.simulation, np.array([index]))
         self.desk.ask(self, index, _simplest(state, passes, self.goals[index]), SLOTS)
 
     def _draw_goal(self, index: int) -> None:

@@ -3,13 +3,13 @@
 A *template* is a pass in terms of a diagram: where along its arcs the bead and the strand to pass
 lie. All diagrams of so many crossings have the same templates. Play counts to which diagrams each
 leads (`moves`), and values turn the counts into an order: at the same diagram and goal always the
-same passes, the best first. The search goes through them depth first, in the chain engine, with the
-rope at rest at every choice. So the pass that it finds is a function of where the rope lies.
+same passes, the best first. The search goes through them depth first, in the chain engine. It draws
+nothing at random, so the passes that it finds are a function of the rope's state.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.resources import files
@@ -218,6 +218,9 @@ def _loaded(path: Path) -> PassValues:
     return PassValues(Moves.load(path)[0])
 
 
+ActOut = Callable[[Pass], tuple[Array, int]]
+
+
 class TriedPass(NamedTuple):
     """A pass that a search simulated: where the rope lay, which pass, and where it led."""
 
@@ -230,12 +233,12 @@ class PassPlan(NamedTuple):
     """What a search of passes found.
 
     Attributes:
-        passes: the passes that lead to the goal, one after another; empty if none were found.
+        passes: those that lead to the goal, one after another; empty if none were found.
         spent: pulls simulated.
         tried: all passes that were simulated, in this order, also where they led into dead ends.
     """
 
-    passes: list[Pass]
+    passes: list[TriedPass]
     spent: int
     tried: list[TriedPass]
 
@@ -249,6 +252,9 @@ class PassSearch:
         goal: compared without chirality.
         config: settings.
         bound: region in which the rope's centre must stay; None for no limit.
+        act_out: carries a pass out in the engine that counts and returns the points (beads, 3) that
+            it led to, and its pulls. The first pass must lead nearer to the goal there too. None
+            where the chain engine is the one that counts.
         spent: pulls simulated so far.
         tried: passes simulated so far.
     """
@@ -257,16 +263,24 @@ class PassSearch:
     goal: GaussCode
     config: PassPlannerConfig
     bound: TowBound | None = None
+    act_out: ActOut | None = None
     spent: int = 0
     tried: list[TriedPass] = field(default_factory=list)
 
     def run(self, state: Array, points: Array) -> Search[PassPlan]:
-        """Search from a state of the chain engine at rest, and its points (beads, 3)."""
+        """Search from a state of the chain engine, and its points (beads, 3)."""
         (sight,) = see(points[None])
-        passes = yield from self._passes(state, points, sight, self.config.steps)
+        passes = yield from self._passes(state, points, sight, self.config.steps, self.act_out)
         return PassPlan(passes, self.spent, self.tried)
 
-    def _passes(self, state: Array, points: Array, sight: Sight, left: int) -> Search[list[Pass]]:
+    def _passes(
+        self,
+        state: Array,
+        points: Array,
+        sight: Sight,
+        left: int,
+        act_out: ActOut | None = None,
+    ) -> Search[list[TriedPass]]:
         here, goal = sight.diagram, self.goal
         chance = self.values.reach(goal, here)
         candidates = self.config.candidates * (1 if self.bound is None else _BOUNDED)
@@ -277,19 +291,27 @@ class PassSearch:
             trial = Trial(state, move, min(LONGEST, left), goal, self.bound)
             _, ((_, landing),) = yield Orders({0: trial})
             self.spent += landing.pulls
-            self.tried.append(TriedPass(points, move, landing))
+            tried = TriedPass(points, move, landing)
+            self.tried.append(tried)
+            remaining, found = left - landing.pulls, list[TriedPass]()
             # the goal may be shown before the pass is over, which then ends there
             if landing.code.matches(goal) and not landing.lost:
-                return [move]
+                found = [tried]
             # Only diagrams nearer to the goal are followed, so a search never comes back to one.
             # All that can be done from this landing comes before the next pass from here.
-            remaining = left - landing.pulls
-            if remaining > 0 and not landing.lost and landing.code != here.code:
+            elif remaining > 0 and not landing.lost and landing.code != here.code:
                 (there,) = see(landing.points[None])
                 if self.values.reach(goal, there.diagram) > chance:
                     rest = yield from self._passes(landing.state, landing.points, there, remaining)
-                    if rest:
-                        return [move, *rest]
+                    found = [tried, *rest] if rest else []
+            if found and act_out is not None:
+                landed, pulls = act_out(move)
+                self.spent += pulls
+                diagram = see(landed[None])[0].diagram
+                if not diagram.code.matches(goal) and self.values.reach(goal, diagram) <= chance:
+                    continue
+            if found:
+                return found
         return []
 
 

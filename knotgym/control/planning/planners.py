@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,7 +24,13 @@ from numpy.typing import NDArray
 from knotgym.control.basic_policies import pull_task
 from knotgym.control.planning.batched_search import BatchedSearch, Search
 from knotgym.control.planning.changes import Guide, Proposals, shipped_guide
-from knotgym.control.planning.passes import PassPlan, PassSearch, PassValues, pass_values
+from knotgym.control.planning.passes import (
+    PassPlan,
+    PassSearch,
+    PassValues,
+    TriedPass,
+    pass_values,
+)
 from knotgym.control.planning.pulls import PullPlan, PullSearch
 from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
 from knotgym.control.rollouts import Player, Pulls
@@ -35,6 +42,7 @@ from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import LONGEST, Pass, WaypointFollower
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
+from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
 Ids = NDArray[np.int64]
@@ -78,9 +86,10 @@ class PullPlanner(ChoosesPulls):
 class PassPlanner(ChoosesPulls):
     """Leads ropes to their goals by passes: the same state and goal, the same pass.
 
-    Each pass is acted out until its end, the goal, or LONGEST pulls; then it searches again. So
-    what it does is a function of where the rope lies, which a network can learn. Where a search
-    finds nothing, a `PullPlanner` acts until the episode ends.
+    Each pass is acted out until its end, the goal, or LONGEST pulls. Where the rope then lies
+    exactly as the search foresaw, which in the chain engine it does, the next pass that was found
+    follows; otherwise it searches again. So what it does is a function of the rope's state, which a
+    network can learn. Where a search finds nothing, a `PullPlanner` acts until the episode ends.
 
     Attributes:
         config: settings.
@@ -108,6 +117,8 @@ class Desk:
 
     Attributes:
         search: in which they run.
+        check: one rope of the episodes' engine, in which what was found is acted out before it
+            counts.
         thinking: bool (lanes,), whether a lane waits for its search.
         planned: int64 (lanes,), pulls simulated for the episode in a lane.
     """
@@ -116,9 +127,11 @@ class Desk:
         """Make ropes for searches, each of which takes at most so many slots."""
         rope, count = batch.simulation.rope, batch.count
         self.search = BatchedSearch(max(_SPARE * count, slots), config, rope)
+        self.check = simulation_of(1, rope.config, batch.simulation.engine)
         self.thinking, self.planned = np.zeros(count, bool), np.zeros(count, np.int64)
         self._askers: dict[int, _Asker] = {}
-        self._bench: ChainSimulation | None = None
+        self._follower = WaypointFollower(1, config)
+        self._laid: ChainSimulation | None = None
 
     def begin(self, ids: Ids) -> None:
         """Reset the lanes in which episodes begin."""
@@ -143,18 +156,32 @@ class Desk:
             self.planned[index] += found.spent
             self._askers[index].decided(index, found)
 
-    def at_rest(self, simulation: Simulation, ids: Ids) -> tuple[Array, Array]:
-        """States at rest in the chain engine, and points (n, beads, 3), of ropes of any engine.
+    def in_chain(self, simulation: Simulation, ids: Ids) -> tuple[Array, Array]:
+        """States in the chain engine, and points (n, beads, 3), of ropes of any engine.
 
-        Velocities fade within 20 ms, and a search must not depend on them.
+        Those of another engine are at rest: velocities fade within 20 ms.
         """
         if isinstance(simulation, ChainSimulation):
-            return simulation.at_rest(ids), simulation.points[ids].copy()
-        if self._bench is None:
-            self._bench = ChainSimulation(len(self.thinking), simulation.rope)
+            return simulation.states(ids), simulation.points[ids].copy()
+        if self._laid is None:
+            self._laid = ChainSimulation(len(self.thinking), simulation.rope)
         rows = np.arange(len(ids))
-        self._bench.lay(simulation.qpos(ids), rows)
-        return self._bench.at_rest(rows), self._bench.points[rows]
+        self._laid.lay(simulation.qpos(ids), rows)
+        return self._laid.states(rows), self._laid.points[rows]
+
+    def act_out(self, state: Array, goal: GaussCode, move: Pass) -> tuple[Array, int]:
+        """Carry a pass out in the episodes' engine, from a state of it; see `PassSearch`."""
+        check, follower, one = self.check, self._follower, np.zeros(1, np.int64)
+        check.restore(state[None])
+        follower.begin_passes(one, [move], check.points)
+        pulls = 0
+        while pulls < LONGEST and not follower.arrive(check.points, one)[0]:
+            forces = follower.forces(check.points, one).astype(np.float64)
+            stable = check.step(follower.beads, forces * check.max_force)[0]
+            pulls += 1
+            if not stable or label(check.points[0]).matches(goal):
+                break
+        return check.points[0], pulls
 
 
 class PullPlayer(Player):
@@ -168,8 +195,6 @@ class PullPlayer(Player):
         # pulls taken of the plan; pulls simulated for all plans of the episode
         self._taken, self._spent = np.zeros((2, batch.count), np.int64)
         self._follower = WaypointFollower(batch.count, policy.config.macro_actions)
-        # one rope of the episode's engine, in which plans are checked
-        self._check: Simulation | None = None
         self.planned = desk.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
@@ -196,9 +221,6 @@ class PullPlayer(Player):
             self._plans.pop(index, None)
             if batch.shown[index] or self._spent[index] + config.batch_size > config.budget:
                 continue
-            if self._check is None:
-                rope = batch.simulation.rope.config
-                self._check = simulation_of(1, rope, batch.simulation.engine)
             (goal,) = batch.goals_of(np.array([index]))
             search = PullSearch(
                 goal,
@@ -212,7 +234,7 @@ class PullPlayer(Player):
             state = batch.simulation.states([index])[0]
             left = int(batch.task.horizon - batch.steps[index])
             budget = int(config.budget - self._spent[index])
-            made = search.checked(self._check, self._at_rest, state, left, budget)
+            made = search.checked(self._desk.check, self._in_chain, state, left, budget)
             self._desk.ask(self, index, made, config.batch_size)
 
     def decided(self, index: int, plan: PullPlan) -> None:
@@ -249,8 +271,8 @@ class PullPlayer(Player):
         follower.arrive(points, idle)
         return np.where(blind, follower.beads[ids], 0), follower.forces(points, ids)
 
-    def _at_rest(self, check: Simulation) -> tuple[Array, Array]:
-        states, points = self._desk.at_rest(check, np.zeros(1, np.int64))
+    def _in_chain(self, check: Simulation) -> tuple[Array, Array]:
+        states, points = self._desk.in_chain(check, np.zeros(1, np.int64))
         return states[0], points[0]
 
 
@@ -273,6 +295,8 @@ class PassPlayer(Player):
         self._by_pulls = np.zeros(count, bool)  # whether the last resort acts
         self._follower = WaypointFollower(count, policy.config.macro_actions)
         self._moves, self._taken = np.zeros((count, 3), np.int64), np.zeros(count, np.int64)
+        # passes that were found: the one under way, and those after it
+        self._plans: dict[int, list[TriedPass]] = {}
         self.goals = [GaussCode(())] * count
         self.planned = self.desk.planned
 
@@ -289,7 +313,7 @@ class PassPlayer(Player):
         # Waypoints that were reached are passed before anything is decided, so that a pass that is
         # over leads to a search in this very action.
         over = follower.arrive(points, passing) | (self._taken[passing] >= LONGEST)
-        self._search(passing[over & ~settled])
+        self._search(self._without_plan(passing[over & ~settled]))
         self._last_resort.look(ids[self._by_pulls[ids]])
         self.desk.tick()
         # Many pulls together take less time: most of many ropes wait until searches are done.
@@ -309,6 +333,8 @@ class PassPlayer(Player):
     def replan(self, ids: Ids) -> None:
         """Look again before the next action of some lanes."""
         self.desk.forget(ids)
+        for index in ids.tolist():
+            self._plans.pop(index, None)
         self._by_pulls[ids] = False
         self._follower.release(ids)
 
@@ -328,7 +354,7 @@ class PassPlayer(Player):
     def decided(self, index: int, found: PassPlan) -> None:
         """Go on after a search."""
         if found.passes:
-            self.lead(index, found.passes[0])
+            self._follow(index, found.passes)
         else:
             self.give_up(index)
 
@@ -337,10 +363,29 @@ class PassPlayer(Player):
         self._by_pulls[index] = True
         self._last_resort.look(np.array([index]))
 
+    def _follow(self, index: int, plan: list[TriedPass]) -> None:
+        self._plans[index] = plan
+        self.lead(index, plan[0].move)
+
+    def _without_plan(self, ids: Ids) -> Ids:
+        """Go on to the next passes of plans that hold; return the lanes that have none."""
+        points, left = self.batch.simulation.points, list[int]()
+        for index in ids.tolist():
+            plan = self._plans.pop(index, [])
+            if len(plan) > 1 and np.array_equal(plan[0].landing.points, points[index]):
+                self._follow(index, plan[1:])
+            else:
+                left.append(index)
+        return np.array(left, np.int64)
+
     def _search(self, ids: Ids) -> None:
         """Begin searches for the next passes of some lanes."""
-        states, points = self.desk.at_rest(self.batch.simulation, ids) if len(ids) else ((), ())
-        for index, state, rope in zip(ids.tolist(), states, points, strict=True):
-            bound = self.batch.tow_bound(index, _TOWING)
-            search = PassSearch(self._values, self.goals[index], self._config, bound)
+        simulation = self.batch.simulation
+        states, points = self.desk.in_chain(simulation, ids) if len(ids) else ((), ())
+        own = simulation.states(ids) if len(ids) else ()
+        is_chain = isinstance(simulation, ChainSimulation)
+        for index, state, rope, real in zip(ids.tolist(), states, points, own, strict=True):
+            goal, bound = self.goals[index], self.batch.tow_bound(index, _TOWING)
+            act_out = None if is_chain else partial(self.desk.act_out, real, goal)
+            search = PassSearch(self._values, goal, self._config, bound, act_out)
             self.desk.ask(self, index, search.run(state, rope))

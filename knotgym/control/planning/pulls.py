@@ -174,7 +174,7 @@ class PullSearch:
     def checked(
         self,
         check: Simulation,
-        at_rest: Callable[[Simulation], tuple[Array, Array]],
+        in_chain: Callable[[Simulation], tuple[Array, Array]],
         state: Array,
         steps: int,
         budget: int,
@@ -183,7 +183,7 @@ class PullSearch:
 
         Args:
             check: one rope of that engine; overwritten, also between the trials of this search.
-            at_rest: from it, its state at rest in the chain engine, and its points (beads, 3).
+            in_chain: from it, its state in the chain engine, and its points (beads, 3).
             state: of that rope, to start from.
             steps: most pulls of the plan.
             budget: most pulls to simulate, of both engines.
@@ -195,7 +195,7 @@ class PullSearch:
         while spent + most <= budget and steps > 0:
             check.restore(here.state[None])
             made = yield from self.plan(
-                *at_rest(check), steps - here.steps, min(look, budget - spent)
+                *in_chain(check), steps - here.steps, min(look, budget - spent)
             )
             spent += made.spent
             if not made.solved and spent + most <= budget:

@@ -8,7 +8,6 @@ from knotgym.common.atomic_files import atomic_write, require_output, require_wr
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_dataset import open_episodes, write_episodes
 from knotgym.datasets.episode_verification import Replay, expanded
-from knotgym.datasets.exports.curves_export import write_curves
 from knotgym.datasets.located import (
     Sources,
     name_of,
@@ -16,6 +15,7 @@ from knotgym.datasets.located import (
     require_apart_from,
     sources,
 )
+from knotgym.rope.curve_files import write_curves
 from knotgym.states.state_file import read_states
 
 

@@ -4,9 +4,19 @@ import numpy as np
 import pytest
 
 from knotgym.control.planning import EVERY_CODE, PASSES, pass_values
+from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import Moves, pooled
-from knotgym.control.planning.passes import PassValues, template_images, templates
+from knotgym.control.planning.passes import (
+    ActOut,
+    PassPlan,
+    PassSearch,
+    PassValues,
+    template_images,
+    templates,
+)
 from knotgym.control.planning.sights import IMAGES, Diagram, see
+from knotgym.control.policy_config import PassPlannerConfig
+from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import Pass
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import GaussCode
@@ -49,6 +59,25 @@ def test_images_of_a_state_and_goal_have_the_same_order(image: int) -> None:
     assert len(first) > 20
     assert first == [one[0] for one in values.order(there, LOOP.image(image))]
     assert values.reach(GOAL, LOOP) == values.reach(there, LOOP.image(image))
+
+
+def test_a_pass_that_lands_elsewhere_in_the_engine_that_counts_is_not_taken() -> None:
+    desk = BatchedSearch(1, MacroActionConfig())
+    state, points = desk.ropes.states()[0], desk.ropes.points[0].copy()
+    refused = list[Pass]()
+
+    def act_out(move: Pass) -> tuple[Array, int]:
+        refused.append(move)  # the rope stays as it was
+        return points, 7
+
+    def found(act_out: ActOut | None) -> PassPlan:
+        search = PassSearch(pass_values(), GOAL, PassPlannerConfig(), act_out=act_out)
+        ((_, plan),) = desk.run([search.run(state, points)])
+        return plan
+
+    first, none = found(None), found(act_out)
+    assert first.passes[0].move == refused[0] and not none.passes
+    assert none.spent == sum(one.landing.pulls for one in none.tried) + 7 * len(refused)
 
 
 def test_a_template_on_an_image_is_the_image_of_the_pass(curve: Array) -> None:

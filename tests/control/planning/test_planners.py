@@ -72,9 +72,26 @@ def test_where_no_pass_is_found_pulls_are_planned() -> None:
     assert found.episodes["success"].all() and found.episodes["planned"].mean() > 50
 
 
-def test_plans_hold_in_the_engine_of_the_episode() -> None:
-    found = rollouts(PullPlanner(), replace(TASK, engine="mujoco"), [0])
+@pytest.mark.parametrize("policy", [PassPlanner(), PullPlanner()], ids=lambda one: one.name)
+def test_plans_hold_in_the_engine_of_the_episode(policy: Policy) -> None:
+    found = rollouts(policy, replace(TASK, engine="mujoco"), [0])
     assert found.episodes["success"].all()
+
+
+def test_where_a_rope_lies_as_foreseen_nothing_is_searched_again() -> None:
+    batch, ids = EpisodeBatch(replace(TASK, nx=3)), np.arange(1)
+    player = PassPlanner().player(batch)
+    batch.begin(ids, [5])
+    player.begin(ids, [np.random.default_rng(0)])
+    planned, passes = set[int](), 0
+    while not batch.shown[0]:
+        pulls = player.act(ids)
+        if len(pulls.ids):
+            assert pulls.macros is not None
+            planned.add(int(player.planned[0]))
+            passes += int(pulls.macros[0, 0])
+            batch.pull(ids, pulls.beads, pulls.forces)
+    assert passes > 1 and len(planned) == 1
 
 
 def test_without_a_budget_pulls_are_guided_alone() -> None:

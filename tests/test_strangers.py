@@ -1,0 +1,116 @@
+"""Files of strangers are data: what they name isn't followed, and what they claim is computed.
+
+Each test failed before the fault that it tells of was mended.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from numpy.typing import NDArray
+
+import knotgym
+from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
+
+from .small_job import knotgym as typed
+
+ID = "knotgym/tie-nx2/expert-v0"
+PLAY = "--task tie --nx 2 --engine chain --workers 1 --quiet"
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four episodes of the expert, with their run's facts; only ever read."""
+    root = tmp_path_factory.mktemp("minari")
+    words = f"collect {PLAY} --episodes 4 --id {ID} --set task.horizon=30"
+    assert typed(*words.split(), "--out", root) == 0
+    return root / ID
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        f"collect {PLAY} --policy random --episodes 1 --states {{}} --id a/b-v0 --out {{}}/out",
+        f"evaluate {PLAY} --policy random --episodes 1 --states {{}}",
+        "images --nx 1 --count 1 --engine chain --workers 1 --states {} --out {}/out",
+        "dataset show {}",
+        "dataset gallery {} --out {}/a.png",
+        "dataset page {} --out {}/a.html",
+        "dataset replay {} --out {}/a.gif",
+        "dataset export {} --to huggingface --out {}/out",
+        "dataset merge {} --out {}/a.h5",
+    ],
+)
+def test_a_link_planted_in_a_folder_is_not_followed(
+    words: str, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "states.h5").symlink_to(states_path)
+    assert typed(*words.format(tmp_path / "set", tmp_path).split()) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "states.h5 is a link" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+Change = Callable[[NDArray[Any]], Any]
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "value", "says"),
+    [
+        ("episodes", "seed", 5, "seed is none of the run's"),
+        ("episodes", "seed", -5, "negative"),
+        ("episodes", "start", 1, "goes with another state|draws another start"),
+        ("episodes", "planned", -1, "negative"),
+        ("steps", "macro_bead", 99, "isn't one of the macro-action"),
+        ("steps", "macro_target", 60_000, "isn't one of the macro-action"),
+        ("steps", "macro_side", 7, "isn't one of the macro-action"),
+    ],
+)
+def test_what_was_not_played_is_a_fault(
+    collected: Path, tmp_path: Path, table: str, column: str, value: int, says: str
+) -> None:
+    dataset = open_episodes(collected)
+    columns = {name: array.copy() for name, array in getattr(dataset.episodes, table).items()}
+    columns[column][0] = columns[column][1] if column == "start" else value
+    harmed = getattr(dataset.episodes, table).replaced(**columns)
+    forged(dataset, tmp_path / "a.h5", **{table: harmed})
+    (fault, *_) = knotgym.verify(tmp_path / "a.h5")
+    assert re.search(says, fault)
+
+
+def test_swapped_starts_are_a_fault(collected: Path, tmp_path: Path) -> None:
+    dataset = open_episodes(collected)
+    assert knotgym.verify(collected) == []
+    rows = dataset.episodes.episodes
+    swapped = rows.replaced(seed=rows["seed"][[1, 0, 2, 3]])
+    forged(dataset, tmp_path / "a.h5", episodes=swapped)
+    assert "seed draws another" in knotgym.verify(tmp_path / "a.h5")[0]
+
+
+def forged(dataset: EpisodeDataset, path: Path, **tables: Any) -> None:
+    """Write episodes with other tables, and digests that fit them."""
+    write_episodes(path, [dataset.episodes._replace(**tables)], dataset.task, dataset.facts)
+
+
+def test_settings_of_numba_in_the_current_folder_are_not_read(tmp_path: Path) -> None:
+    pytest.importorskip("yaml")
+    for text in ("{: no yaml", "disable_jit: 1\n"):
+        (tmp_path / ".numba_config.yaml").write_text(text)
+        script = "import knotgym, numba; print(numba.config.DISABLE_JIT); import yaml"
+        ended = subprocess.run(
+            [sys.executable, "-P", "-c", script], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert (ended.stdout, ended.stderr) == ("0\n", "")
+
+
+def test_a_replay_of_a_generated_state_ends_in_it(tmp_path: Path) -> None:
+    words = "generate --nx 0 --count 1 --engine chain --workers 1 --no-demonstrations --quiet"
+    assert typed(*words.split(), "--out", tmp_path / "set") == 0
+    assert typed("dataset", "replay", tmp_path / "set", "--out", tmp_path / "a.gif", "--quiet") == 0
