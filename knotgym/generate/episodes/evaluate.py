@@ -76,12 +76,12 @@ def evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
 
 def evaluate(config: EvaluateConfig, workers: int = 1) -> list[Result]:
     """Play every setup and write nothing; return the results in the order of `config.setups`."""
-    require_playable(config)
+    _require_playable(config)
     with executor(workers) as pool:
         return compute(evaluation(config), pool=pool)[0]
 
 
-def require_playable(config: EvaluateConfig) -> None:
+def _require_playable(config: EvaluateConfig) -> None:
     """Refuse setups whose policies don't fit, before any work is done.
 
     Raises:
@@ -120,7 +120,7 @@ def run(
 
     Raises:
         InvalidInput: resume, restart or a shard is requested without `out`, or a film of a shard.
-        InvalidPolicy, InvalidInput: as in `require_playable`.
+        InvalidPolicy, InvalidInput: as in `_require_playable`.
         InvalidInput, Occupied, Failed: as in `runs.run.run`, and for `video`.
     """
     progress = progress or Progress(quiet=True)
@@ -133,7 +133,7 @@ def run(
         from knotgym.rendering.video import require_film
 
         require_film(video)
-    require_playable(config)
+    _require_playable(config)
     source, results, films = sources_of(config), list[Result](), list[Episodes]()
 
     def recipe(place: Path | None) -> Recipe[str]:

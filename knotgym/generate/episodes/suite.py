@@ -136,13 +136,13 @@ def _write_card(
         "results": list(results),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    texts = json.dumps(report, indent=1, sort_keys=True) + "\n", suite_card(report)
+    texts = json.dumps(report, indent=1, sort_keys=True) + "\n", _card_of(report)
     for name, text in zip(_CARD, texts, strict=True):
         with atomic_write(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
 
-def suite_card(report: Mapping[str, Any]) -> str:
+def _card_of(report: Mapping[str, Any]) -> str:
     """Return the card of the benchmark as Markdown; `report` is the content of suite.json."""
     sets = report["sets"]
     columns = "id states split engine policy seed episodes steps".split()

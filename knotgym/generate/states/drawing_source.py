@@ -56,7 +56,7 @@ _ONE = np.array([0])
 _STIR, _LOOP_STIR, _REST = (2, 0.05, 0.3), (32, 0.05, 1.0), 3
 
 
-class Order(NamedTuple):
+class _Order(NamedTuple):
     """States to draw of one code.
 
     Attributes:
@@ -93,17 +93,17 @@ def drawn_rows(
     given_up: dict[int, set[int]] = {nx: set() for nx in config.nx}
     number = 0
     while True:
-        orders = list[Order]()
+        orders = list[_Order]()
         for nx in config.nx:
             for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items():
                 for wanted in _parts(lacking, _COPIES):
                     first, most = reserved[nx, index], _DRAWINGS * wanted
-                    orders.append(Order(codes[nx][index], index, first, most, wanted))
+                    orders.append(_Order(codes[nx][index], index, first, most, wanted))
                     reserved[nx, index] += most
         if not orders:
             break
         calls = [
-            Call(f"{stage} {number + part}", draw, (config, tuple(orders[first : first + _CODES])))
+            Call(f"{stage} {number + part}", _draw, (config, tuple(orders[first : first + _CODES])))
             for part, first in enumerate(range(0, len(orders), _CODES))
         ]
         number += len(calls)
@@ -140,7 +140,7 @@ def drawn_rows(
     return taken(rows, np.array(order))
 
 
-def draw(config: GenerateConfig, orders: Sequence[Order]) -> Rows:
+def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Rows:
     """Draw codes until enough states of each are accepted.
 
     Returns:
@@ -178,7 +178,7 @@ def _letters(code: GaussCode, knot: str) -> tuple[str, ...]:
 
 def _drawn(
     config: GenerateConfig,
-    order: Order,
+    order: _Order,
     code: GaussCode,
     number: int,
     simulation: Simulation,

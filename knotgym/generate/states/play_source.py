@@ -56,7 +56,7 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
         (nx, split)
         for nx in config.nx
         for split in STATE_SPLITS
-        if have[nx, split] < wanted(config, nx, split)
+        if have[nx, split] < _wanted(config, nx, split)
     ]:
         if lived >= config.attempts * config.count:
             named = ", ".join(f"nx {nx} {split}" for nx, split in lacking)
@@ -76,8 +76,8 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
             for row, rope in enumerate(ropes_of(rows)):
                 code = GaussCode.parse(str(rows["gauss_code"][row]))
                 split = split_of(config, rope)
-                even = wanted(config, code.nx, split) / len(codes_of(UNKNOT, code.nx))
-                if have[code.nx, split] >= wanted(config, code.nx, split):
+                even = _wanted(config, code.nx, split) / len(codes_of(UNKNOT, code.nx))
+                if have[code.nx, split] >= _wanted(config, code.nx, split):
                     continue
                 if config.source == PLAY and of_code[split, code] >= max(_LEAST, _UNEVEN * even):
                     continue
@@ -93,7 +93,7 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
     return joined([taken(rows, rows["nx"] == nx) for nx in config.nx])
 
 
-def wanted(config: GenerateConfig, nx: int, split: str) -> int:
+def _wanted(config: GenerateConfig, nx: int, split: str) -> int:
     """Return the number of states to make with nx crossings in a split."""
     train = int(np.floor(config.count * config.train_share + 0.5))
     return train if split == STATE_SPLITS[0] else config.count - train
@@ -110,7 +110,7 @@ def ropes_of(rows: Rows) -> list[int]:
     return [int(seed[2]) for seed in rows.get("source/seed", ())]
 
 
-def key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
+def _key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
     """Return the key of a rope's random stream."""
     stream = Stream.PLAYED_ROPE if config.source == PLAY else Stream.RANDOM_WALK
     return key(stream, config.seed, rope)
@@ -127,7 +127,7 @@ def play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ...
         numbers.
     """
     ropes = range(first, first + config.lives.ropes)
-    keys = [key_of(config, rope) for rope in ropes]
+    keys = [_key_of(config, rope) for rope in ropes]
     lives = live(config.lives, config.engine_used, keys)
     played = config.source == PLAY
     limits = [config.limits, config.twist] if played else [config.twist]
