@@ -22,7 +22,8 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS, cut
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.picture import PictureConfig, draw
+from knotgym.rendering.camera import PictureConfig
+from knotgym.rendering.picture import draw
 from knotgym.rendering.window import PictureWindow
 from knotgym.states.state_file import States, merge_states, write_states
 from knotgym.topology.crossings import label

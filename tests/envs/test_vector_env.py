@@ -87,18 +87,6 @@ def test_make_vec_gives_one_batched_simulation(states_path: str, observation: st
     assert rewards.shape == terminated.shape == truncated.shape == (4,)
 
 
-def test_make_vec_can_still_sync(states_path: str) -> None:
-    envs = gym.make_vec(
-        "knotgym/Tie-v0",
-        num_envs=2,
-        vectorization_mode="sync",
-        states=states_path,
-        observation="state",
-    )
-    batched = gym.make_vec("knotgym/Tie-v0", num_envs=2, states=states_path, observation="state")
-    assert same(envs.reset(seed=0), batched.reset(seed=0))
-
-
 def test_views_and_depth_are_those_of_single_environments(
     make: MakeVec, synced: Callable[..., SyncVectorEnv]
 ) -> None:
@@ -275,15 +263,10 @@ def test_no_ropes_are_refused(make: MakeVec, count: int) -> None:
         make(num_envs=count)
 
 
-def test_settings_that_cannot_be_had_are_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidInput, match="nx must be from 1 to 11 on 100 beads, got 12"):
-        make(nx=12)
-
-
 @pytest.mark.parametrize(
     "bad",
     [
-        np.full((3, 6), np.nan),
+        np.array([[0] * 6, [0] * 6, [0] * 5 + [np.nan]]),
         np.full((3, 6), 1.01),
         np.zeros((3, 5)),
         np.zeros((4, 6)),
@@ -301,17 +284,6 @@ def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec, bad: NDArray[A
     assert np.array_equal(envs.episodes.simulation.states(), before) and np.array_equal(
         envs.episodes.steps, steps
     )
-
-
-def test_one_bad_action_moves_no_rope(make: MakeVec) -> None:
-    envs = make()
-    envs.reset(seed=0)
-    before = envs.episodes.simulation.states()
-    bad = np.zeros((3, 6), dtype=np.float32)
-    bad[2, 5] = np.nan
-    with pytest.raises(InvalidInput):
-        envs.step(bad)
-    assert np.array_equal(envs.episodes.simulation.states(), before)
 
 
 def test_a_blown_up_rope_ends_alone_and_starts_over(make: MakeVec) -> None:
