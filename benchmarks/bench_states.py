@@ -14,8 +14,10 @@ train and test share.
 import argparse
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knotgym.common.tables import Table
 from knotgym.generate.states.state_filter import judge
@@ -87,15 +89,17 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=256)
     parser.add_argument("--out", type=Path, default=Path("bench.h5"))
     given = parser.parse_args()
-    parts, points = [], list[Array]()
+    parts, points = list[dict[str, NDArray[Any]]](), list[Array]()
     for source in given.sources:
         states = read_states(states_at(source), images=False)
         as_laid, kept = laid(states)
         kept = distinct(as_laid, kept, points)
         rows = chosen(states, kept, given.count)
-        print(f"{source}: {len(kept)} of {len(states)} pass again and differ, {len(rows)} are kept")
+        print(f"{source}: of {len(states)}, {len(kept)} pass again and differ; {len(rows)} kept")
         drawn = states.source["policy"][rows] == DRAWING
-        columns = {name: states.table[name][rows] for name in ("gauss_code_chiral", "knot", "split")}
+        columns = {
+            name: states.table[name][rows] for name in ("gauss_code_chiral", "knot", "split")
+        }
         columns["points"] = states.points[rows].astype(np.float32)
         columns["source/policy"] = np.where(drawn, "bench-drawing", "bench-play")
         own = states.source["trajectory"][rows]  # ropes of two sources have different numbers

@@ -8,8 +8,8 @@
 Turning the rope about z, mirroring it in a vertical plane and switching over and under map motions
 to motions exactly: a step of the image ends within 1e-12 m of the image of the step in the chain
 engine, 1e-6 m in MuJoCo. Walking it the other way does so within 2 mm, because sub-chains meet at
-other beads (`topology.symmetry`). The goal, its code and the action change with the state. An image whose force
-leaves [-1, 1] is dropped: after a turn, a strong pull may have a larger component.
+other beads (`topology.symmetry`). The goal, its code and the action change with the state. An image
+whose force leaves [-1, 1] is dropped: after a turn, a strong pull may have a larger component.
 
 Observations may be vertices ("state"), codes ("symbolic") or pictures; pictures and actions of the
 view "bead" have images only under quarter turns and mirrors, and switching and reversing change
@@ -53,7 +53,12 @@ class Symmetries(NamedTuple):
 
     @classmethod
     def drawn(
-        cls, count: int, rng: np.random.Generator, *, of_pictures: bool = False, reverse: bool = True
+        cls,
+        count: int,
+        rng: np.random.Generator,
+        *,
+        of_pictures: bool = False,
+        reverse: bool = True,
     ) -> "Symmetries":
         """Draw `count` symmetries uniformly.
 
@@ -70,6 +75,10 @@ class Symmetries(NamedTuple):
         if of_pictures:
             flags[1:] = False
         return cls(turn, flags[0], flags[1], flags[2] & reverse)
+
+    def taken(self, rows: Any) -> "Symmetries":
+        """Return the symmetries of some samples, by an index of any kind."""
+        return Symmetries(self.turn[rows], self.mirror[rows], self.switch[rows], self.reverse[rows])
 
     def vectors(self, vectors: ArrayLike) -> Array:
         """Map positions or forces, float (n, ..., 3)."""
@@ -94,7 +103,7 @@ class Symmetries(NamedTuple):
         return np.where(flags, count - 1 - own, own)
 
     def visits(self, visits: ArrayLike) -> NDArray[np.int16]:
-        """Map codes without chirality, int16 (n, ..., SYMBOLS), as `observations.cut` gives them."""
+        """Map codes, int16 (n, ..., SYMBOLS), as `observations.cut` gives them."""
         own = np.asarray(visits, dtype=np.int16)
         flags = np.stack([self.switch, self.reverse], axis=1).astype(np.int16)
         flags = np.broadcast_to(

@@ -21,8 +21,8 @@ from knotgym.common.atomic_files import require_no_links
 from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.common.tables import Table, digest, format_of, joined, read, write
 from knotgym.rope.engines import MUJOCO
-from knotgym.states.near_duplicates import repeated
 from knotgym.rope.model import Rope, rope_of
+from knotgym.states.near_duplicates import repeated
 from knotgym.states.schema import (
     ATTRIBUTES,
     DIGEST,

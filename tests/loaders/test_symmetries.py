@@ -2,10 +2,10 @@
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from synthetic_episodes import TINY
 
 from knotgym.common.errors import InvalidInput
@@ -25,13 +25,10 @@ VIEWS = ("pull", "bead", "macro")
 
 def orientations(rope: Rope, qpos: Array) -> Array:
     """World orientations of the beads of a rope, as matrices: float64 (beads, 3, 3)."""
-    world = np.zeros((len(rope._parent), 3, 3))
-    for bead in rope._order:
-        at, up = rope._qpos_at[bead] + 3 * (rope._parent[bead] < 0), rope._parent[bead]
-        own = Rotation.from_quat(qpos[at : at + 4], scalar_first=True).as_matrix()
-        rest = Rotation.from_quat(rope._rest[bead], scalar_first=True).as_matrix()
-        world[bead] = own if up < 0 else world[up] @ rest @ own
-    return world
+    model, data = rope.model, mujoco.MjData(rope.model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return np.asarray(data.xmat[rope.bodies].reshape(-1, 3, 3))
 
 
 def image_of(rope: Rope, qpos: Array, drawn: Symmetries) -> Array:
@@ -42,7 +39,9 @@ def image_of(rope: Rope, qpos: Array, drawn: Symmetries) -> Array:
         world = world @ np.diag([1.0, -1.0, 1.0])
     if drawn.reverse[0]:
         world = world[::-1] @ np.diag([-1.0, 1.0, -1.0])
-    quaternions = Rotation.from_matrix(world).as_quat(scalar_first=True)
+    quaternions = np.empty((len(world), 4))
+    for quaternion, matrix in zip(quaternions, world.reshape(-1, 9), strict=True):
+        mujoco.mju_mat2Quat(quaternion, matrix)
     points, made = drawn.vertices(rope.points(qpos[None])), np.empty((1, rope.nq))
     tree = rope._order, rope._parent, rope._qpos_at, rope._rest
     backward(points, quaternions[None], *tree, made)
@@ -60,7 +59,7 @@ def test_an_image_of_a_step_is_the_step_of_the_image(
     qpos = states.qpos[rng.choice(np.flatnonzero(states.nx > 0), COUNT)]
     beads, force = rng.integers(100, size=COUNT), rng.uniform(-0.5, 0.5, (COUNT, 3))
     drawn = Symmetries.drawn(COUNT, rng)
-    each = [Symmetries(*(column[k : k + 1] for column in drawn)) for k in range(COUNT)]
+    each = [drawn.taken(slice(k, k + 1)) for k in range(COUNT)]
     images = np.array([image_of(rope, *one) for one in zip(qpos, each, strict=True)])
     ends = []
     for start, bead, pull in (
