@@ -10,7 +10,9 @@ from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 @command(
     {"": EvaluateConfig, "policy": PolicyConfig},
     f"tasks=--task nx splits=--split episodes task.states task.engine {RUN}",
-    extra("policy", list[str], "random", f"{field_help(PolicyConfig, 'policy')} May be repeated."),
+    extra(
+        "policy", list[str], ("random",), f"{field_help(PolicyConfig, 'policy')} May be repeated."
+    ),
     extra("out", Path),
     extra("video", Path),
     lines=False,
@@ -37,7 +39,7 @@ def evaluate(given: Given) -> None:
     if "policy" in given.typed or given.has("policy"):
         more["policies"] = [
             given.config(PolicyConfig, {"policy": name}, section="policy")
-            for name in (given["policy"] if "policy" in given.typed else ["random"])
+            for name in given["policy"]
         ]
     config = given.config(EvaluateConfig, more)
     run(config, given.run, out=given["out"], video=given["video"], progress=given.progress)

@@ -237,9 +237,9 @@ class Given:
         marks = [name]
         for path, value in sorted(_leaves(self._settings)):
             field = _field(self._sections, path)
-            if path not in named and not path.startswith("run.") and field is not None:
-                if value != field.default:
-                    marks.append(_mark(path.rpartition(".")[2].replace("_", "-"), value))
+            told = path in named or path.startswith("run.")
+            if field is not None and value != field.default and not told:
+                marks.append(_mark(path.rpartition(".")[2].replace("_", "-"), value))
         plain = re.sub(r"[^\w.,-]", "-", "-".join(marks))
         return self["out"] or Path("knotgym-data") / plain
 

@@ -34,9 +34,8 @@ def suite(given: Given) -> None:
     """
     from knotgym.generate.episodes.suite import make_suite
 
-    more = {}
-    if given["episodes"]:
-        more["episodes"] = _sizes(given["episodes"], given.get("policies"))
+    words, policies = given["episodes"], given.get("policies")
+    more = {"episodes": _sizes(words, policies)} if words else {}
     make_suite(given.config(SuiteConfig, more), given["out"], given.run, progress=given.progress)
 
 

@@ -303,10 +303,8 @@ class Transitions:
         states = rows + segments
         ends = (states, states + found.steps)
         shown = [self._states[self._stack(one, segments)] for one in ends]
-        if apart:
-            seen = self._frames.alone([*shown, goals])
-        else:
-            seen = self._frames.observe(shown, goals)
+        alone, observe = self._frames.alone, self._frames.observe
+        seen = alone([*shown, goals]) if apart else observe(shown, goals)
         batch = {
             "observations": seen[0],
             "actions": self.actions[rows],

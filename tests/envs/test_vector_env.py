@@ -177,27 +177,6 @@ def test_threads_change_nothing(make: MakeVec, threads: int) -> None:
         assert same(envs.step(each), others.step(each))
 
 
-def test_next_step_resets_without_acting(make: MakeVec) -> None:
-    envs = make(horizon=1)
-    envs.reset(seed=0)
-    _, rewards, _, truncated, _ = envs.step(np.zeros((3, 6), np.float32))
-    assert rewards.tolist() == [-5] * 3 and truncated.all()
-    _, rewards, terminated, truncated, infos = envs.step(np.zeros((3, 6), np.float32))
-    assert not rewards.any() and not terminated.any() and not truncated.any()
-    assert infos["bead"].tolist() == [-1] * 3
-
-
-def test_same_step_hands_over_the_last_observation(make: MakeVec) -> None:
-    envs, others = make(horizon=1, autoreset_mode="SameStep"), make(horizon=1)
-    envs.reset(seed=0), others.reset(seed=0)
-    each = actions(3, 1)[0]
-    _, _, _, truncated, infos = envs.step(each)
-    last = others.step(each)[0]
-    assert truncated.all()
-    assert np.array_equal(np.stack(infos["final_obs"]), last)
-    assert infos["final_info"]["bead"].min() >= 0 and infos["bead"].tolist() == [-1] * 3
-
-
 def test_without_autoreset_an_ended_rope_cannot_be_stepped(make: MakeVec) -> None:
     envs = make(horizon=1, autoreset_mode="disabled")
     envs.reset(seed=0)
@@ -381,7 +360,3 @@ def test_gymnasium_1_0_which_has_no_such_class_is_enough(
 def test_an_unknown_autoreset_mode_is_refused(make: MakeVec) -> None:
     with pytest.raises(InvalidInput, match="no autoreset_mode 'never'; there is next_step, same"):
         make(autoreset_mode="never")
-
-
-def test_its_length_is_the_number_of_ropes(make: MakeVec) -> None:
-    assert len(make(num_envs=2)) == 2

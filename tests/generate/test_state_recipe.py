@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import Failed, InvalidInput
+from knotgym.control.verification import replay
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.generate.states.drawing_source import drawn_rows
@@ -80,7 +81,7 @@ def test_every_code_is_drawn(drawn: Path) -> None:
 def test_every_row_is_recomputed_and_replays_bit_for_bit(
     source: str, request: pytest.FixtureRequest
 ) -> None:
-    assert list(folder_faults(request.getfixturevalue(source))) == []
+    assert list(folder_faults(request.getfixturevalue(source), replay)) == []
 
 
 def test_a_folder_holds_states_gallery_card_and_manifest(played: Path) -> None:

@@ -21,7 +21,7 @@ from knotgym.common.tables import Table
 from knotgym.control.policies import make_policy, training_card
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episodes import STEPS, Episodes, merged
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
@@ -246,7 +246,7 @@ def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.
         own["goal_points"][0].astype(np.float64),
         [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)],
         list(pulls),
-        outcomes(one, task).reached,
+        goal_reached(one, task),
         task.views,
     )
 
