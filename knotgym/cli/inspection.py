@@ -22,7 +22,7 @@ from knotgym.datasets.image_table import read_table
 from knotgym.datasets.located import locate, locate_own, root_of
 from knotgym.datasets.manifest import read_manifest
 from knotgym.datasets.page.page_data import page_data
-from knotgym.datasets.page.page_writer import write_page
+from knotgym.datasets.page.page_writer import page_html
 from knotgym.generate.episodes.evaluate import film as film_of
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
@@ -105,7 +105,7 @@ def page(named: str, out: Path, overwrite: bool) -> str:
     found = locate_own(named)
     data = page_data(found.title, found)
     with atomic_write(out, overwrite=overwrite) as temporary:
-        write_page(temporary, data)
+        temporary.write_text(page_html(data), encoding="utf-8")
     return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
 

@@ -202,7 +202,7 @@ def ranges(first: ArrayLike, lengths: ArrayLike) -> NDArray[np.int64]:
     return np.repeat(starts, counts) + np.arange(int(counts.sum()))
 
 
-def code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:
+def _code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:
     """Number distinct codes: equal rows of (n, width) have equal numbers from 0, int64 (n,)."""
     rows = np.ascontiguousarray(visits)
     if not len(rows):
@@ -216,7 +216,7 @@ def gauss_codes(
 ) -> NDArray[np.str_]:
     """Write codes as text, with chirality if signs are given: str (n,)."""
     both = visits if signs is None else np.concatenate([visits, signs.astype(np.int16)], axis=1)
-    ids = code_ids(both)
+    ids = _code_ids(both)
     texts: dict[int, str] = {}
     for row in np.unique(ids, return_index=True)[1].tolist():
         code = gauss_code(visits[row], None if signs is None else signs[row])
@@ -253,14 +253,14 @@ def codes_held(
     """Number the code of each state, and count for how many steps it has been shown.
 
     Returns:
-        int64 (rows,) each: the codes as `code_ids` numbers them, but -1 where none counts: from the
+        int64 (rows,) each: the codes, numbered from 0, but -1 where none counts: from the
         first state beyond the bound on towing on, and where the simulation blew up; and the steps.
     """
     offsets, episode = episodes.offsets, episodes.episode_of()
     beyond = ~within_tow(episodes, tow_limit)
     beyond[episodes.last()] |= episodes.episodes["failed"]
     passed = np.concatenate([[0], np.cumsum(beyond)])
-    numbers = code_ids(episodes.steps["visits"])
+    numbers = _code_ids(episodes.steps["visits"])
     numbers[passed[1:] > passed[offsets[episode]]] = -1
     # the state of a reset isn't a step, so that the first step begins to hold a code
     row = np.arange(len(numbers))
