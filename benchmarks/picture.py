@@ -24,7 +24,8 @@ from rich.console import Console
 from rich.table import Table
 
 from knotgym.common.errors import KnotgymError
-from knotgym.rendering.picture import PictureConfig, draw, draw_many
+from knotgym.rendering.camera import PictureConfig
+from knotgym.rendering.picture import draw, draw_many
 
 SIZES = (64, 128, 256, 512)
 CAMERAS: tuple[Literal["orthographic", "perspective"], ...] = ("orthographic", "perspective")

@@ -19,7 +19,8 @@ from picture_check import shown_strands
 from rope_states import tangled
 
 from knotgym.common.errors import KnotgymError
-from knotgym.rendering.picture import PictureConfig, draw
+from knotgym.rendering.camera import PictureConfig
+from knotgym.rendering.picture import draw
 from knotgym.topology.crossings import find_crossings
 
 
@@ -38,7 +39,7 @@ def main() -> None:
         f" {'wrong':>6} {'ambiguous':>9}"
     )
     for renderer in ("opencv", "mujoco"):
-        for size in (128, 512):
+        for size in (64, 128, 256, 512):
             config = PictureConfig(size=size, renderer=renderer)
             shown: Counter[str] = Counter()
             try:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.image_table import encode
-from knotgym.rendering.picture import PictureConfig, crossing_pixels, draw, project
+from knotgym.rendering.camera import PictureConfig, project
+from knotgym.rendering.picture import crossing_pixels, draw
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.topology.crossings import find_crossings

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from knotgym.envs.environment import KnotEnv as KnotEnv
     from knotgym.envs.environment import KnotVectorEnv as KnotVectorEnv
     from knotgym.envs.tasks import TaskConfig as TaskConfig
-    from knotgym.rendering.picture import PictureConfig as PictureConfig
+    from knotgym.rendering.camera import PictureConfig as PictureConfig
     from knotgym.rendering.picture import draw as draw
     from knotgym.rope.model import Rope as Rope
     from knotgym.rope.model import RopeConfig as RopeConfig
@@ -51,7 +51,7 @@ else:
             "MissingExtra": "knotgym.common.errors",
             "MissingFile": "knotgym.common.errors",
             "Occupied": "knotgym.common.errors",
-            "PictureConfig": "knotgym.rendering.picture",
+            "PictureConfig": "knotgym.rendering.camera",
             "Rope": "knotgym.rope.model",
             "RopeConfig": "knotgym.rope.model",
             "States": "knotgym.states.state_file",

@@ -4,8 +4,6 @@ import ast
 import importlib
 import importlib.util
 import pkgutil
-import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any, assert_type
@@ -15,7 +13,6 @@ import numpy as np
 import pytest
 
 import knotgym
-from knotgym.states.state_file import States, write_states
 
 from .fresh_interpreter import modules_after
 
@@ -48,29 +45,6 @@ def checked_imports(name: str) -> dict[str, str]:
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-
-
-def test_the_names_a_user_needs_are_there() -> None:
-    assert {
-        "GaussCode",
-        "KnotEnv",
-        "KnotVectorEnv",
-        "KnotgymError",
-        "Rope",
-        "TaskConfig",
-        "__version__",
-        "draw",
-        "label",
-        "read_states",
-        "shipped",
-        "verify",
-    } <= set(package("knotgym").__all__)
-
-
-@pytest.mark.parametrize("name", PACKAGES)
-def test_public_names_are_sorted_and_listed_once(name: str) -> None:
-    names = package(name).__all__
-    assert names == sorted(set(names))
 
 
 @pytest.mark.parametrize("name", PACKAGES)
@@ -118,46 +92,6 @@ def test_every_error_a_user_catches_is_a_knotgym_error() -> None:
             found = getattr(package(name), public)
             if isinstance(found, type) and issubclass(found, Exception):
                 assert issubclass(found, knotgym.KnotgymError), public
-
-
-SNIPPET = """\
-import knotgym, knotgym.datasets, knotgym.generate, knotgym.loaders
-
-reveal_type(knotgym.read_states)
-reveal_type(knotgym.verify)
-reveal_type(knotgym.label)
-reveal_type(knotgym.datasets.open_episodes)
-reveal_type(knotgym.generate.collect)
-reveal_type(knotgym.loaders.arrays)
-knotgym.knotty
-"""
-
-
-@pytest.mark.slow  # with nothing cached mypy reads the whole package
-@pytest.mark.skipif(importlib.util.find_spec("mypy") is None, reason="mypy isn't installed")
-def test_mypy_sees_the_types_and_refuses_a_wrong_name(tmp_path: Path) -> None:
-    (tmp_path / "snippet.py").write_text(SNIPPET, encoding="utf-8")
-    run = subprocess.run(
-        [
-            *(sys.executable, "-m", "mypy", "--no-error-summary", "--hide-error-context"),
-            *("--config-file", ROOT / "pyproject.toml", "--cache-dir", ROOT / ".mypy_cache"),
-            tmp_path / "snippet.py",
-        ],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
-    lines = run.stdout.splitlines()
-    assert "Module has no attribute" in lines.pop(), run.stdout + run.stderr
-    assert len(lines) == 6 and not any(
-        'Revealed type is "Any"' in line or "def (*Any" in line for line in lines
-    ), run.stdout
-    assert "-> list[str]" in lines[1].replace("builtins.", "")
-
-
-def test_verify_names_what_is_wrong(states: States, tmp_path: Path) -> None:
-    write_states(tmp_path / "states.h5", states)
-    assert any("source/start_qpos" in fault for fault in knotgym.verify(tmp_path))
 
 
 def test_verify_asks_the_check_that_is_for_what_is_there(tmp_path: Path, monkeypatch: Any) -> None:

@@ -26,26 +26,6 @@ def settings(states_path: str) -> Settings:
     return {"nx": 1, "states": states_path, "observation": "state", "horizon": 9}
 
 
-def played(env: KnotEnv, seed: int) -> list[Any]:
-    """A reset and some steps of random actions."""
-    return [env.reset(seed=seed), *(env.step(one[0]) for one in actions(1, STEPS, seed))]
-
-
-def test_environments_in_threads_give_the_numbers_of_one_alone(settings: Settings) -> None:
-    alone = [played(KnotEnv("tie", **settings), seed) for seed in (0, 1)]
-    together: dict[int, list[Any]] = {}
-
-    def play(seed: int) -> None:
-        together[seed] = played(KnotEnv("tie", **settings), seed)
-
-    threads = [threading.Thread(target=play, args=(seed,)) for seed in (0, 1)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert same([together[0], together[1]], alone) and not same(*alone)
-
-
 def test_vector_environments_in_threads_give_the_numbers_of_one_alone(settings: Settings) -> None:
     def play(seed: int, into: dict[int, list[Any]]) -> None:
         envs = KnotVectorEnv("tie", 2, **settings)

@@ -24,9 +24,6 @@ from synthetic_episodes import TINY
 
 import knotgym
 from knotgym.control.planning import moves
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import rollouts
 from knotgym.control.verification import OVERLAPS
 from knotgym.datasets import episode_dataset, image_table
 from knotgym.datasets.cards.fact_tables import overlap_rows
@@ -39,7 +36,7 @@ from knotgym.states import schema
 from knotgym.states import state_file as states
 from knotgym.states.state_file import SHIPPED, shipped
 
-from .scripts import ROOT, run_script
+from .scripts import ROOT
 from .small_job import knotgym as knotgym_command
 
 DOCS = ROOT / "docs"
@@ -104,36 +101,12 @@ def blocks(page: Path) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
 
 
-def listed(page: str, heading: str) -> dict[str, tuple[str, str]]:
-    """Type and shape of everything in a table of datasets."""
-    rows = tables(DOCS / "formats" / page)[heading]
-    return {code_words(row[0])[0]: (row[1], row[2]) for row in rows}
-
-
 def datasets_of(group: h5py.Group) -> dict[str, h5py.Dataset]:
     found: dict[str, h5py.Dataset] = {}
     group.visititems(
         lambda name, item: found.update({name: item}) if isinstance(item, h5py.Dataset) else None
     )
     return found
-
-
-def kind_of(dtype: np.dtype[Any]) -> str:
-    """How the pages call a dtype."""
-    return "string" if h5py.check_string_dtype(dtype) else dtype.name
-
-
-def check_datasets(page: str, heading: str, group: h5py.Group) -> None:
-    """Names, types and ranks of a table and of a file are the same."""
-    said, found = listed(page, heading), datasets_of(group)
-    assert set(found) == set(said)
-    for name, data in found.items():
-        kind, shape = said[name]
-        assert kind.partition(",")[0] == kind_of(data.dtype), name
-        sizes = [size.strip() for size in shape.strip("()").split(",") if size.strip()]
-        assert len(sizes) == data.ndim, name
-        for size, real in zip(sizes, data.shape, strict=True):
-            assert not size.isdigit() or int(size) == real, name
 
 
 def typed(*words: object) -> None:
@@ -188,35 +161,6 @@ def test_the_ten_lines_of_the_readme_run(capsys: pytest.CaptureFixture[str]) -> 
     exec(compile(ten, "README.md", "exec"), {})
     first, second = capsys.readouterr().out.splitlines()
     assert " -> " in first and second.startswith("177 ")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
-@pytest.mark.parametrize("observation", ["state", "both"])
-def test_the_example_to_train_learns_a_policy_that_evaluate_takes(
-    observation: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    typed(
-        *("collect", "--task", "unknot", "--nx", 2, "--policy", "scripted", "--episodes", 4),
-        *(
-            "--id",
-            "knotgym/unknot-nx2/expert-v0",
-            "--observation",
-            observation,
-            "--set",
-            "task.horizon=5",
-        ),
-        *("--workers", 1, "--quiet", "--out", tmp_path),
-    )
-    run_script(
-        ROOT / "examples" / "learners" / "clone.py",
-        *("--data", tmp_path / "knotgym/unknot-nx2/expert-v0", "--epochs", 2),
-        *("--out", tmp_path / "cloned.pt"),
-    )
-    monkeypatch.chdir(tmp_path)
-    policy = make_policy(PolicyConfig(policy="cloned:act"))
-    task = TaskConfig(task="unknot", nx=2, engine="chain", observation="state", horizon=2)
-    assert rollouts(policy, task, [0]).episodes["length"][0] == 2
 
 
 # Blocks that the fast tests don't run, by a word of theirs. Those of clients.md are run by
@@ -306,12 +250,16 @@ def test_a_newcomer_s_look_ups_are_listed() -> None:
 @pytest.mark.parametrize(
     "path",
     sorted(
-        path
-        for row in tables(ROOT / "CONTRIBUTING.md")["Where do I find ..."]
-        for path in code_words(row[1])
+        {
+            path
+            for heading in ("Where do I find ...", "Common changes")
+            for row in tables(ROOT / "CONTRIBUTING.md")[heading]
+            for path in code_words(" ".join(row))
+            if re.fullmatch(r"[\w/]+\.(py|md)", path)
+        }
     ),
 )
-def test_a_path_in_the_table_of_look_ups_exists(path: str) -> None:
+def test_a_path_in_the_tables_of_look_ups_and_changes_exists(path: str) -> None:
     assert (ROOT / path).is_file()
 
 
@@ -401,31 +349,6 @@ def test_minari_s_metadata_are_as_their_page_says(dataset: Path) -> None:
     assert said - scores == entries.keys() - scores
 
 
-@pytest.mark.slow  # tests/datasets/test_image_table.py has the schema
-@needs_arrow
-def test_the_table_of_pictures_is_as_its_page_says(pictures: Path) -> None:
-    import pyarrow.parquet
-
-    found: dict[str, str] = {}
-
-    def flatten(name: str, kind: Any) -> None:
-        inner = kind.value_type if str(kind).startswith("list") else kind
-        struct = str(inner).startswith("struct")
-        found[name] = (
-            re.sub(r"<.*>", "<struct>" if inner is not kind else "", str(kind))
-            if struct
-            else str(kind).replace("element: ", "")
-        )
-        for field in inner if struct else ():
-            flatten(f"{name}.{field.name}", field.type)
-
-    (shard,) = pictures.glob("data/*.parquet")
-    for field in pyarrow.parquet.read_schema(shard):
-        flatten(field.name, field.type)
-    rows = tables(DOCS / "formats/images.md")["Columns"]
-    assert {code_words(row[0])[0]: row[1] for row in rows} == found
-
-
 def test_formats_and_versions_are_those_of_the_overview() -> None:
     said = {
         code_words(row[2])[0]: int(re.findall(r"\d+", row[2])[0])
@@ -452,13 +375,6 @@ def test_the_citation_has_the_version_of_the_package() -> None:
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {project['version']}\n" in citation
     assert all((ROOT / name).is_file() for name in project["license-files"])
-
-
-def test_the_page_of_data_has_the_two_lines_that_upload_what_a_run_made() -> None:
-    part = (DOCS / "data.md").read_text(encoding="utf-8").split("A folder to upload")[1]
-    first, second = re.findall(r"^    (.+)$", part, re.M)[:2]
-    assert re.fullmatch(r"knotgym dataset export \S+ --to huggingface --out upload", first)
-    assert re.fullmatch(r"hf upload USER/\S+ upload --repo-type dataset", second)
 
 
 def test_what_train_and_test_share_is_as_computed() -> None:

@@ -21,7 +21,7 @@ import pytest
 import knotgym
 from knotgym.common.errors import KnotgymError
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.picture import PictureConfig
+from knotgym.rendering.camera import PictureConfig
 from knotgym.rope.model import Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import with_chirality
@@ -31,30 +31,9 @@ from knotgym.topology.reference_labeller import pyknotid_code
 from .fresh_interpreter import modules_after
 
 ROOT = Path(__file__).parents[1]
-HEAVY = (
-    "torch",
-    "dask",
-    "distributed",
-    "minari",
-    "pandas",
-    "pyarrow",
-    "pyknotid",
-    "matplotlib",
-    "mujoco",
-    "numba",
-    "cv2",
-    "h5py",
-)
-# some of it by mujoco itself
-DRAWING = (
-    "mujoco.renderer",
-    "mujoco.rendering",
-    "mujoco.egl",
-    "mujoco.osmesa",
-    "mujoco.glfw",
-    "OpenGL",
-    "glfw",
-)
+# a renderer's modules; some of it is imported by mujoco itself
+DRAWING = {f"mujoco.{name}" for name in ("renderer", "rendering", "egl", "osmesa", "glfw")}
+HEAVY = {"torch", "dask", "minari", "pandas", "pyarrow", "pyknotid", "matplotlib", "OpenGL", "glfw"}
 
 # What fresh interpreters are asked to import; the links are named after rooms.
 CORE = (
@@ -88,35 +67,14 @@ def every_error() -> list[type[KnotgymError]]:
     return found
 
 
-def test_importing_knotgym_is_light() -> None:
-    assert modules_after("import knotgym") & {*HEAVY, *DRAWING} == set()
-
-
 @pytest.mark.thorough
-def test_making_an_environment_pulls_in_no_learner_and_no_more_of_a_renderer_than_mujoco_does(
-    states_path: str,
+@pytest.mark.parametrize("task", ["Unknot", "Tie", "Convert"])
+def test_a_task_made_alone_pulls_in_no_learner_and_no_more_of_a_renderer_than_mujoco_does(
+    states_path: str, task: str
 ) -> None:
-    extra = modules_after(made_alone("Tie", states_path)) - modules_after("import mujoco.batch")
-    assert (
-        extra
-        & {
-            "torch",
-            "dask",
-            "distributed",
-            "minari",
-            "pandas",
-            "pyarrow",
-            "pyknotid",
-            "matplotlib",
-            *DRAWING,
-        }
-        == set()
-    )
-
-
-@pytest.mark.parametrize("room", ["knotgym.datasets", "knotgym.loaders"])
-def test_importing_a_room_pulls_in_neither_torch_nor_dask_nor_a_renderer(room: str) -> None:
-    assert modules_after(f"import {room}") & {"torch", "dask", "distributed", *DRAWING} == set()
+    modules = modules_after(made_alone(task, states_path))
+    assert "knotgym.envs.environment" in modules
+    assert (modules - modules_after("import mujoco.batch")) & (HEAVY | DRAWING) == set()
 
 
 @pytest.mark.thorough
@@ -142,22 +100,8 @@ def test_the_package_runs_where_no_machine_code_can_be_kept(tmp_path: Path) -> N
 
 
 def test_datasets_do_not_import_the_environment() -> None:
-    modules = modules_after(STATES)
-    assert (
-        modules
-        & {
-            "knotgym.envs.environment",
-            "knotgym.envs.episode_batch",
-            "knotgym.rope.simulation",
-            "mujoco",
-        }
-        == set()
-    )
-
-
-def test_the_core_imports_neither_generate_nor_loaders() -> None:
-    above = ("knotgym.generate", "knotgym.loaders")
-    assert not [name for name in modules_after(CORE) if name.startswith(above)]
+    above = {"knotgym.envs.environment", "knotgym.rope.simulation", "mujoco"}
+    assert modules_after(STATES) & above == set()
 
 
 def test_nothing_is_imported_through_the_links() -> None:
@@ -175,12 +119,6 @@ def test_three_environments_are_registered() -> None:
     # another test may have imported knotgym.adapters, which registers OGBench's, such as tie-nx2-v0
     ids = {name for name in ours if "-nx" not in name}
     assert ids == {"knotgym/Unknot-v0", "knotgym/Tie-v0", "knotgym/Convert-v0"}
-
-
-@pytest.mark.slow  # one of them is made in a fresh process above
-@pytest.mark.parametrize("task", ["Unknot", "Tie", "Convert"])
-def test_a_task_is_made_alone_in_a_fresh_process(task: str, states_path: str) -> None:
-    assert "knotgym.envs.environment" in modules_after(made_alone(task, states_path))
 
 
 @pytest.mark.parametrize(

@@ -6,14 +6,14 @@ from knotgym.cli.options import RUN, Given, command, extra
 from knotgym.common.errors import InvalidInput
 from knotgym.generate.episodes.collect_config import CollectConfig
 
-MINARI_ROOT = extra("out", Path, "Minari root to write to; Minari's own by default.")
+MINARI_ROOT = extra("out", Path, help="Minari root to write to; Minari's own by default.")
 
 
 @command(
     {"": CollectConfig},
     "task.task episodes policy.policy task.split keep_failed=--keep-failed/--drop-failed"
     f" dataset_id=--id task.states task.observation task.engine {RUN}",
-    extra("nx", tuple[int, ...], "Numbers of crossings: 3, 2,3 or 0-4.", (2,)),
+    extra("nx", tuple[int, ...], (2,)),
     MINARI_ROOT,
 )
 def collect(given: Given) -> None:
@@ -28,6 +28,9 @@ def collect(given: Given) -> None:
         knotgym collect --task unknot --nx 2-4 --policy mine:act
 
         knotgym collect --policy pretrained --set labels=expert
+
+    Args:
+        nx: Numbers of crossings: 3, 2,3 or 0-4.
     """
     from knotgym.datasets.minari_form import loading_lines
     from knotgym.generate.episodes.collect import collect as run

@@ -1,66 +1,36 @@
 """The commands `knotgym dataset ...`, which inspect, check, convert and cut datasets."""
 
-import functools
-import inspect
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from knotgym.cli.options import APP, Overwrite, Quiet
+from knotgym.cli.options import APP, Given, command, extra
 from knotgym.common.errors import Failed, InvalidInput
-from knotgym.runs.progress import Progress
 
-dataset = App(
-    name="dataset",
-    help="Inspect, check and convert datasets.",
-    help_epilogue="",
-    default_parameter=Parameter(show_default=False),
-    **APP,
-)
-
-PathOrId = Annotated[
+_command = partial(command, {}, lines=False)
+_SOURCE = extra(
+    "PATH-OR-ID",
     str,
-    Parameter(
-        name="PATH-OR-ID",
-        help="A run's folder or its minari folder, a states.h5, an episode file, a folder of"
-        " pictures, or a Minari dataset id; show also takes transcripts.",
-    ),
-]
-Out = Annotated[
-    Path | None,
-    Parameter(
+    ...,
+    "A run's folder or its minari folder, a states.h5, an episode file, a folder of pictures, or a"
+    " Minari dataset id; show also takes transcripts.",
+)
+_TARGET = (
+    extra(
+        "out",
+        Path,
         help="Output: a file if the dataset is a file or episodes, else a folder. With --id: the"
         " Minari root, Minari's own by default.",
     ),
-]
-Source = Annotated[str, Parameter(name="PATH-OR-ID")]
-Curve = Annotated[Path, Parameter(name="CURVE")]
-Id = Annotated[str, Parameter(name="--id", help="Write episodes as a Minari dataset with this id.")]
+    extra("id", str, "", "Write episodes as a Minari dataset with this id."),
+)
+_SEED = extra("seed", int, 0, "Seed of the random choice.")
 
 
-def _command(name: str | None = None) -> Callable[[Callable[..., None]], None]:
-    """Register a function as a command; its first parameter is the progress display."""
-
-    def register(function: Callable[..., None]) -> None:
-        @functools.wraps(function)
-        def run(*words: Any, quiet: bool = False, **options: Any) -> None:
-            with Progress(quiet, lines=False) as progress:
-                function(progress, *words, **options)
-
-        _, *parameters = inspect.signature(function).parameters.values()
-        quiet = inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False)
-        own = [*parameters, quiet.replace(annotation=Quiet)]
-        run.__annotations__ = {one.name: one.annotation for one in own}
-        vars(run)["__signature__"] = inspect.Signature(own)
-        dataset.command(run, name=name)
-
-    return register
-
-
-@_command()
-def show(progress: Progress, path: PathOrId, /) -> None:
+@_command("", _SOURCE)
+def show(given: Given) -> None:
     """Summarize a dataset.
 
     Prints crossings, codes, chirality, splits, quality and rejections. For transcripts of `knotgym
@@ -68,13 +38,11 @@ def show(progress: Progress, path: PathOrId, /) -> None:
     """
     from knotgym.cli.inspection import show as look
 
-    look(path, progress.console)
+    look(given["path_or_id"], given.progress.console)
 
 
-@_command()
-def gallery(
-    progress: Progress, path: PathOrId, /, *, out: Path | None = None, overwrite: Overwrite = False
-) -> None:
+@_command("run.overwrite", _SOURCE, extra("out", Path))
+def gallery(given: Given) -> None:
     """Draw a contact sheet of knot diagrams with their codes.
 
     It shows all states, or the final states of the first 64 episodes, framed green for success and
@@ -84,14 +52,13 @@ def gallery(
         out: PNG to write; gallery.png in the folder by default.
     """
     from knotgym.cli.inspection import gallery as draw
-    from knotgym.datasets.located import folder_of
 
-    out = out or folder_of(path) / "gallery.png"
-    progress.say(f"{out}: {draw(path, out, 8, overwrite)}")
+    out = _out(given, "gallery.png")
+    given.progress.say(f"{out}: {draw(given['path_or_id'], out, 8, given.run.overwrite)}")
 
 
-@_command()
-def verify(progress: Progress, path: PathOrId, /) -> None:
+@_command("", _SOURCE)
+def verify(given: Given) -> None:
     """Check a dataset.
 
     Compares checksums and schema, recomputes Gauss codes with two implementations, replays the
@@ -100,24 +67,18 @@ def verify(progress: Progress, path: PathOrId, /) -> None:
     from knotgym.cli.inspection import checked, faults
     from knotgym.runs.compilation import compile_first
 
+    path, progress, count = given["path_or_id"], given.progress, 0
     compile_first(progress)
-    found = 0
     for fault in faults(path, progress):
-        found += 1
-        progress.console.print(f"fault: {fault}", soft_wrap=True, highlight=False, markup=False)
-    if found:
-        raise Failed(f"{path}: {found} faults")
+        _print(given, f"fault: {fault}")
+        count += 1
+    if count:
+        raise Failed(f"{path}: {count} faults")
     progress.say(f"{path}: {checked(path)}: no faults")
 
 
-@_command()
-def merge(
-    progress: Progress,
-    *sources: Source,
-    out: Path | None = None,
-    dataset_id: Id = "",
-    overwrite: Overwrite = False,
-) -> None:
+@_command("run.overwrite", extra("SOURCES", list[str]), *_TARGET)
+def merge(given: Given) -> None:
     """Merge datasets of one kind. Data is copied, not encoded again.
 
     Shards of a run are merged by running its command again, without run.shard, where the journals
@@ -130,33 +91,19 @@ def merge(
         knotgym dataset merge knotgym/tie-nx2/a-v0 knotgym/tie-nx2/b-v0 --id knotgym/both-v0
 
     Args:
-        sources: State files or their folders; or trajectory datasets of one task.
-        out: Output. With --id: the Minari root, Minari's own by default. Otherwise: the file,
-            states.h5, or episodes.h5 for trajectories.
+        sources: State files or their folders; or episodes of one task.
     """
+    sources = given["sources"] or ()
     if not sources:
         raise InvalidInput("name what to merge: two datasets at least")
-    if any(source.endswith(".journal") for source in sources):
-        raise InvalidInput(
-            "shards of a run are merged by running its command again, without run.shard, where"
-            " their journals lie"
-        )
     from knotgym.datasets.merging import merge as merge_datasets
 
-    progress.stage("merging")
-    progress.say(merge_datasets(sources, out, dataset_id, overwrite))
+    given.progress.stage("merging")
+    given.progress.say(merge_datasets(sources, given["out"], given["id"], given.run.overwrite))
 
 
-@_command()
-def replay(
-    progress: Progress,
-    path: PathOrId,
-    /,
-    *,
-    out: Path | None = None,
-    row: int = 0,
-    overwrite: Overwrite = False,
-) -> None:
+@_command("run.overwrite", _SOURCE, extra("out", Path), extra("row", int, 0))
+def replay(given: Given) -> None:
     """Replay the actions of a state or an episode, check the result bit for bit, and film it.
 
     Arrows show the pulls, both codes are printed below, and the last frame says "reached" or
@@ -168,16 +115,14 @@ def replay(
         row: Index of the state or episode.
     """
     from knotgym.cli.inspection import film
-    from knotgym.datasets.located import folder_of
 
-    out = out or folder_of(path) / "replay.gif"
-    progress.say(f"{out}: {film(path, row, out, overwrite, progress)}")
+    out, progress = _out(given, "replay.gif"), given.progress
+    filmed = film(given["path_or_id"], given["row"], out, given.run.overwrite, progress)
+    progress.say(f"{out}: {filmed}")
 
 
-@_command()
-def page(
-    progress: Progress, path: PathOrId, /, *, out: Path | None = None, overwrite: Overwrite = False
-) -> None:
+@_command("run.overwrite", _SOURCE, extra("out", Path))
+def page(given: Given) -> None:
     """Write a self-contained HTML page for browsing a dataset offline.
 
     States can be rotated in 3D and episodes played. Large sets are sampled, so that the page has at
@@ -187,23 +132,14 @@ def page(
         out: HTML file to write; page.html in the folder by default.
     """
     from knotgym.cli.inspection import page as write
-    from knotgym.datasets.located import folder_of
 
-    out = out or folder_of(path) / "page.html"
-    progress.stage("writing the page")
-    progress.say(f"{out}: {write(path, out, overwrite)}")
+    out = _out(given, "page.html")
+    given.progress.stage("writing the page")
+    given.progress.say(f"{out}: {write(given['path_or_id'], out, given.run.overwrite)}")
 
 
-@_command()
-def export(
-    progress: Progress,
-    path: PathOrId,
-    /,
-    *,
-    out: Path,
-    to: str = "compact",
-    overwrite: Overwrite = False,
-) -> None:
+@_command("run.overwrite", _SOURCE, extra("out", Path, ...), extra("to", str, "compact"))
+def export(given: Given) -> None:
     """Convert a dataset to another format, or to a folder ready to upload.
 
     Args:
@@ -216,23 +152,20 @@ def export(
     from knotgym.control.verification import replay
     from knotgym.datasets.exports.exporters import export as convert
 
-    progress.stage("exporting")
-    progress.say(f"{out}: {convert(path, out, to, replay, overwrite=overwrite)}")
+    given.progress.stage("exporting")
+    path, out, to = given["path_or_id"], given["out"], given["to"]
+    given.progress.say(f"{out}: {convert(path, out, to, replay, overwrite=given.run.overwrite)}")
 
 
-@_command()
-def select(
-    progress: Progress,
-    path: PathOrId,
-    /,
-    *,
-    where: str = "",
-    sample: int | None = None,
-    seed: int = 0,
-    out: Out = None,
-    dataset_id: Id = "",
-    overwrite: Overwrite = False,
-) -> None:
+@_command(
+    "run.overwrite",
+    _SOURCE,
+    extra("where", str, ""),
+    extra("sample", int),
+    _SEED,
+    *_TARGET,
+)
+def select(given: Given) -> None:
     """Write the states, episodes or pictures that fulfil a condition as a new dataset.
 
     Examples:
@@ -246,65 +179,32 @@ def select(
             ('expert', 'play')". An unknown column lists those that there are. Needs the extra
             select.
         sample: Keep this many of the rows, drawn at random.
-        seed: Seed of the random choice.
     """
     from knotgym.datasets import subsets
 
-    progress.stage("selecting")
-    _require_own(path, out, dataset_id)
-    made = subsets.select(
-        path,
-        where=where,
-        sample=sample,
-        seed=seed,
-        out=out,
-        dataset_id=dataset_id,
-        overwrite=overwrite,
-    )
-    progress.say(f"{made}: {subsets.kept(made)}")
+    given.progress.stage("selecting")
+    chosen = {name: given[name] for name in ("where", "sample", "seed")}
+    _say_kept(given, subsets.select(given["path_or_id"], **chosen, **_target(given)))
 
 
-@_command()
-def split(
-    progress: Progress,
-    path: PathOrId,
-    /,
-    *,
-    parts: str,
-    seed: int = 0,
-    out: Out = None,
-    dataset_id: Id = "",
-    overwrite: Overwrite = False,
-) -> None:
+@_command("run.overwrite", _SOURCE, extra("parts", str, ...), _SEED, *_TARGET)
+def split(given: Given) -> None:
     """Write a dataset as several, OUT-NAME each, by fractions of its rows.
 
     Near-duplicates, rows of one walk, and episodes with a common start or goal state stay together.
 
     Args:
         parts: Names and fractions of the parts, such as train=0.8,val=0.2.
-        seed: Seed of the random choice.
     """
     from knotgym.datasets import subsets
 
-    progress.stage("splitting")
-    _require_own(path, out, dataset_id)
-    for made in subsets.split(
-        path, parts, seed=seed, out=out, dataset_id=dataset_id, overwrite=overwrite
-    ):
-        progress.say(f"{made}: {subsets.kept(made)}")
+    given.progress.stage("splitting")
+    path, parts, seed = given["path_or_id"], given["parts"], given["seed"]
+    _say_kept(given, *subsets.split(path, parts, seed=seed, **_target(given)))
 
 
-@_command()
-def delete(
-    progress: Progress,
-    path: PathOrId,
-    /,
-    *,
-    rows: str,
-    out: Out = None,
-    dataset_id: Id = "",
-    overwrite: Overwrite = False,
-) -> None:
+@_command("run.overwrite", _SOURCE, extra("rows", str, ...), *_TARGET)
+def delete(given: Given) -> None:
     """Write a dataset without some of its rows.
 
     Args:
@@ -312,17 +212,13 @@ def delete(
     """
     from knotgym.datasets import subsets
 
-    progress.stage("deleting")
-    _require_own(path, out, dataset_id)
-    numbered = subsets.row_numbers(rows)
-    made = subsets.delete(path, numbered, out=out, dataset_id=dataset_id, overwrite=overwrite)
-    progress.say(f"{made}: {subsets.kept(made)}")
+    given.progress.stage("deleting")
+    rows = subsets.row_numbers(given["rows"])
+    _say_kept(given, subsets.delete(given["path_or_id"], rows, **_target(given)))
 
 
-@_command(name="import")
-def import_curves(
-    progress: Progress, *curves: Curve, out: Path, overwrite: Overwrite = False
-) -> None:
+@_command("run.overwrite", extra("CURVES", list[str]), extra("out", Path, ...))
+def import_(given: Given) -> None:
     """Write closed curves as states of the rope.
 
     A curve is cut into beads, scaled to the rope's length, relaxed where needed, and judged by the
@@ -335,29 +231,56 @@ def import_curves(
             .obj, .vect, .json, .npy or .npz.
         out: State file to write, such as states.h5.
     """
-    if not curves:
+    if not given["curves"]:
         raise InvalidInput("name the files of curves to import")
     from knotgym.common.atomic_files import atomic_write, require_output
-    from knotgym.generate.states.imported_curves import import_curves as lay
+    from knotgym.generate.states.imported_curves import import_curves
     from knotgym.states.state_file import write_states
 
-    progress.stage("relaxing curves")
+    out, overwrite = given["out"], given.run.overwrite
+    given.progress.stage("relaxing curves")
     require_output(out, folder=False, overwrite=overwrite)
-    states, refused = lay(curves)
+    states, refused = import_curves([Path(name) for name in given["curves"]])
     with atomic_write(out, overwrite=overwrite) as temporary:
         write_states(temporary, states)
     knots = ", ".join(sorted(set(states.knot.tolist())))
-    progress.say(f"{out}: {len(states)} states, of {knots}")
-    for line in refused:
-        progress.console.print(f"refused: {line}", soft_wrap=True, highlight=False, markup=False)
+    given.progress.say(f"{out}: {len(states)} states, of {knots}")
+    _print(given, *(f"refused: {line}" for line in refused))
     if refused:
         raise Failed(f"{len(refused)} files or curves were refused; {out} holds {len(states)}")
 
 
-def _require_own(path: str, out: Path | None, dataset_id: str) -> None:
-    """Refuse linked files, and a plain file in Minari's folder."""
+dataset = App(name="dataset", help="Inspect, check and convert datasets.", help_epilogue="", **APP)
+for _one in (show, gallery, verify, merge, replay, page, export, select, split, delete, import_):
+    dataset.command(_one)
+
+
+def _print(given: Given, *lines: str) -> None:
+    """Print lines of the result, which --quiet doesn't leave out."""
+    for line in lines:
+        given.progress.console.print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+def _out(given: Given, name: str) -> Path:
+    """Return the output that was typed, or a file of this name beside the dataset."""
+    from knotgym.datasets.located import folder_of
+
+    return given["out"] or folder_of(given["path_or_id"]) / name
+
+
+def _target(given: Given) -> dict[str, Any]:
+    """Return where `subsets` writes; linked files, and a file in Minari's folder, are refused."""
     from knotgym.datasets.located import refuse_minaris_folder, sources
 
-    sources(path)
+    out, dataset_id = given["out"], given["id"]
+    sources(given["path_or_id"])
     if out is not None and not dataset_id:
         refuse_minaris_folder(out)
+    return {"out": out, "dataset_id": dataset_id, "overwrite": given.run.overwrite}
+
+
+def _say_kept(given: Given, *made: Path) -> None:
+    from knotgym.datasets.subsets import kept
+
+    for one in made:
+        given.progress.say(f"{one}: {kept(one)}")

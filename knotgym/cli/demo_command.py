@@ -6,15 +6,14 @@ from pathlib import Path
 from knotgym.cli.options import Given, command, extra
 
 
-@command(
-    {},
-    "run.overwrite",
-    extra("out", Path, "Folder to make.", Path("knotgym-data/demo")),
-)
+@command({}, "run.overwrite", extra("out", Path, Path("knotgym-data/demo")))
 def demo(given: Given) -> None:
     """Film the expert tying a knot diagram, in about 20 seconds.
 
     Writes an observation, a film and an HTML page.
+
+    Args:
+        out: Folder to make.
     """
     progress, out, overwrite = given.progress, given["out"], given.run.overwrite
     progress.stage("loading the simulator")

@@ -10,13 +10,11 @@ from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 @command(
     {"": EvaluateConfig, "policy": PolicyConfig},
     f"tasks=--task nx splits=--split episodes task.states task.engine {RUN}",
-    extra("policy", list[str], f"{field_help(PolicyConfig, 'policy')} May be repeated.", "random"),
-    extra("out", Path, "JSON file to write."),
     extra(
-        "video",
-        Path,
-        "Film of the first episodes of each setup: .gif, or with the extra video .mp4 or .webm.",
+        "policy", list[str], ("random",), f"{field_help(PolicyConfig, 'policy')} May be repeated."
     ),
+    extra("out", Path),
+    extra("video", Path),
     lines=False,
 )
 def evaluate(given: Given) -> None:
@@ -29,6 +27,11 @@ def evaluate(given: Given) -> None:
         knotgym evaluate --task tie --nx 3 --policy random --episodes 256
 
         knotgym evaluate --policy random --policy mine:act --task tie,unknot --nx 2-4
+
+    Args:
+        out: JSON file to write.
+        video: Film of the first episodes of each setup: .gif, or with the extra video .mp4 or
+            .webm.
     """
     from knotgym.generate.episodes.evaluate import run
 
@@ -36,7 +39,7 @@ def evaluate(given: Given) -> None:
     if "policy" in given.typed or given.has("policy"):
         more["policies"] = [
             given.config(PolicyConfig, {"policy": name}, section="policy")
-            for name in (given["policy"] if "policy" in given.typed else ["random"])
+            for name in given["policy"]
         ]
     config = given.config(EvaluateConfig, more)
     run(config, given.run, out=given["out"], video=given["video"], progress=given.progress)

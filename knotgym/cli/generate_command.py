@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.cli.options import RUN, Given, command, default_folder, extra, numbers
+from knotgym.cli.options import RUN, Given, command, extra, numbers
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.states.generate_config import GenerateConfig
@@ -21,15 +21,9 @@ MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
 @command(
     {"": GenerateConfig},
     f"count source every_code demonstrations knot engine {RUN}",
-    extra("nx", str, "Numbers of crossings: 3, 2,3 or 0-4.", "3, or those of --knot"),
-    extra("out", Path, "Folder to write; by default knotgym-data/nx3, or nx3-3_1 with --knot 3_1."),
-    extra(
-        "codes",
-        Path,
-        "File of Gauss, PD or DT codes, one per line, or hard-unknots for the 21 diagrams of Burton"
-        " and others. --nx chooses by crossings, --count at random; --every-code gives the number"
-        " of states per code, 1 by default.",
-    ),
+    extra("nx", str, "3, or those of --knot"),
+    extra("out", Path),
+    extra("codes", Path),
 )
 def generate(given: Given) -> None:
     """Generate rope states with train and test splits, and demonstrations of their Gauss codes.
@@ -45,6 +39,13 @@ def generate(given: Given) -> None:
         knotgym generate --knot 8_19 --count 4
 
         knotgym generate --nx 0-3 --count 200 --source play
+
+    Args:
+        nx: Numbers of crossings: 3, 2,3 or 0-4.
+        out: Folder to write; by default knotgym-data/nx3, or nx3-3_1 with --knot 3_1.
+        codes: File of Gauss, PD or DT codes, one per line, or hard-unknots for the 21 diagrams of
+            Burton and others. --nx chooses by crossings, --count at random; --every-code gives the
+            number of states per code, 1 by default.
     """
     from knotgym.datasets.minari_form import loading_lines
     from knotgym.generate.states.state_recipe import make_states
@@ -55,18 +56,7 @@ def generate(given: Given) -> None:
     if "nx" not in given.typed:
         nx = str(diagram_of(knot).nx) if knot != UNKNOT else "3"
     usual = {"nx": numbers(nx)}
-    folder = given["out"] or default_folder(
-        f"nx{nx}",
-        "" if given.get("source") == "drawing" else given.get("source"),
-        "" if knot == UNKNOT else knot,
-        f"every{every_code}" if every_code else "",
-        "" if given.get("split_by") == "state" else f"by-{given.get('split_by')}",
-        codes.stem if codes else "",
-        "" if given.get("demonstrations") else "states",
-        "" if given.get("engine") == "auto" else given.get("engine"),
-        "" if given.get("beads") == 100 else f"beads{given.get('beads')}",
-        f"seed{given.get('seed')}" if given.get("seed") else "",
-    )
+    folder = given.folder(f"nx{nx}-{codes.stem}" if codes else f"nx{nx}", "nx", "count")
     more: dict[str, Any] = {}
     if codes is not None:
         wanted = numbers(nx) if "nx" in given.typed else None

@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
-from knotgym.common.atomic_files import (
-    atomic_write,
-    require_output,
-)
+from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.control import verification
 from knotgym.datasets.episode_dataset import open_episodes
@@ -39,12 +36,7 @@ from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import rope_of
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
-from knotgym.states.state_file import (
-    leads_out,
-    minari_root,
-    read_states,
-    states_at,
-)
+from knotgym.states.state_file import leads_out, minari_root, read_states, states_at
 
 Image: TypeAlias = NDArray[np.uint8]
 _LARGE = 4_000_000  # bytes; larger tables are checked faster by several processes than by one

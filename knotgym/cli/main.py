@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from types import FrameType
 
@@ -63,55 +63,30 @@ def application() -> App:
     return app
 
 
+def main_generate() -> None:
+    """Run `knotgym-generate`, the same as `knotgym generate`."""
+    main(["generate", *sys.argv[1:]])
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `knotgym` and exit, with status 0 only if everything requested was done."""
     tokens = sys.argv[1:] if arguments is None else [*arguments]
-    _run(application, tokens, bool(_RESUMABLE & {*tokens[:1]}))
-
-
-def main_generate(arguments: Sequence[str] | None = None) -> None:
-    """Run `knotgym-generate`, the same as `knotgym generate`."""
-
-    def alone() -> App:
-        from knotgym.cli.generate_command import generate
-        from knotgym.cli.options import APP
-
-        app = App(
-            name="knotgym-generate", help=generate.help, help_epilogue=generate.help_epilogue, **APP
-        )
-        app.default(generate.default_command)
-        return app
-
-    _run(alone, sys.argv[1:] if arguments is None else [*arguments], True)
-
-
-def _run(make: Callable[[], App], tokens: list[str], resumable: bool) -> None:
+    resumable = bool(_RESUMABLE & {*tokens[:1]})
     goes_on = ", --resume continues from the last checkpoint" if resumable else ""
     stopped = f"interrupted; no partial output is left{goes_on}"
     for number in _SIGNALS:
         signal.signal(number, functools.partial(_interrupt, stopped))
     try:
-        status = make()(
+        status = application()(
             tokens, print_error=False, exit_on_error=False, result_action="return_value"
         )
         status = status if isinstance(status, int) else 0
     except CycloptsError as error:
         status = _say(_mistake(error), _MISTAKEN)
-    except Failed as error:
-        status = _say(str(error), _FAILED)
     except KnotgymError as error:
-        status = _say(str(error), _MISTAKEN)
-    except BrokenExecutor:
-        status = _say(
-            "a worker died, perhaps out of memory; --resume continues from the last checkpoint",
-            _FAILED,
-        )
-    except MemoryError:
-        status = _say(
-            "out of memory, here or in a worker; finished work is kept, --resume continues from"
-            " there",
-            _FAILED,
-        )
+        status = _say(str(error), _FAILED if isinstance(error, Failed) else _MISTAKEN)
+    except (BrokenExecutor, MemoryError):
+        status = _say(f"a worker died or memory ran out; finished work is kept{goes_on}", _FAILED)
     except OSError as error:
         # an impossible file name is the user's mistake
         status = _say(_trouble(error), _MISTAKEN if error.errno in _NO_NAME else _FAILED)

@@ -2,7 +2,8 @@
 
 A command is a function, the configuration classes that it fills, and the fields of these that are
 options; cyclopts makes the rest. The help of an option is the first sentence about its field in the
-class's docstring. What is typed becomes one tree of JSON values, with this precedence,
+class's docstring; that of an option that is no field, what the function's docstring has under Args.
+What is typed becomes one tree of JSON values, with this precedence,
 
     typed options  >  --set name=value  >  --settings FILE  >  defaults
 
@@ -12,7 +13,6 @@ reach every field, under the same names.
 
 import dataclasses
 import inspect
-import json
 import re
 import tomllib
 import types
@@ -37,10 +37,7 @@ APP: dict[str, Any] = {
 }
 EXISTING = "run.resume run.restart run.overwrite"
 RUN = f"seed run.workers {EXISTING}"  # options of every command that makes data
-Quiet = Annotated[bool, Parameter(show=False, negative="", help="Print errors only.")]
-Overwrite = Annotated[
-    bool, Parameter(negative="", help="Replace an existing output once the new one is complete.")
-]
+_QUIET = Annotated[bool, Parameter(show=False, negative="", help="Print errors only.")]
 _GROUP, _RUN_GROUP = (Group.create_ordered(name) for name in ("Options", "How it is run"))
 _METAVARS = {int: "N", float: "X", Path: "PATH", tuple[int, ...]: "N,N", tuple[str, ...]: "A,B"}
 
@@ -50,18 +47,18 @@ class Option(NamedTuple):
 
     Attributes:
         path: the field that it sets, such as "task.horizon", or the name of an extra option.
-        typed: what is typed, such as "--horizon" or "--keep/--drop"; "" for an argument.
+        typed: what is typed, such as "--horizon" or "--keep/--drop"; the name of an argument.
         kind: type of its value.
+        default: its default; `...` if it must be given.
         help: its help.
-        default: the default that is shown.
         is_field: whether it sets a field of a configuration.
     """
 
     path: str
     typed: str
     kind: Any
-    help: str
     default: Any = None
+    help: str = ""
     is_field: bool = False
 
     @property
@@ -69,13 +66,18 @@ class Option(NamedTuple):
         """Its name as a parameter of a function."""
         return self.path.replace(".", "__")
 
+    @property
+    def is_argument(self) -> bool:
+        """Whether it is typed without a name."""
+        return not self.typed.startswith("-")
+
     def parameter(self) -> inspect.Parameter:
         """Return it as cyclopts reads it; values are text, but for flags and lists."""
         name, _, negative = self.typed.partition("/")
-        shown = _as_typed(self.default)
+        shown = as_typed(self.default)
         in_run = self.path.startswith("run.") or self.path in ("seed", "settings", "set")
         info = Parameter(
-            name=name or self.path.upper(),
+            name=name,
             metavar=_METAVARS.get(self.kind, "TEXT"),
             help=self.help,
             negative=negative,
@@ -85,16 +87,18 @@ class Option(NamedTuple):
         kind = self.kind if self.kind in (bool, list[str]) else str
         return inspect.Parameter(
             self.key,
-            inspect.Parameter.KEYWORD_ONLY if name else inspect.Parameter.POSITIONAL_ONLY,
-            default=None,
+            inspect.Parameter.POSITIONAL_ONLY
+            if self.is_argument
+            else inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if self.default is ... else None,
             annotation=Annotated[kind | None, info],
         )
 
 
-def extra(name: str, kind: Any, help: str, default: Any = None) -> Option:
+def extra(name: str, kind: Any, default: Any = None, help: str = "") -> Option:
     """Return an option that is no field of a configuration; one in capitals is an argument."""
     path = name.lower().replace("-", "_")
-    return Option(path, "" if name.isupper() else f"--{name}", kind, help, default)
+    return Option(path, name if name.isupper() else f"--{name}", kind, default, help)
 
 
 def command(
@@ -110,19 +114,24 @@ def command(
         lines: see `Progress`.
     """
     sections = {**sections, "run": RunOptions}
-    options = [*extras, *(_option(sections, *word.split("=")) for word in fields.split())]
+    found = [_field(sections, *word.split("=")) for word in fields.split()]
+    options = [*extras, *(option for option in found if option is not None)]
     if "" in sections:
         options += [
-            extra("settings", Path, "TOML or JSON file of settings."),
-            extra("set", list[str], "One setting, such as task.horizon=30; may be repeated."),
+            extra("settings", Path, help="TOML or JSON file of settings."),
+            extra("set", list[str], help="One setting, such as task.horizon=30; may be repeated."),
         ]
 
     def declare(function: Callable[[Given], None]) -> App:
-        arguments = [option.key for option in options if not option.typed]
-        parameters = [option.parameter() for option in options]
+        arguments = [option.key for option in options if option.is_argument]
+        doc = inspect.cleandoc(function.__doc__ or "")
+        parameters = [
+            option._replace(help=option.help or _described(doc, "Args", option.path)).parameter()
+            for option in options
+        ]
         parameters.sort(key=lambda one: one.kind)  # arguments first
         quiet = inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False)
-        parameters.append(quiet.replace(annotation=Quiet))
+        parameters.append(quiet.replace(annotation=_QUIET))
 
         def run(*words: str, quiet: bool = False, **values: Any) -> None:
             values |= dict(zip(arguments, words, strict=False))
@@ -131,8 +140,8 @@ def command(
 
         run.__annotations__ = {one.name: one.annotation for one in parameters}
         vars(run).update(__signature__=inspect.Signature(parameters), sections=sections)
-        help = inspect.cleandoc(function.__doc__ or "").partition("\n\n")
-        name = function.__name__.replace("_", "-")
+        help = doc.partition("\n\nArgs:\n")[0].partition("\n\n")
+        name = function.__name__.rstrip("_").replace("_", "-")
         app = App(name=name, help=help[0], help_epilogue=help[2], **APP)
         app.default(run)
         return app
@@ -176,7 +185,7 @@ class Given:
             if not sign:
                 raise InvalidInput(f"--set takes name=value, such as task.horizon=30, got {one!r}")
             field = _field(sections, path)
-            value = read_value(text, field.hint, f"--set {path}") if field else text
+            value = read_value(text, field.kind, f"--set {path}") if field else text
             settings = merged(settings, _nested({path: value}))
         self._settings = merged(settings, _nested(fields))
 
@@ -218,22 +227,33 @@ class Given:
             own = {name: one for name, one in self._settings.items() if name not in self._sections}
         return from_json(kind, merged(merged(_nested(usual or {}), own), _nested(more or {})))
 
+    def folder(self, name: str, *named: str) -> Path:
+        """Return --out, or else a folder named after every setting that was typed or set.
+
+        Args:
+            name: how the default name begins, such as nx3.
+            named: paths of the settings that it tells or that it need not tell.
+        """
+        marks = [name]
+        for path, value in sorted(_leaves(self._settings)):
+            field = _field(self._sections, path)
+            told = path in named or path.startswith("run.")
+            if field is not None and value != field.default and not told:
+                marks.append(_mark(path.rpartition(".")[2].replace("_", "-"), value))
+        plain = re.sub(r"[^\w.,-]", "-", "-".join(marks))
+        return self["out"] or Path("knotgym-data") / plain
+
     @property
     def run(self) -> RunOptions:
         """The options of the run."""
         return self.config(RunOptions, {"quiet": self.quiet}, section="run")
 
 
-class Field(NamedTuple):
-    """A field of a configuration: its type, its default, and what its class says about it."""
+def _field(sections: Sections, path: str, typed: str = "") -> Option | None:
+    """Make the option of a field, such as "task.horizon" or "run.workers"; None if there is none.
 
-    hint: Any
-    default: Any
-    help: str
-
-
-def _field(sections: Sections, path: str) -> Field | None:
-    """Find a field by its path, such as "task.horizon" or "run.workers"; None if there is none."""
+    The option has the field's name, or is `typed` otherwise.
+    """
     first, _, rest = path.partition(".")
     section, names = (first, rest) if rest and first in sections else ("", path)
     hint: Any = sections.get(section)
@@ -244,7 +264,9 @@ def _field(sections: Sections, path: str) -> Field | None:
             return None
         help = field_help(hint, name)
         hint, default = hints[name], getattr(default, name, None)
-    return Field(hint, default, help)
+    name = f"--{path.rpartition('.')[2].replace('_', '-')}"
+    name += f"/--no-{name[2:]}" if default is True else ""
+    return Option(path, typed or name, hint, default, help, is_field=True)
 
 
 def settings_named(sections: Sections, name: str) -> Iterator[str]:
@@ -268,22 +290,20 @@ def field_help(kind: type, name: str) -> str:
     'Replace an existing output once the new one is complete.'
     """
     for one in kind.__mro__:
-        section = inspect.cleandoc(one.__doc__ or "").partition("\nAttributes:\n")[2]
-        for entry in re.split(r"\n(?=    \w)", "\n" + section.partition("\n\n")[0]):
-            names, colon, text = entry.strip().partition(": ")
-            if colon and name in names.split(", "):
-                sentence = re.split(r"(?<=\.) (?=[A-Z])", " ".join(text.split()))[0]
-                return sentence[:1].upper() + sentence[1:]
+        if text := _described(inspect.cleandoc(one.__doc__ or ""), "Attributes", name):
+            sentence = re.split(r"(?<=\.) (?=[A-Z])", text)[0]
+            return sentence[:1].upper() + sentence[1:]
     return ""
 
 
-def _option(sections: Sections, path: str, typed: str = "") -> Option:
-    """Make the option of a field."""
-    field = _field(sections, path)
-    assert field is not None, path
-    name = f"--{path.rpartition('.')[2].replace('_', '-')}"
-    name += f"/--no-{name[2:]}" if field.default is True else ""
-    return Option(path, typed or name, field.hint, field.help, field.default, is_field=True)
+def _described(doc: str, heading: str, name: str) -> str:
+    """Return what a docstring has about a name under a heading; "" for nothing."""
+    section = doc.partition(f"\n{heading}:\n")[2].partition("\n\n")[0]
+    for entry in re.split(r"\n(?=    \w)", "\n" + section):
+        names, colon, text = entry.strip().partition(": ")
+        if colon and name in names.split(", "):
+            return " ".join(text.split())
+    return ""
 
 
 def read_value(value: Any, hint: Any, name: str) -> Any:
@@ -323,7 +343,6 @@ _READERS: dict[Any, tuple[Callable[[str], Any], str]] = {
     int: (int, "a whole number"),
     float: (float, "a number"),
     Path: (Path, "a path"),
-    Mapping[str, int]: (json.loads, 'an object such as {"expert": 3}'),
 }
 
 
@@ -347,24 +366,31 @@ def numbers(text: str, name: str = "--nx") -> tuple[int, ...]:
     return tuple(found)
 
 
-def default_folder(name: str, *marks: str) -> Path:
-    """Return the output folder used without --out: a name and marks for non-default settings.
+def as_typed(value: Any) -> str:
+    """Return a value as it would be typed, "" for what isn't worth showing.
 
-    >>> print(default_folder("nx3", "3_1", "", "seed1"))
-    knotgym-data/nx3-3_1-seed1
+    >>> as_typed((1, 2, 3)), as_typed((2, 3)), as_typed(None)
+    ('1-3', '2,3', '')
     """
-    return Path("knotgym-data") / "-".join([name.replace(" ", ""), *filter(None, marks)])
-
-
-def _as_typed(value: Any) -> str:
-    """Return a value as it would be typed: (0, 1, 2) is "0-2"; "" for what isn't worth showing."""
     if isinstance(value, bool):
         return "yes" if value else ""
     if not isinstance(value, tuple):
-        return "" if value is None else str(value)
-    if len(value) > 2 and value == tuple(range(len(value))):
-        return f"0-{value[-1]}"
+        return "" if value in (None, ...) else str(value)
+    if len(value) > 2 and isinstance(value[0], int):
+        if value == tuple(range(value[0], value[0] + len(value))):
+            return f"{value[0]}-{value[-1]}"
     return ",".join(map(str, value))
+
+
+def _mark(name: str, value: Any) -> str:
+    """Return what a setting is called in a folder's name.
+
+    >>> _mark("knot", "3_1"), _mark("seed", 1), _mark("demonstrations", False)
+    ('3_1', 'seed1', 'no-demonstrations')
+    """
+    if isinstance(value, bool):
+        return name if value else f"no-{name}"
+    return value if isinstance(value, str) else name + as_typed(value)
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -375,6 +401,15 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
             value = {name: value}
         found = merged(found, value)
     return found
+
+
+def _leaves(settings: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the paths of nested settings with their values, lists as tuples."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{path}{name}.")
+        else:
+            yield path + name, tuple(value) if isinstance(value, list) else value
 
 
 def _value_at(settings: Any, path: str) -> Any:

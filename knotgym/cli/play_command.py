@@ -14,13 +14,9 @@ from knotgym.play.page_config import PageConfig
 @command(
     {"": PageConfig},
     "task.task task.nx policy port",
-    extra("DATASET", str, "A dataset to watch, by path or id; without one, you pull the rope."),
-    extra(
-        "record",
-        bool,
-        "Write finished and abandoned episodes to a Minari dataset, which later sessions continue.",
-    ),
-    extra("id", str, "Its id; by default such as knotgym/tie-nx3/human-v0."),
+    extra("DATASET", str),
+    extra("record", bool),
+    extra("id", str),
     MINARI_ROOT,
 )
 def play(given: Given) -> None:
@@ -34,6 +30,12 @@ def play(given: Given) -> None:
         knotgym play --task tie --nx 3 --record
 
         knotgym play knotgym/tie-nx2/expert-v0
+
+    Args:
+        dataset: A dataset to watch, by path or id; without one, you pull the rope.
+        record: Write finished and abandoned episodes to a Minari dataset, which later sessions
+            continue.
+        id: Its id; by default such as knotgym/tie-nx3/human-v0.
     """
     if importlib.util.find_spec("viser") is None:
         raise MissingExtra("viser", install_command("play"), "knotgym play")

@@ -1,9 +1,11 @@
 """The command `knotgym prompt`."""
 
+import hashlib
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from knotgym.cli.options import EXISTING, Given, command, default_folder, extra
+from knotgym.cli.options import EXISTING, Given, command, extra
 from knotgym.common.errors import InvalidInput
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.runs.progress import Progress
@@ -12,16 +14,10 @@ from knotgym.runs.progress import Progress
 @command(
     {"": PromptConfig},
     f"mode chat.model chat.base_url task.task task.nx episodes seed {EXISTING}",
-    extra("PICTURES", Path, "For mode read: a folder of pictures from `knotgym images`."),
-    extra(
-        "split", str, "Split, as for evaluate; default train, as published, or test for pictures."
-    ),
-    extra("out", Path, "Folder to write."),
-    extra(
-        "show",
-        bool,
-        "Print the whole prompt and send nothing; with --out also write its pictures.",
-    ),
+    extra("PICTURES", Path),
+    extra("split", str),
+    extra("out", Path),
+    extra("show", bool),
 )
 def prompt(given: Given) -> None:
     """Evaluate a vision-language model on episodes, or on reading Gauss codes from pictures.
@@ -33,6 +29,12 @@ def prompt(given: Given) -> None:
         knotgym prompt --mode stateless --task tie --nx 2 --model NAME
 
         knotgym prompt --mode read knotgym-data/images-nx0-4 --model NAME --base-url http://127.0.0.1:8000/v1
+
+    Args:
+        pictures: For mode read: a folder of pictures from `knotgym images`.
+        split: Split, as for evaluate; default train, as published, or test for pictures.
+        out: Folder to write.
+        show: Print the whole prompt and send nothing; with --out also write its pictures.
     """
     from knotgym.prompting.prompt_run import run_prompts
     from knotgym.prompting.prompts import READ
@@ -51,13 +53,13 @@ def prompt(given: Given) -> None:
         _show(config, rows, out, given.run.overwrite, given.progress)
         return
     if pictures is not None:
-        more["pictures"] = (split or "test", _digest(rows))
+        digest = hashlib.sha256(b"".join(row["image"] for row in rows)).hexdigest()
+        more["pictures"] = (split or "test", digest)
         config = given.config(PromptConfig, more, usual=usual)
     task, model = config.task, config.chat.model
     subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
-    stem = "".join(letter if letter.isalnum() or letter in "-." else "-" for letter in model)
-    mark = f"seed{config.seed}" if config.seed else ""
-    folder = out or default_folder(f"prompt-{config.mode}-{subject}", stem, mark)
+    told = ("mode", "chat.model", "chat.base_url", "task.task", "task.nx", "episodes")
+    folder = given.folder(f"prompt-{config.mode}-{subject}-{model}", *told)
 
     run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
     if not given.quiet:
@@ -68,8 +70,6 @@ def prompt(given: Given) -> None:
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
     """Return the first `count` pictures of a split; the table is shuffled."""
-    from itertools import islice
-
     from knotgym.common.errors import InvalidFile
     from knotgym.datasets.image_table import read_rows
 
@@ -78,12 +78,6 @@ def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
     if not rows:
         raise InvalidFile(f"{pictures} has no pictures of split {split}")
     return rows
-
-
-def _digest(rows: list[dict[str, Any]]) -> str:
-    import hashlib
-
-    return hashlib.sha256(b"".join(row["image"] for row in rows)).hexdigest()
 
 
 def _show(

@@ -12,12 +12,7 @@ from knotgym.generate.episodes.suite_config import SuiteConfig
     {"": SuiteConfig},
     f"tasks=--task nx policies=--policy splits=--split states recorded {RUN}",
     MINARI_ROOT,
-    extra(
-        "episodes",
-        tuple[str, ...],
-        "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default as many"
-        " as the benchmark has.",
-    ),
+    extra("episodes", tuple[str, ...]),
 )
 def suite(given: Given) -> None:
     """Make the fixed benchmark of offline datasets, or a part of it.
@@ -32,19 +27,22 @@ def suite(given: Given) -> None:
         knotgym suite --recorded --task tie --nx 2
 
         knotgym suite --task tie --nx 3 --states readable --policy expert,random --resume
+
+    Args:
+        episodes: Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default
+            as many as the benchmark has.
     """
     from knotgym.generate.episodes.suite import make_suite
 
-    more = {}
-    if given["episodes"]:
-        more["episodes"] = sizes(given["episodes"], given.get("policies"))
+    words, policies = given["episodes"], given.get("policies")
+    more = {"episodes": _sizes(words, policies)} if words else {}
     make_suite(given.config(SuiteConfig, more), given["out"], given.run, progress=given.progress)
 
 
-def sizes(words: Sequence[str], policies: Sequence[str]) -> dict[str, int]:
+def _sizes(words: Sequence[str], policies: Sequence[str]) -> dict[str, int]:
     """Read "100", for every policy, or "expert=3000,random=100".
 
-    >>> sizes(["100"], ("random", "expert"))
+    >>> _sizes(["100"], ("random", "expert"))
     {'random': 100, 'expert': 100}
     """
     pairs = [word.partition("=") for word in words]

@@ -11,15 +11,9 @@ from knotgym.learn.train_config import CloneConfig, ReaderConfig
 @command(
     {"": ReaderConfig, "clone": CloneConfig},
     f"steps seed run.workers {EXISTING}",
-    extra("out", Path, "Folder to write: weights, card and learning curves."),
-    extra("data", list[str], "Minari id or folder of train-split episodes; may be repeated."),
-    extra(
-        "learner",
-        str,
-        "pictures: the learner from pictures alone. clone: imitates the macro-actions of a"
-        " planner, from vertices; its settings are in the section clone.",
-        "pictures",
-    ),
+    extra("out", Path, ...),
+    extra("data", list[str]),
+    extra("learner", str, "pictures"),
 )
 def train(given: Given) -> None:
     """Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`.
@@ -29,10 +23,14 @@ def train(given: Given) -> None:
         knotgym train --data knotgym/tie-nx2/expert-v0 --out runs/reader
 
         knotgym train --learner clone --set clone.demonstrations=2000 --out runs/clone
+
+    Args:
+        out: Folder to write: weights, card and learning curves.
+        data: Minari id or folder of train-split episodes; may be repeated.
+        learner: pictures: the learner from pictures alone. clone: imitates the macro-actions of a
+            planner, from vertices; its settings are in the section clone.
     """
     learner, out = given["learner"], given["out"]
-    if out is None:
-        raise InvalidInput("name the folder to write: --out FOLDER")
     config: ReaderConfig | CloneConfig
     if learner == "clone":
         common = {name: given.get(name) for name in ("steps", "seed") if given.has(name)}

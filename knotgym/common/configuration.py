@@ -17,15 +17,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import (
-    Annotated,
-    Any,
-    NoReturn,
-    TypeVar,
-    dataclass_transform,
-    get_args,
-    get_type_hints,
-)
+from typing import Annotated, Any, NoReturn, TypeVar, dataclass_transform, get_args, get_type_hints
 
 import numpy as np
 from pydantic import (

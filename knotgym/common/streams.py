@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
 
-COUNTERS = 3  # per key; missing counters are 0
+_COUNTERS = 3  # per key; missing counters are 0
 _WORD, _MOST = 2**32, 2**63 - 1  # _MOST: seeds are stored in int64 columns
 
 
@@ -65,15 +65,15 @@ class Stream(IntEnum):
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:
     """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63)."""
-    if len(counters) > COUNTERS:
-        raise InvalidInput(f"a stream has at most {COUNTERS} counters, got {counters}")
+    if len(counters) > _COUNTERS:
+        raise InvalidInput(f"a stream has at most {_COUNTERS} counters, got {counters}")
     numbers = (int(seed), *map(int, counters))
     if not all(0 <= number <= _MOST for number in numbers):
         raise InvalidInput(f"a seed and its counters must be from 0 to 2**63 - 1, got {numbers}")
-    return (int(stream), *numbers, *([0] * (COUNTERS - len(counters))))
+    return (int(stream), *numbers, *([0] * (_COUNTERS - len(counters))))
 
 
-def words(key: tuple[int, ...]) -> NDArray[np.uint32]:
+def _words(key: tuple[int, ...]) -> NDArray[np.uint32]:
     """Return a key as entropy for NumPy: two 32-bit words per number, so keys stay distinct."""
     return np.array([(n % _WORD, n // _WORD) for n in key], dtype=np.uint32).ravel()
 
@@ -94,4 +94,4 @@ def derived_seed(stream: Stream, seed: int, *counters: int) -> int:
 
 
 def _sequence(key: tuple[int, ...]) -> np.random.SeedSequence:
-    return np.random.SeedSequence(words(key).tolist())
+    return np.random.SeedSequence(_words(key).tolist())

@@ -261,6 +261,29 @@ def within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]
     return np.asarray(np.linalg.norm(centres - origins, axis=1) <= tow_limit)
 
 
+def codes_held(
+    episodes: Episodes, tow_limit: float | None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Number the code of each state, and count for how many steps it has been shown.
+
+    Returns:
+        int64 (rows,) each: the codes as `code_ids` numbers them, but -1 where none counts: from the
+        first state beyond the bound on towing on, and where the simulation blew up; and the steps.
+    """
+    offsets, episode = episodes.offsets, episodes.episode_of()
+    beyond = ~within_tow(episodes, tow_limit)
+    beyond[episodes.last()] |= episodes.episodes["failed"]
+    passed = np.concatenate([[0], np.cumsum(beyond)])
+    numbers = code_ids(episodes.steps["visits"])
+    numbers[passed[1:] > passed[offsets[episode]]] = -1
+    # the state of a reset isn't a step, so that the first step begins to hold a code
+    row = np.arange(len(numbers))
+    step = row - offsets[episode]
+    begins = np.append(True, numbers[1:] != numbers[:-1]) | (step <= 1)
+    held = row - np.maximum.accumulate(np.where(begins, row, 0)) + (step > 0)
+    return numbers, held
+
+
 class Reached(NamedTuple):
     """Codes that episodes reached, in order: the episode and the step of each, int64 (m,)."""
 
@@ -283,19 +306,12 @@ def goals_reached(
     """
     if relabel not in RELABEL:
         raise InvalidInput(f"relabel must be {' or '.join(map(repr, RELABEL))}, got {relabel!r}")
-    ids, episode, offsets = (
-        code_ids(episodes.steps["visits"]),
+    (ids, held), episode, offsets = (
+        codes_held(episodes, tow_limit),
         episodes.episode_of(),
         episodes.offsets,
     )
-    same = np.zeros(len(ids), dtype=bool)  # as the state before, in the same episode
-    same[1:] = (ids[1:] == ids[:-1]) & (episode[1:] == episode[:-1])
-    index = np.arange(len(ids))
-    running = index - np.maximum.accumulate(np.where(same, 0, index)) + 1
-    beyond = ~within_tow(episodes, tow_limit)
-    towed = np.cumsum(beyond) - np.concatenate([[0], np.cumsum(beyond)])[offsets[episode]] > 0
-    counts = (ids != ids[offsets[episode]]) & (running >= hold) & ~towed
-    rows = np.flatnonzero(counts)
+    rows = np.flatnonzero((ids >= 0) & (ids != ids[offsets[episode]]) & (held >= hold))
     pairs = episode[rows] * (int(ids.max(initial=0)) + 1) + ids[rows]
     first = rows[np.sort(np.unique(pairs, return_index=True)[1])]
     if relabel == "last":

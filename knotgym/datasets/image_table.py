@@ -2,7 +2,7 @@
 
 A folder holds `data/SPLIT-00000-of-00012.parquet` (`test-code` is written `test_code` there, as
 Hugging Face requires), a card and a manifest. Pixel coordinates are those of
-`knotgym.rendering.picture`: continuous, x right and y down. Pictures are lossless PNG in the layout
+`knotgym.rendering.camera`: continuous, x right and y down. Pictures are lossless PNG in the layout
 of Hugging Face's Image feature. pyarrow is imported on demand.
 """
 

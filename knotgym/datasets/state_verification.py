@@ -32,7 +32,10 @@ from knotgym.states.state_file import States, read_states
 from knotgym.topology.gauss import GaussCode
 
 # in your own files quality and source may be missing, but then rows can't be verified
-_REQUIRED = {c.name for c in STATES.columns} - {"image", "source/actions"}
+# groups may be incomplete when they are read, not when they are verified
+_REQUIRED = {c.name for c in STATES.columns if not c.optional or "/" in c.name} - {
+    *("image", "source/actions")
+}
 _BATCH = 64  # rows replayed in one simulation
 # metres; tolerance for a start that is drawn again from its seed: other processors round
 # differently and the relaxation amplifies that. Replays from the stored start must be exact.

@@ -16,6 +16,8 @@ class DrawingConfig:
             the edge is too short.
     """
 
+    # A height of 14 mm leaves 4 between beads that would touch at 10; the limit on clearance is 8.
+    # The others were set by eye, without a record.
     uneven: NonNegative = 0.25
     outer: NonNegative = 3.0
     height: Positive = 0.014

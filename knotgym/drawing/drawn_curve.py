@@ -4,6 +4,9 @@ A circle packing of the code's planar map gives a straight-line drawing (`circle
 relaxed until it is easy to read (`layout_relaxation`). Then the strands are lifted or lowered where
 they cross, and the curve is cut into beads. The outer face, the relative sizes of the faces, the
 position of the base bead and the rotation are random, so one code has many drawings.
+
+After a change run `pytest tests/drawing`, then `knotgym generate --no-demonstrations --nx 0-4
+--every-code 1`: all 401 codes must be drawn.
 """
 
 import numpy as np
@@ -18,6 +21,7 @@ from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import faces, with_chirality
 from knotgym.topology.gauss import GaussCode
 
+# A choice without a record; a code that needs more fails later, as too tight.
 _LEAST_BEADS = 3  # per edge
 
 
@@ -79,6 +83,7 @@ def _flat(
         visits: int64 (2 nx,), its vertices that are the visits.
     """
     sizes = np.array([len(walk) for walk in faces(code)], dtype=np.float64)
+    # a large face outside leaves the small ones room to grow inside
     chances = sizes**config.outer
     outer = int(rng.choice(len(sizes), p=chances / chances.sum()))
     shares = np.exp(config.uneven * rng.normal(size=len(sizes)))
@@ -110,6 +115,7 @@ def _lifted(
     flat = flat * length
     arc = np.concatenate([[0.0], np.cumsum(_steps(flat))])  # metres along the rope from visit 0
     ends = np.append(arc[visits], arc[-1])
+    # both strands leave the plane by half the height, so the rope stays level on average
     tops = np.sign(np.append(code.visits, code.visits[0])) * config.height / 2
     # all edges have the same number of segments; `share` runs from 0 to 1 along each
     edge = np.repeat(np.arange(len(visits)), len(flat) // len(visits))

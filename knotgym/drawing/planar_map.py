@@ -4,6 +4,8 @@ The nodes are the crossings and CUTS points on every edge (the strand between tw
 every face there is a ring of nodes, one for each node on the walk around the face, and a centre
 node. The ring keeps the triangulation simple, without loops or double edges, also for faces with
 one or two sides and for faces that meet a crossing twice.
+
+After a change run `pytest tests/drawing`: every map must be a triangulated disc that packs.
 """
 
 from dataclasses import dataclass

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.envs.marked import join, mark
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.picture import PictureConfig, draw_many, picture_of
+from knotgym.rendering.camera import PictureConfig, picture_of
+from knotgym.rendering.picture import draw_many
 from knotgym.topology.code_arrays import plain_code
 
 SYMBOLS = 64  # visits of a code in an observation, two per crossing

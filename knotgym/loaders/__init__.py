@@ -6,7 +6,7 @@ train split). The other arguments are
 
     observation     "pixels", "state", "both" or "symbolic"; None for the observation of the
                     dataset's environment
-    picture         a `knotgym.rendering.picture.PictureConfig`, to render pictures with another
+    picture         a `knotgym.rendering.camera.PictureConfig`, to render pictures with another
                     size, camera, colours or views, with or without depth
     action          "pull", "bead" or "macro", a view of the actions (`knotgym.rope.action_views`);
                     None for that of the dataset's environment. "macro" needs a dataset that records

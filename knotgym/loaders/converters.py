@@ -24,40 +24,27 @@ _INSTALL = {
 }
 
 
-def torch_dataset(dataset: Any, kind: str = "transitions", **opening: Unpack[Opening]) -> Any:
-    """Make a `torch.utils.data.Dataset` that reads each item from the file on demand.
+def torch_dataset(dataset: Any, **opening: Unpack[Opening]) -> Any:
+    """Make a `torch.utils.data.Dataset` that reads each transition from the file on demand.
 
-    Any number of DataLoader workers can share it.
+    Any number of DataLoader workers can share it. For stretches of whole episodes see `Sequences`.
 
     Args:
         dataset, opening: see `knotgym.loaders`.
-        kind: what an item is:
-            "transitions": observation, action, reward, next_observation, terminal, timeout, and
-                what a window adds: discount, pulls, and the others named as in `arrays`; a list of
-                indices, as from a BatchSampler, gives a batch;
-            "episodes": observations (T + 1, ...), actions, rewards, terminals, timeouts (T, ...);
-                T differs between episodes;
-            "frames": observation, gauss_code, crossings, episode, step of one state; the last state
-                of an episode is included.
 
     Returns:
-        A Dataset of dicts of tensors: observations uint8 (views * size, 2 size, 3 or 4) as in the
-        environment, or float32 (6 beads,), a dict of both, or int16 (2, symbols); rewards float32.
-        The gauss_code of a frame is a str.
+        A Dataset of dicts of tensors: observation uint8 (views * size, 2 size, 3 or 4) as in the
+        environment, or float32 (6 beads,), a dict of both, or int16 (2, symbols); action; reward
+        float32; next_observation; terminal; timeout; and what a window adds: discount, pulls, and
+        the others named as in `arrays`. A list of indices, as from a BatchSampler, gives a batch.
 
     Raises:
         MissingExtra: torch isn't installed.
-        InvalidInput: kind is none of these.
-        InvalidInput: a window with another kind than "transitions".
     """
     import_client("torch")
-    from knotgym.loaders.pytorch import KINDS
+    from knotgym.loaders.pytorch import TransitionDataset
 
-    if kind not in KINDS:
-        raise InvalidInput(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
-    if opening.get("window") is not None and kind != "transitions":
-        raise InvalidInput(f"a window needs kind 'transitions', got {kind!r}")
-    return KINDS[kind](Transitions(dataset, **opening))
+    return TransitionDataset(Transitions(dataset, **opening))
 
 
 def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
@@ -141,7 +128,7 @@ def to_tensordict(
     mapped = None
     for first in range(0, count, _AT_ONCE):
         some = slice(first, min(first + _AT_ONCE, count))
-        columns = transitions.gather(np.arange(some.start, some.stop), rng=goals)
+        columns = transitions.batch(np.arange(some.start, some.stop), rng=goals)
         block = _tensors(tensordict, transitions, columns, some)
         if mapped is None:
             mapped = block[:1].expand(count).memmap_like(folder)

@@ -129,27 +129,22 @@ class DrawnFrames:
         return 2 if self._dataset.task.layout == "beside" else 3
 
     def _halves(self, name: str, shown: list[Ids]) -> list[NDArray[Any]]:
-        if name == "pixels" and self._file is None:
-            # what several of them show is drawn once
-            drawn, index = np.unique(np.concatenate(shown), return_inverse=True)
-            pictures = self._drawn(drawn)
-            ends = np.cumsum([len(ids) for ids in shown])[:-1]
-            return [pictures[part] for part in np.split(index, ends)]
-        if name == "pixels":
-            return [self._kept(ids) for ids in shown]
-        return [self._vertices(ids) if name == "state" else self._symbols(ids) for ids in shown]
+        if name != "pixels":
+            return [self._vertices(ids) if name == "state" else self._symbols(ids) for ids in shown]
+        if self._file is not None:
+            return [self._file[ids] for ids in shown]
+        # what several of them show is drawn once
+        drawn, index = np.unique(np.concatenate(shown), return_inverse=True)
+        pictures = self._drawn(drawn)
+        ends = np.cumsum([len(ids) for ids in shown])[:-1]
+        return [pictures[part] for part in np.split(index, ends)]
 
     def _column(self, ids: Ids, of_state: str, of_goal: str) -> NDArray[Any]:
         """Gather rows of a column of steps, and of one of episodes for goals."""
         own, steps = self._dataset.episodes
         goals = ids >= self._rows
-        if goals.all():
-            return own[of_goal][ids - self._rows]
-        if not goals.any():
-            return steps[of_state][ids]
-        found = np.empty((len(ids), *steps[of_state].shape[1:]), steps[of_state].dtype)
+        found = steps[of_state][np.where(goals, 0, ids)]
         found[goals] = own[of_goal][ids[goals] - self._rows]
-        found[~goals] = steps[of_state][ids[~goals]]
         return found
 
     def _vertices(self, ids: Ids) -> NDArray[np.float32]:
@@ -160,10 +155,9 @@ class DrawnFrames:
         return self._column(ids, "visits", "goal_visits")
 
     def _symbols(self, ids: Ids) -> NDArray[np.int16]:
-        from knotgym.envs.observations import SYMBOLS
+        from knotgym.envs.observations import cut
 
-        visits = self._codes(ids)[:, :SYMBOLS]
-        return np.pad(visits, ((0, 0), (0, SYMBOLS - visits.shape[1])))[:, None]
+        return cut(self._codes(ids))[:, None]
 
     def _marked(self, ropes: Ids, goals: Ids) -> NDArray[np.float32]:
         from knotgym.envs.marked import join, mark
@@ -183,10 +177,6 @@ class DrawnFrames:
         from knotgym.envs.observations import picture_config
 
         return self._picture or picture_config(self._dataset.task)
-
-    def _kept(self, ids: Ids) -> NDArray[np.uint8]:
-        assert self._file is not None
-        return self._file[ids]
 
     def _cached(self, folder: Path) -> NDArray[np.uint8]:
         """Map the file of pictures, which is written first if need be, 1 ms a picture."""

@@ -6,8 +6,6 @@ from typing import Any
 from knotgym.common.errors import InvalidInput
 from knotgym.loaders.converters import import_client
 
-KINDS = ("torch", "huggingface")
-
 
 def images(
     path: str | os.PathLike[str],
@@ -33,13 +31,13 @@ def images(
         InvalidFile: the table has no such split, or a row has more than max_nx crossings.
         MissingFile: nothing exists at path.
     """
-    if kind not in KINDS:
-        raise InvalidInput(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     if kind == "torch":
         import_client("torch")
         from knotgym.loaders.picture_dataset import PictureDataset
 
         return PictureDataset(path, split, max_nx)
+    if kind != "huggingface":
+        raise InvalidInput(f"kind must be one of torch, huggingface, got {kind!r}")
     from knotgym.datasets.image_table import file_stem, shards  # imports OpenCV
 
     library = import_client("datasets")

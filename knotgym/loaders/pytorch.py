@@ -1,4 +1,4 @@
-"""Torch datasets over `Transitions`, one class per kind of item. Importing this needs torch."""
+"""A torch dataset over `Transitions`. Importing this needs torch."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,13 +10,7 @@ from torch.utils.data import Dataset
 from knotgym.common.streams import Stream, generator
 from knotgym.loaders.transitions import Transitions
 
-_ONE = {
-    name: name.removesuffix("s")
-    for name in (
-        *("observations", "actions", "rewards", "next_observations", "terminals", "timeouts"),
-        "discounts",
-    )
-}
+_SEVERAL = ("pulls", "negatives")  # of one transition
 
 
 class TransitionDataset(Dataset[dict[str, Any]]):
@@ -36,8 +30,7 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int | Sequence[int]) -> dict[str, Any]:
         if not isinstance(index, (int, np.integer)):
             return self._batch(index)
-        row = self._batch([_checked(int(index), len(self))])
-        return {name: _at(column, 0) for name, column in row.items()}
+        return {name: _first(column) for name, column in self._batch([index]).items()}
 
     def _batch(self, index: Sequence[int]) -> dict[str, Any]:
         window, rng = self.transitions.window, None
@@ -46,62 +39,16 @@ class TransitionDataset(Dataset[dict[str, Any]]):
             drawn = int(torch.randint(2**62, ()))
             rng = generator(Stream.SAMPLED_GOALS, window.goals.seed, drawn)
         several = self.transitions.batch(index, rng=rng)
-        return {_ONE.get(name, name): _tensor(column) for name, column in several.items()}
-
-
-class TorchEpisodes(Dataset[dict[str, Any]]):
-    """Whole episodes."""
-
-    def __init__(self, transitions: Transitions) -> None:
-        self.transitions = transitions
-
-    def __len__(self) -> int:
-        return self.transitions.segments
-
-    def __getitem__(self, index: int) -> dict[str, Any]:
-        segment = _checked(index, len(self))
-        own = slice(*self.transitions.starts[segment : segment + 2])
-        names = ("actions", "rewards", "terminals", "timeouts")
-        columns = {name: getattr(self.transitions, name)[own].copy() for name in names}
-        seen = self.transitions.observations(segment)
-        return {name: _tensor(one) for name, one in {"observations": seen, **columns}.items()}
-
-
-class FrameDataset(Dataset[dict[str, Any]]):
-    """Single states with their Gauss codes."""
-
-    def __init__(self, transitions: Transitions) -> None:
-        self.transitions = transitions
-
-    def __len__(self) -> int:
-        return len(self.transitions) + self.transitions.segments
-
-    def __getitem__(self, index: int) -> dict[str, Any]:
-        frame = _checked(index, len(self))
-        segment, step = self.transitions.frame_place(frame)
-        code = self.transitions.codes(segment)[step]
         return {
-            "observation": _tensor(_at(self.transitions.observations(segment, step, step + 1), 0)),
-            "gauss_code": code,
-            "crossings": (code.count(",") + 1) // 2 if code else 0,
-            "episode": segment,
-            "step": step,
+            name if name in _SEVERAL else name.removesuffix("s"): _tensor(column)
+            for name, column in several.items()
         }
 
 
-KINDS = {"transitions": TransitionDataset, "episodes": TorchEpisodes, "frames": FrameDataset}
-
-
-def _checked(index: int, length: int) -> int:
-    if not -length <= index < length:
-        raise IndexError(f"index {index} is outside a dataset of {length}")
-    return index % length
-
-
-def _at(seen: Any, row: int) -> Any:
-    if isinstance(seen, dict):
-        return {name: array[row] for name, array in seen.items()}
-    return seen[row]
+def _first(column: Any) -> Any:
+    if isinstance(column, dict):
+        return {name: _first(part) for name, part in column.items()}
+    return column[0]
 
 
 def _tensor(seen: Any) -> Any:

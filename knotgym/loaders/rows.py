@@ -39,7 +39,7 @@ def arrays(dataset: Any, **opening: Unpack[Opening]) -> dict[str, Any]:
 
 def rows(transitions: Transitions) -> dict[str, Any]:
     """Load opened transitions; return what `arrays` does."""
-    loaded = transitions.gather(np.arange(len(transitions)), rng=drawn_generator(transitions))
+    loaded = transitions.batch(np.arange(len(transitions)), rng=drawn_generator(transitions))
     if transitions.action == "macro":
         loaded.setdefault("pulls", transitions.pulls)
     return loaded

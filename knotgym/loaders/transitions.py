@@ -8,7 +8,7 @@ that it reached. All of it is index arithmetic on the columns of the dataset:
     transition t   of segment s leads from state t + s to state t + s + 1
 """
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypedDict
 
 import numpy as np
@@ -16,13 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_dataset import columns_of
-from knotgym.datasets.episodes import (
-    code_ids,
-    gauss_codes,
-    goals_reached,
-    ranges,
-    within_tow,
-)
+from knotgym.datasets.episodes import codes_held, goals_reached, ranges
 from knotgym.envs.tasks import ACTIONS
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
@@ -79,7 +73,7 @@ class Transitions:
             dataset: id or folder of a Minari dataset, `minari.MinariDataset`, or an episode file.
             observation: "pixels", "state", "both", "symbolic" or "marked"; None for the
                 environment's.
-            picture: a `knotgym.rendering.picture.PictureConfig` to render with; None for the
+            picture: a `knotgym.rendering.camera.PictureConfig` to render with; None for the
                 environment's pictures.
             action: "pull", "bead" or "macro"; None for the environment's.
             relabel: None for episodes as they are. "last": the goal becomes the last new code that
@@ -133,7 +127,6 @@ class Transitions:
             states[np.cumsum(counts + 1) - 1] = (first + lengths)[kept]
         self.starts: Ids = np.concatenate([[0], np.cumsum(counts)])
         self._states = states
-        self._segment_of = np.repeat(np.arange(len(counts)), counts + 1)
 
     def _check(self) -> None:
         """Refuse settings that don't go together or that the dataset has no columns for."""
@@ -168,7 +161,7 @@ class Transitions:
 
     def __reduce__(self) -> Any:
         """Pickle what was opened, so that each process maps the file itself."""
-        return _opened, (self.dataset, self._opening)
+        return partial(Transitions, self.dataset, **self._opening), ()
 
     def __len__(self) -> int:
         """N, the transitions."""
@@ -246,16 +239,6 @@ class Transitions:
         """int64 (N,), pulls of each transition: 1 unless the view is "macro"."""
         return self._after - self._before
 
-    def place(self, transition: int) -> tuple[int, int]:
-        """Return the segment that holds a transition, and its step there."""
-        segment = int(np.searchsorted(self.starts, transition, side="right")) - 1
-        return segment, int(transition - self.starts[segment])
-
-    def frame_place(self, frame: int) -> tuple[int, int]:
-        """Return the segment and step of one of the N + S states of all segments."""
-        segment = int(self._segment_of[frame])
-        return segment, int(frame - self.starts[segment] - segment)
-
     def observations(self, segment: int, start: int = 0, stop: int | None = None) -> Any:
         """Return the observations of the states [start, stop) of a segment with T transitions.
 
@@ -265,20 +248,10 @@ class Transitions:
             uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, int16
             (n, 2, symbols), or float32 (n, marked.size(beads)).
         """
-        shown = self._rows_of(segment)[start:stop]
+        first, last = self.starts[segment : segment + 2] + (segment, segment + 1)
+        shown = self._states[first:last][start:stop]
         goals = np.repeat(self._goals(np.array([segment])), len(shown))
         return self._frames.observe([shown], goals)[0]
-
-    def codes(self, segment: int) -> list[str]:
-        """Return the Gauss codes of a segment's states."""
-        texts: list[str] = gauss_codes(
-            self.dataset.episodes.steps["visits"][self._rows_of(segment)]
-        ).tolist()
-        return texts
-
-    def _rows_of(self, segment: int) -> Ids:
-        first, last = self.starts[segment : segment + 2] + (segment, segment + 1)
-        return self._states[first:last]
 
     def _goals(self, segments: Ids) -> Ids:
         """Return the frames of segments' goals."""
@@ -311,24 +284,61 @@ class Transitions:
             (n, 1, symbols), and `goals` has the same shape.
 
         Raises:
-            IndexError: rows is empty or not one-dimensional, or an index is out of range.
+            IndexError: rows is not one-dimensional, or an index is out of range.
             InvalidInput: goals are sampled, and there is no generator; or no other goal exists.
             InvalidInput: halves of marked observations are needed, for `apart` or negatives.
         """
-        wanted = np.asarray(rows, dtype=np.int64)
-        if wanted.ndim != 1 or not len(wanted):
-            raise IndexError(f"rows must be a list of at least one transition, got {rows!r}")
-        if wanted.min() < -len(self) or wanted.max() >= len(self):
-            raise IndexError(
-                f"indices {wanted.min()} to {wanted.max()} are outside a dataset of {len(self)}"
-            )
-        return self.gather(wanted % len(self), apart=apart, rng=rng)
+        wanted, count = np.asarray(rows, dtype=np.int64), len(self)
+        if wanted.ndim != 1 or ((wanted < -count) | (wanted >= count)).any():
+            raise IndexError(f"rows must be a list of indices below {count}, got {rows!r}")
+        rows = wanted % max(1, count)
+        window, sampled = self.window or Window(), None
+        segments = self._segments(rows)
+        if window.goals is not None:
+            if rng is None:
+                raise InvalidInput("goals are drawn: hand a generator in, batch(rows, rng=...)")
+            sampled = self.sample_goals(rows, rng)
+        goals = self._goals(segments) if sampled is None else self._states[sampled]
+        found = returns(window.discount, *self._outcomes(rows, window.n_step, sampled))
+        states = rows + segments
+        ends = (states, states + found.steps)
+        shown = [self._states[self._stack(one, segments)] for one in ends]
+        alone, observe = self._frames.alone, self._frames.observe
+        seen = alone([*shown, goals]) if apart else observe(shown, goals)
+        batch = {
+            "observations": seen[0],
+            "actions": self.actions[rows],
+            "rewards": found.rewards,
+            "next_observations": seen[1],
+            "terminals": found.terminals,
+            "timeouts": found.timeouts,
+            **({"goals": seen[2]} if apart else {}),
+        }
+        if self.window is None:
+            return batch
+        batch |= {"discounts": found.discounts, "pulls": found.pulls}
+        if window.chunk is not None:
+            following = rows[:, None] + np.arange(window.chunk)
+            kept = following < self.starts[segments + 1][:, None]
+            batch["actions"], batch["action_mask"] = _masked(self.actions, following, kept), kept
+        if window.history is not None:
+            for name, end in (("", rows), ("next_", rows + found.steps)):
+                past = end[:, None] + np.arange(-window.history, 0)
+                kept = past >= self.starts[segments][:, None]
+                batch[f"{name}history"] = _masked(self._taken, past, kept)
+                batch[f"{name}history_mask"] = kept
+        if sampled is not None and rng is not None and window.goals is not None:
+            if window.goals.negatives:
+                codes = self._codes_held[0]
+                others = other_codes(codes, codes[sampled], window.goals.negatives, rng)
+                batch["negatives"] = self._frames.alone([self._states[others]])[0]
+        return batch
 
     def sample_goals(self, rows: ArrayLike, rng: np.random.Generator) -> Ids:
         """Draw the goals of transitions, as `batch` does first with the same generator.
 
         Returns:
-            int64 (n,), indices of the N + S states of all segments, see `frame_place`.
+            int64 (n,), indices of the N + S states of all segments.
 
         Raises:
             InvalidInput: the window samples no goals.
@@ -342,7 +352,7 @@ class Transitions:
             wanted + segments, last, len(self._states), self.window.discount, rng
         )
 
-    def outcomes(
+    def _outcomes(
         self, rows: Ids, n_step: int, goals: Ids | None = None
     ) -> tuple[NDArray[Any], ...]:
         """Return what happened in n_step transitions from each of n on.
@@ -374,73 +384,9 @@ class Transitions:
 
     @cached_property
     def _codes_held(self) -> tuple[Ids, Ids]:
-        """Per state: its code as a number, -1 where none counts; and for how many steps it held."""
-        episodes = self.dataset.episodes
-        offsets, episode = self._offsets, episodes.episode_of()
-        step = np.arange(len(episode)) - offsets[episode]
-        # no state counts from the first one on that is towed too far, or that blew up
-        beyond = ~within_tow(episodes, self.task.tow_limit)
-        beyond[episodes.last()] |= episodes.episodes["failed"]
-        passed = np.concatenate([[0], np.cumsum(beyond)])
-        numbers = code_ids(episodes.steps["visits"])
-        numbers[passed[1:] > passed[offsets[episode]]] = -1
-        # the state of a reset isn't a step, so that the first step begins to hold a code
-        begins = np.append(True, numbers[1:] != numbers[:-1]) | (step <= 1)
-        row = np.arange(len(step))
-        held = row - np.maximum.accumulate(np.where(begins, row, 0)) + (step > 0)
-        return numbers[self._states], held[self._states]
-
-    def gather(
-        self,
-        rows: Ids,
-        *,
-        apart: bool = False,
-        rng: np.random.Generator | None = None,
-    ) -> dict[str, Any]:
-        """Return what `batch` does, for any number of rows in [0, N), which aren't checked."""
-        window, sampled = self.window or Window(), None
-        segments = self._segments(rows)
-        if window.goals is not None:
-            if rng is None:
-                raise InvalidInput("goals are drawn: hand a generator in, batch(rows, rng=...)")
-            sampled = self.sample_goals(rows, rng)
-        goals = self._goals(segments) if sampled is None else self._states[sampled]
-        found = returns(window.discount, *self.outcomes(rows, window.n_step, sampled))
-        states = rows + segments
-        ends = (states, states + found.steps)
-        shown = [self._states[self._stack(one, segments)] for one in ends]
-        if apart:
-            seen = self._frames.alone([*shown, goals])
-        else:
-            seen = self._frames.observe(shown, goals)
-        batch = {
-            "observations": seen[0],
-            "actions": self.actions[rows],
-            "rewards": found.rewards,
-            "next_observations": seen[1],
-            "terminals": found.terminals,
-            "timeouts": found.timeouts,
-            **({"goals": seen[2]} if apart else {}),
-        }
-        if self.window is None:
-            return batch
-        batch |= {"discounts": found.discounts, "pulls": found.pulls}
-        if window.chunk is not None:
-            following = rows[:, None] + np.arange(window.chunk)
-            kept = following < self.starts[segments + 1][:, None]
-            batch["actions"], batch["action_mask"] = _masked(self.actions, following, kept), kept
-        if window.history is not None:
-            for name, end in (("", rows), ("next_", rows + found.steps)):
-                past = end[:, None] + np.arange(-window.history, 0)
-                kept = past >= self.starts[segments][:, None]
-                batch[f"{name}history"] = _masked(self._taken, past, kept)
-                batch[f"{name}history_mask"] = kept
-        if sampled is not None and rng is not None and window.goals is not None:
-            if window.goals.negatives:
-                codes = self._codes_held[0]
-                others = other_codes(codes, codes[sampled], window.goals.negatives, rng)
-                batch["negatives"] = self._frames.alone([self._states[others]])[0]
-        return batch
+        """`codes_held` of the states of all segments."""
+        codes, held = codes_held(self.dataset.episodes, self.task.tow_limit)
+        return codes[self._states], held[self._states]
 
     def _stack(self, states: Ids, segments: Ids) -> Ids:
         """Return the states that are shown at each of n states: (n,), or (n, stack)."""
@@ -448,10 +394,6 @@ class Transitions:
             return states
         first = self.starts[segments] + segments
         return np.maximum(states[:, None] + np.arange(1 - self.window.stack, 1), first[:, None])
-
-
-def _opened(dataset: Any, opening: Opening) -> Transitions:
-    return Transitions(dataset, **opening)
 
 
 def _masked(actions: NDArray[Any], rows: Ids, kept: NDArray[np.bool_]) -> NDArray[Any]:

@@ -55,7 +55,7 @@ class _Request(TypedDict):
     completion_tokens: _Tokens
 
 
-class _Episode(TypedDict):
+class _EpisodeLine(TypedDict):
     config: _Config
     seed: int
     start: int
@@ -75,7 +75,9 @@ class _Picture(_Request):
 
 
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-_EPISODE, _PICTURE = (TypeAdapter[Any](with_config(_STRICT)(kind)) for kind in (_Episode, _Picture))
+_EPISODE, _PICTURE = (
+    TypeAdapter[Any](with_config(_STRICT)(kind)) for kind in (_EpisodeLine, _Picture)
+)
 
 
 def line(transcript: Mapping[str, Any]) -> str:

@@ -1,6 +1,9 @@
 """Computation of quality measures: how readable a state's picture is, and how twisted the rope.
 
 `limits` defines the measures, their units and the limits for curated states.
+
+After a change run `pytest tests/quality` and `knotgym dataset verify` on the sets that ship: the
+measures that they store are computed again and must be the same.
 """
 
 import hashlib
@@ -14,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from knotgym.common.streams import Stream, generator
 from knotgym.quality.limits import RESET_NOISE, UNITS, Limits, Quality
-from knotgym.rendering.picture import DEFAULT, PictureConfig, picture_of, project
+from knotgym.rendering.camera import DEFAULT, PictureConfig, picture_of, project
 from knotgym.rope.model import Array
 from knotgym.rope.reset_noise import noised
 from knotgym.topology.crossings import Crossings, find_crossings, label_many
@@ -35,6 +38,7 @@ __all__ = [
 # Two points of the drawn rope belong to different strands if the shortest path between them along
 # the drawing is longer than this many pixels; a path may turn at crossings.
 WALK = 12.0
+# 64 draws put the 95 % interval of a share of 0.95 at 0.87 to 0.98; each costs a labelled curve.
 NOISE_DRAWS = 64
 
 
@@ -265,6 +269,8 @@ def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Ar
         for b in range(visits):
             gap = abs(at[a] - at[b])
             between[a, b] = 0.0 if a // 2 == b // 2 else min(gap, total - gap)
+    # The loop over the stop between is the outermost: after round m, paths that turn at no visit
+    # beyond m are right.
     for m in range(visits):
         for a in range(visits):
             for b in range(visits):

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, generator
 from knotgym.rendering.appearance_config import LINE_SIZE, AppearanceConfig
+from knotgym.rendering.camera import RGB, PictureConfig, bead_colours, project
 from knotgym.rendering.diagram import draw_lines
-from knotgym.rendering.picture import RGB, PictureConfig, draw, project, rope_colours
+from knotgym.rendering.picture import draw
 
 Array = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ class Appearance:
     def bead_colours(self, beads: int) -> NDArray[np.uint8]:
         """Return the RGB of every bead, uint8 (beads, 3); the base bead is white."""
         if self.colours == "published":
-            return rope_colours(beads)
+            return bead_colours(beads)
         last = self.first if self.colours == "single" else self.last
         along = np.linspace(0.0, 1.0, beads)[:, None]
         blend = (1 - along) * np.array(self.first) + along * np.array(last)

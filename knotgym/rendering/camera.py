@@ -34,6 +34,7 @@ _AXES = {
     "left": ((1, 2, 0), (-1.0, 1.0, -1.0)),
     "front": ((0, 2, 1), (1.0, 1.0, -1.0)),
 }
+FOVY = 45.0  # field of view of the perspective camera, degrees
 _NEAR = 0.01  # near plane of the perspective camera, metres
 USUAL_BEADS = 100  # of the rope that `PictureConfig.view` shows whole
 
@@ -58,14 +59,11 @@ class PictureConfig:
         camera: "orthographic" (parallel rays, so that the top view shows exactly the crossings of
             the Gauss code) or "perspective" (published).
         camera_height: distance of the perspective camera from the centre of mass, metres.
-        fovy: vertical field of view of the perspective camera, degrees.
         turn: rotation of the camera about its line of sight, radians, anticlockwise seen from
             behind it; the rope appears rotated the other way.
         zoom: magnification about the picture's centre.
         rope_radius: radius of the rope, metres.
         width: factor on the rope's radius, in the picture only.
-        colours: "published" (see bead_colours) or one RGB for the whole rope, whose base bead stays
-            white.
         background: RGB.
         renderer: "opencv" (needs no GL), "mujoco" (the same picture by OpenGL, without depth), or
             "auto", the same as "opencv".
@@ -81,12 +79,10 @@ class PictureConfig:
     view: Positive = 0.66
     camera: Literal["orthographic", "perspective"] = "orthographic"
     camera_height: Positive = 0.8
-    fovy: Annotated[Real, Field(gt=0, lt=180)] = 45.0
     turn: Real = 0.0
     zoom: Positive = 1.0
     rope_radius: Positive = 0.005
     width: Positive = 1.0
-    colours: Literal["published"] | Colour = "published"
     background: Colour = (0, 0, 0)
     renderer: Literal["auto", "opencv", "mujoco"] = "auto"
     supersampling: Annotated[Int, Field(ge=1, le=8)] = 4
@@ -99,7 +95,7 @@ class PictureConfig:
         """Scale of the picture; in perspective, at the height of the centre of mass."""
         if self.camera == "orthographic":
             return self.zoom * self.size / self.view
-        visible = 2.0 * self.camera_height * math.tan(math.radians(self.fovy) / 2.0)  # metres
+        visible = 2.0 * self.camera_height * math.tan(math.radians(FOVY) / 2.0)  # metres
         return self.zoom * self.size / visible
 
     @property
@@ -136,15 +132,6 @@ def bead_colours(beads: int) -> NDArray[np.uint8]:
     phase = np.arange(beads)[:, None] / beads
     wave = 0.5 + 0.5 * np.sin(2.0 * np.pi * (phase + np.array([0.0, 0.33, 0.67])))
     colours: NDArray[np.uint8] = np.rint(255.0 * wave).astype(np.uint8)
-    colours[:1] = 255
-    return colours
-
-
-def rope_colours(beads: int, config: PictureConfig = DEFAULT) -> NDArray[np.uint8]:
-    """Return the colours of a rope under config: uint8, shape (beads, 3), RGB, a new array."""
-    if config.colours == "published":
-        return bead_colours(beads)
-    colours = np.tile(np.array(config.colours, dtype=np.uint8), (beads, 1))
     colours[:1] = 255
     return colours
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import Failed
-from knotgym.rendering.camera import PictureConfig
+from knotgym.rendering.camera import FOVY, PictureConfig
 from knotgym.rendering.rasterizer import average
 
 _NEAR = 0.01  # near plane of the camera, metres
@@ -47,7 +47,7 @@ _REMEDY = (
 )
 
 
-class Painter:
+class _Painter:
     """An OpenGL canvas and its scene, usable only in the thread that created it.
 
     Args:
@@ -123,12 +123,12 @@ class Painter:
     def _look(self, points: NDArray[np.float64], config: PictureConfig) -> None:
         """Place the camera as config says; points are relative to their mean."""
         if config.camera == "orthographic":
-            height, near = float(points[:, 2].max()) + _MARGIN, _NEAR
+            height = float(points[:, 2].max()) + _MARGIN
             half = 0.5 * config.view / config.zoom
         else:
-            height, near = config.camera_height, _NEAR
+            height = config.camera_height
             # MuJoCo's frustum is given at the near plane
-            half = near * math.tan(0.5 * math.radians(config.fovy)) / config.zoom
+            half = _NEAR * math.tan(0.5 * math.radians(FOVY)) / config.zoom
         for camera in self._scene.camera:
             camera.pos = [0.0, 0.0, height]
             camera.forward = [0.0, 0.0, -1.0]
@@ -136,10 +136,8 @@ class Painter:
             camera.orthographic = int(config.camera == "orthographic")
             camera.frustum_center, camera.frustum_width = 0.0, half
             camera.frustum_bottom, camera.frustum_top = -half, half
-            camera.frustum_near, camera.frustum_far = (
-                near,
-                height - float(points[:, 2].min()) + _MARGIN,
-            )
+            camera.frustum_near = _NEAR
+            camera.frustum_far = height - float(points[:, 2].min()) + _MARGIN
 
     def close(self) -> None:
         """Free the context; may be called twice."""
@@ -150,7 +148,7 @@ class Painter:
         self._context = self._gl = None
 
 
-_painters: dict[tuple[int, int, int], Painter] = {}
+_painters: dict[tuple[int, int, int], _Painter] = {}
 _processes: set[int] = set()  # ids of processes that created a context: this one and its ancestors
 
 
@@ -171,7 +169,7 @@ def draw(
                 "this process was forked from one that had drawn already",
                 "start workers by 'spawn' or 'forkserver', or use renderer='opencv'",
             )
-        _painters[key] = Painter(side)
+        _painters[key] = _Painter(side)
         # registered after the first context, so that it runs before the backend's own exit handler
         if not _processes:
             atexit.register(close)

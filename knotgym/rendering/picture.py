@@ -12,36 +12,18 @@ sight.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
 from knotgym.rendering.camera import (
     DEFAULT,
-    RGB,
     PictureConfig,
     bead_colours,
     checked_points,
-    picture_of,
     pixels_per_metre_at,
     project,
     require,
-    rope_colours,
     seen_from,
 )
 from knotgym.rendering.rasterizer import EDGE, paint
 from knotgym.topology.crossings import Crossings
-
-__all__ = [
-    "DEFAULT",
-    "RGB",
-    "PictureConfig",
-    "InvalidInput",
-    "bead_colours",
-    "crossing_pixels",
-    "draw",
-    "draw_many",
-    "picture_of",
-    "project",
-    "rope_colours",
-]
 
 
 def draw(
@@ -52,7 +34,7 @@ def draw(
     Args:
         points: float64, shape (beads, 3), metres, world frame, finite; at least 3 beads.
         config: camera, size and style of the picture.
-        colours: uint8, shape (beads, 3), RGB; overrides config's.
+        colours: uint8, shape (beads, 3), RGB; by default the published ones, see `bead_colours`.
 
     Returns:
         uint8, shape (views * size, size, 3), RGB, row 0 at the top (largest y), the first view on
@@ -111,12 +93,9 @@ def _draw_all(
     out: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
     frames, beads = points.shape[:2]
-    if colours is not None:
-        colours = np.asarray(colours)
-        fits = colours.shape == (beads, 3) and colours.dtype == np.uint8
-        require(
-            fits, f"colours must be uint8 of shape {(beads, 3)}", (colours.dtype, colours.shape)
-        )
+    colours = bead_colours(beads) if colours is None else np.asarray(colours)
+    fits = colours.shape == (beads, 3) and colours.dtype == np.uint8
+    require(fits, f"colours must be uint8 of shape {(beads, 3)}", (colours.dtype, colours.shape))
     views, size = len(config.views), config.size
     if out is None:
         out = np.empty((frames, views * size, size, config.channels), dtype=np.uint8)
@@ -125,17 +104,11 @@ def _draw_all(
         # imported only here, because the module searches for OpenGL
         from knotgym.rendering import mujoco_renderer
 
-        shades = rope_colours(beads, config) if colours is None else colours
         for image, rope in zip(squares, points, strict=True):
             for square, view in zip(image, config.views, strict=True):
-                square[:] = mujoco_renderer.draw(seen_from(view, rope), shades, config)
+                square[:] = mujoco_renderer.draw(seen_from(view, rope), colours, config)
         return out
-    shades = np.concatenate(
-        [
-            np.array([config.background], dtype=np.uint8),
-            rope_colours(beads, config) if colours is None else colours,
-        ]
-    )
+    shades = np.vstack([np.array(config.background, dtype=np.uint8), colours])
     # whole rows: NumPy assigns three channels at a time forty times more slowly
     row = np.tile(np.array((*config.background, 0)[: config.channels], dtype=np.uint8), size)
     out.reshape(*out.shape[:2], row.size)[:] = row

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 SHIFT = 6  # coordinates are in units of 1 / 2**SHIFT pixels
 _ONE = 1 << 16
 _HALF = _ONE >> 1
-_FOUR = np.uint64(0x0001000100010001)  # times a sample is a word of four such
 _UP = 16 - SHIFT  # from given coordinates to 16 fractional bits
 
 
@@ -208,7 +207,6 @@ def _clipped(
 @numba.njit(cache=True, nogil=True)
 def shrink(
     canvas: NDArray[np.uint16],
-    words: NDArray[np.uint64],
     factor: int,
     colours: NDArray[np.uint8],
     levels: NDArray[np.uint8],
@@ -218,8 +216,6 @@ def shrink(
 
     Args:
         canvas: uint16 (factor rows, factor columns), numbers of colours.
-        words: uint64 (4 rows, columns), the same memory, four samples at a time; used if factor
-            is 4, the default, where comparing samples one by one would take most of the time.
         factor: samples along each side of a pixel, at most 8.
         colours: uint8 (n, 3).
         levels: uint8 (n,), the depth of each number; a pixel gets the largest of its samples.
@@ -229,10 +225,10 @@ def shrink(
     block = np.empty((8, 8, 3), np.int64)
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
-            first = canvas[factor * row, factor * column]
-            if _uniform(
-                canvas, words, factor, row, column
-            ):  # most pixels; those of the background are right already
+            top, left = factor * row, factor * column
+            first = canvas[top, left]
+            # most pixels are uniform; those of the background are right already
+            if _uniform(canvas[top : top + factor, left : left + factor]):
                 if first > 0:
                     for c in range(3):
                         out[row, column, c] = colours[first, c]
@@ -242,7 +238,7 @@ def shrink(
             deepest = 0
             for i in range(factor):
                 for j in range(factor):
-                    sample = canvas[factor * row + i, factor * column + j]
+                    sample = canvas[top + i, left + j]
                     deepest = max(deepest, levels[sample])
                     for c in range(3):
                         block[i, j, c] = colours[sample, c]
@@ -254,20 +250,15 @@ def shrink(
 
 
 @numba.njit(cache=True, nogil=True)
-def _uniform(
-    canvas: NDArray[np.uint16], words: NDArray[np.uint64], factor: int, row: int, column: int
-) -> bool:
+def _uniform(block: NDArray[np.uint16]) -> bool:
     """Return whether the samples of a pixel are equal."""
-    first = canvas[factor * row, factor * column]
-    same = True
-    if factor == 4:
-        for i in range(4):
-            same &= words[4 * row + i, column] == np.uint64(first) * _FOUR
-    else:
-        for i in range(factor):
-            for j in range(factor):
-                same &= canvas[factor * row + i, factor * column + j] == first
-    return same
+    rows, columns = block.shape
+    first = block[0, 0]
+    for i in range(rows):
+        for j in range(columns):
+            if block[i, j] != first:
+                return False
+    return True
 
 
 @numba.njit(cache=True, nogil=True)

@@ -8,7 +8,7 @@ After a change run `pytest tests/rendering` and `python benchmarks/truth.py`: pi
 OpenCV's byte for byte, and the strand on top the one labelled over.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numba
@@ -52,6 +52,32 @@ _CAP = np.stack(
 )
 
 
+class _Ropes(NamedTuple):
+    """m ropes of n beads on the canvas, and the joints where bead i begins.
+
+    Attributes:
+        pixels: (m, n, 2), start of bead i, in OpenCV's convention (pixel centres at whole numbers).
+        height: (m, n), of the same points, metres.
+        radius: (m, n), pixels, less EDGE.
+        length: (m, n), of bead i, pixels.
+        along: (m, n, 2), its direction, a unit vector.
+        turn: (m, n), angle from bead i - 1 to bead i, to the left, radians.
+        tan: (m, n), of half of it; the inner corner is cut back by radius * tan.
+        cos, sin: (m, n, 5), of the angles of the arc of a mitred end, see _ARC, in the frame of the
+            bead: from its right perpendicular to the bisector.
+    """
+
+    pixels: NDArray[np.float64]
+    height: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    length: NDArray[np.float64]
+    along: NDArray[np.float64]
+    turn: NDArray[np.float64]
+    tan: NDArray[np.float64]
+    cos: NDArray[np.float64]
+    sin: NDArray[np.float64]
+
+
 def polygons(
     pixels: NDArray[np.float64], height: NDArray[np.float64], radius: NDArray[np.float64], side: int
 ) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.float64]]:
@@ -68,10 +94,9 @@ def polygons(
         int32 (pieces, 14, 2), vertices in 1/2**SHIFT pixels; (pieces,), the bead that each piece
         belongs to; and (pieces,), the height of its middle, metres.
     """
-    joints = [array[0] for array in _joints(pixels[None])]
     # a kernel is compiled again for arrays that aren't contiguous
-    height = np.ascontiguousarray(height)
-    corners, bead, middle = _pieces(pixels, height, radius, *joints, _SQUARE, _CAP, side)
+    ropes = _ropes(pixels[None], np.ascontiguousarray(height)[None], radius[None])
+    corners, bead, middle = _pieces(ropes, 0, side)
     order = np.argsort(middle, kind="stable")
     return corners[order], bead[order], middle[order]
 
@@ -97,40 +122,35 @@ def paint(
     """
     side = factor * out.shape[1]
     canvas = np.zeros((side, side), dtype=np.uint16)
-    middle, span = depths
     painted = np.ascontiguousarray(out)  # for other arrays the kernel would be compiled again
-    _paint(
-        pixels,
-        height,
-        radius,
-        *_joints(pixels),
-        _SQUARE,
-        _CAP,
-        factor,
-        colours,
-        middle,
-        span,
-        canvas,
-        canvas.view(np.uint64) if factor == 4 else np.empty((0, 0), np.uint64),
-        painted,
-    )
+    _paint(_ropes(pixels, height, radius), factor, colours, depths, canvas, painted)
     if painted is not out:
         out[:] = painted
 
 
-def _joints(pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Return what `_pieces` needs of m ropes (m, n, 2) beside their pixels, from length to sin."""
-    # Angles and their functions are computed by NumPy, because compiled code may round them
-    # differently; the bytes are then the same with and without compilation.
+def _ropes(
+    pixels: NDArray[np.float64], height: NDArray[np.float64], radius: NDArray[np.float64]
+) -> _Ropes:
+    """Compute the joints of ropes.
+
+    Angles and their functions are computed by NumPy, because compiled code may round them
+    differently; the bytes are then the same with and without compilation.
+    """
     step = np.roll(pixels, -1, axis=1) - pixels
     length = np.hypot(step[..., 0], step[..., 1])
-    along, sine, cosine = _directions(step, length)
-    turn = np.arctan2(sine, cosine)  # at points[i], from bead i - 1 to bead i
+    # a bead seen exactly end-on has no direction; any will do
+    along = np.where(
+        length[..., None] > 1e-9, step / np.maximum(length, 1e-9)[..., None], np.array([1.0, 0.0])
+    )
+    before = np.roll(along, 1, axis=1)
+    turn = np.arctan2(
+        before[..., 0] * along[..., 1] - before[..., 1] * along[..., 0],
+        before[..., 0] * along[..., 0] + before[..., 1] * along[..., 1],
+    )
     half = 0.5 * np.abs(turn)
-    # Angles of the arc in the frame of the bead, from its right perpendicular to the bisector. The
-    # inner corner is cut back by radius * tan(half turn); 1.5 keeps the tangent finite.
     arc = -0.5 * np.pi + half[..., None] * _ARC
-    return length, along, turn, np.tan(np.minimum(half, 1.5)), np.cos(arc), np.sin(arc)
+    tan = np.tan(np.minimum(half, 1.5))  # 1.5 keeps it finite
+    return _Ropes(pixels, height, radius, length, along, turn, tan, np.cos(arc), np.sin(arc))
 
 
 def average(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
@@ -157,68 +177,22 @@ def _resized(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
 
 
 @numba.njit(cache=True, nogil=True)
-def _directions(step: NDArray[np.float64], length: NDArray[np.float64]) -> Any:
-    """Return unit vectors of the beads (m, n, 2), and sine and cosine (m, n) of their turns."""
-    m, n = length.shape
-    along, sine, cosine = np.empty((m, n, 2)), np.empty((m, n)), np.empty((m, n))
-    for k in range(m):
-        # a bead seen exactly end-on has no direction; any will do, and it is (1, 0)
-        for i in range(n):
-            for axis in range(2):
-                along[k, i, axis] = (
-                    step[k, i, axis] / max(length[k, i], 1e-9)
-                    if length[k, i] > 1e-9
-                    else 1.0 - axis
-                )
-        for i in range(n):
-            x, y = along[k, i - 1]
-            sine[k, i] = x * along[k, i, 1] - y * along[k, i, 0]
-            cosine[k, i] = x * along[k, i, 0] + y * along[k, i, 1]
-    return along, sine, cosine
-
-
-@numba.njit(cache=True, nogil=True)
 def _paint(
-    pixels: NDArray[np.float64],
-    height: NDArray[np.float64],
-    radius: NDArray[np.float64],
-    length: NDArray[np.float64],
-    along: NDArray[np.float64],
-    turn: NDArray[np.float64],
-    tan: NDArray[np.float64],
-    cos: NDArray[np.float64],
-    sin: NDArray[np.float64],
-    square: NDArray[np.float64],
-    cap: NDArray[np.float64],
+    ropes: _Ropes,
     factor: int,
     colours: NDArray[np.uint8],
-    depth_middle: float,
-    depth_span: float,
+    depths: tuple[float, float],
     canvas: NDArray[np.uint16],
-    words: NDArray[np.uint64],
     out: NDArray[np.uint8],
 ) -> None:
     """Paint ropes one after the other; see `paint`. The canvas is zero before and after."""
-    side = len(canvas)
-    for k in range(len(pixels)):
-        corners, bead, middle = _pieces(
-            pixels[k],
-            height[k],
-            radius[k],
-            length[k],
-            along[k],
-            turn[k],
-            tan[k],
-            cos[k],
-            sin[k],
-            square,
-            cap,
-            side,
-        )
+    depth_middle, depth_span = depths
+    for k in range(len(out)):
+        corners, bead, middle = _pieces(ropes, k, len(canvas))
         pieces = len(bead)
         if pieces == 0:
             continue
-        order = _sorted(middle)
+        order = np.argsort(middle, kind="mergesort")  # stable
         # number p + 1 on the canvas is the piece p, 0 the background
         shades, levels = np.empty((pieces + 1, 3), np.uint8), np.zeros(pieces + 1, np.uint8)
         low, high = np.empty(2, np.int64), np.empty(2, np.int64)
@@ -242,46 +216,26 @@ def _paint(
             low[axis] = max((low[axis] >> SHIFT) // factor - 1, 0)
             high[axis] = min(((high[axis] + 1) >> SHIFT) // factor + 2, out.shape[1])
         samples = canvas[factor * low[1] : factor * high[1], factor * low[0] : factor * high[0]]
-        within = words[4 * low[1] : 4 * high[1], low[0] : high[0]]
-        shrink(samples, within, factor, shades, levels, out[k, low[1] : high[1], low[0] : high[0]])
+        shrink(samples, factor, shades, levels, out[k, low[1] : high[1], low[0] : high[0]])
         for row in range(samples.shape[0]):
             for column in range(samples.shape[1]):
                 samples[row, column] = 0
 
 
 @numba.njit(cache=True, nogil=True)
-def _sorted(values: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the indices that sort values; equal ones keep their order (insertion sort)."""
-    order = np.empty(len(values), np.intp)
-    for i in range(len(values)):
-        k = i
-        while k > 0 and values[order[k - 1]] > values[i]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = i
-    return order
-
-
-@numba.njit(cache=True, nogil=True)
-def _pieces(
-    pixels: NDArray[np.float64],
-    height: NDArray[np.float64],
-    radius: NDArray[np.float64],
-    length: NDArray[np.float64],
-    along: NDArray[np.float64],
-    turn: NDArray[np.float64],
-    tan: NDArray[np.float64],
-    cos: NDArray[np.float64],
-    sin: NDArray[np.float64],
-    square: NDArray[np.float64],
-    cap: NDArray[np.float64],
-    side: int,
-) -> Any:
-    """Compute the pieces that are in the picture, bead after bead.
+def _pieces(ropes: _Ropes, k: int, side: int) -> Any:
+    """Compute the pieces of rope k that are in the picture, bead after bead.
 
     Returns:
         corners int32 (m, 14, 2); bead (m,); height of the middle (m,), metres.
     """
+    pixels, height, length, along = (
+        ropes.pixels[k],
+        ropes.height[k],
+        ropes.length[k],
+        ropes.along[k],
+    )
+    turn = ropes.turn[k]
     n = len(pixels)
     # an upper bound on the number of pieces, to allocate once
     most = 0
@@ -303,50 +257,24 @@ def _pieces(
             # a joint. own[:7] goes from right to left at the end and own[7:] from right to left
             # seen backwards, so that together they go round the polygon once.
             last, begin = nth + 1 == count, nth == 0
-            _end(
-                x,
-                y,
-                radius[after],
-                turn[after] if last else 0.0,
-                each,
-                tan[after],
-                cos[after],
-                sin[after],
-                last,
-                square,
-                cap,
-                own[:7],
-            )
-            _end(
-                -x,
-                -y,
-                radius[i],
-                -turn[i] if begin else 0.0,
-                each,
-                tan[i],
-                cos[i],
-                sin[i],
-                begin,
-                square,
-                cap,
-                own[7:],
-            )
+            _end(ropes, k, after, x, y, turn[after] if last else 0.0, each, last, own[:7])
+            _end(ropes, k, i, -x, -y, -turn[i] if begin else 0.0, each, begin, own[7:])
             # Shift to the canvas; keep the piece if its bounding box meets the canvas and no
             # coordinate is NaN (which means behind the perspective camera).
             seen = True
             for axis in range(2):
                 step = along[i, axis] * length[i]
                 low, high = np.inf, -np.inf
-                for k in range(14):
-                    own[k, axis] += pixels[i, axis] + (stop if k < 7 else start) * step
-                    low, high = min(low, own[k, axis]), max(high, own[k, axis])
-                    seen &= not np.isnan(own[k, axis])
+                for c in range(14):
+                    own[c, axis] += pixels[i, axis] + (stop if c < 7 else start) * step
+                    low, high = min(low, own[c, axis]), max(high, own[c, axis])
+                    seen &= not np.isnan(own[c, axis])
                 seen &= high >= -1.0 and low <= side
             if seen:
-                for k in range(14):
+                for c in range(14):
                     for axis in range(2):
-                        corners[m, k, axis] = np.int32(
-                            np.rint(min(max(own[k, axis], -_FAR), _FAR) * 2**SHIFT)
+                        corners[m, c, axis] = np.int32(
+                            np.rint(min(max(own[c, axis], -_FAR), _FAR) * 2**SHIFT)
                         )
                 bead[m], middle[m] = i, height[i] + 0.5 * (start + stop) * climb
                 m += 1
@@ -355,33 +283,27 @@ def _pieces(
 
 @numba.njit(cache=True, nogil=True)
 def _end(
+    ropes: _Ropes,
+    rope: int,
+    joint: int,
     x: float,
     y: float,
-    radius: float,
     turn: float,
     length: float,
-    tan: float,
-    cos: NDArray[np.float64],
-    sin: NDArray[np.float64],
-    joint: bool,
-    square: NDArray[np.float64],
-    cap: NDArray[np.float64],
+    is_joint: bool,
     out: NDArray[np.float64],
 ) -> None:
     """Write the 7 vertices of one end of a piece, from right to left.
 
     Args:
+        ropes, rope, joint: the bead's end at which the piece lies, or which it approaches.
         x, y: unit vector along the piece, out of this end.
-        radius: radius at this end, pixels.
         turn: angle by which the next bead turns to the left, radians; 0 at a square end.
         length: length of the piece, pixels.
-        tan: tangent of half the turn.
-        cos, sin: shape (5,), of the angles of the arc.
-        joint: whether another bead follows, so that tan, cos and sin are used.
-        square: cosine and sine of the right and of the left corner of a square end, shape (2, 2).
-        cap: cosines and sines of the vertices of a round end, shape (2, 7).
+        is_joint: whether another bead follows; else the end is within the bead.
         out: shape (7, 2), pixels relative to the end of the axis; output.
     """
+    radius = ropes.radius[rope, joint]
     # Polar coordinates (c, s) about the end of the axis, angle 0 along (x, y). A right turn is a
     # left turn mirrored: the vertices in reverse order (`at`) and the sine negated.
     rounded, right = length < _STEEP * radius, turn < 0.0
@@ -389,16 +311,16 @@ def _end(
         at = 6 - k if right else k
         back = 0.0
         if rounded:
-            c, s = cap[0, k], cap[1, k]
+            c, s = _CAP[0, k], _CAP[1, k]
         elif at > 4:
             # the inner corner, on the bisector: it lies back from the end by radius * tan, but by
             # no more than half the piece, where the other end's corner may be
-            c, s = square[1]
-            back = np.minimum(radius * (tan if joint else 0.0), 0.5 * length)
-        elif joint:
-            c, s = cos[at], sin[at]
+            c, s = _SQUARE[1]
+            back = np.minimum(radius * (ropes.tan[rope, joint] if is_joint else 0.0), 0.5 * length)
+        elif is_joint:
+            c, s = ropes.cos[rope, joint, at], ropes.sin[rope, joint, at]
         else:
-            c, s = square[0]
+            c, s = _SQUARE[0]
         if right and not rounded:
             s = -s
         forward, sideways = radius * c - back, radius * s

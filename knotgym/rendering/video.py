@@ -1,13 +1,13 @@
 """Videos of a rope beside its goal, with their codes below, as mp4, webm or gif.
 
 All of them play in a browser: .mp4 files hold H.264 and .webm files VP9, both encoded by PyAV
-(extra `video`). `Encoder` also writes pictures of datasets as video.
+(extra `video`).
 """
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,22 +29,14 @@ _WIDTH = 384  # width of each half, pixels
 OUTCOMES = {"reached": (52, 211, 153), "failed": (251, 113, 133)}  # RGB
 
 
-class Codec(NamedTuple):
-    """An encoder of FFmpeg, its pixel format and its options."""
-
-    encoder: str
-    pixels: str
-    options: dict[str, str]
-
-
-# suffix -> codec; yuv420p is the only pixel format that all browsers play
+# suffix -> encoder of FFmpeg and its options
 _CODECS = {
-    ".mp4": Codec("libx264", "yuv420p", {"crf": "18"}),
-    ".webm": Codec("libvpx-vp9", "yuv420p", {"crf": "18", "b": "0"}),
+    ".mp4": ("libx264", {"crf": "18"}),
+    ".webm": ("libvpx-vp9", {"crf": "18", "b": "0"}),
 }
 
 
-def captioned(
+def _captioned(
     frame: NDArray[np.uint8], lines: Sequence[str], outcome: str = ""
 ) -> NDArray[np.uint8]:
     """Add lines of text below a picture and mark its outcome.
@@ -89,7 +81,7 @@ def film_frame(
         points, goal: float64 (beads, 3), metres.
         heading: first line of the caption.
         pull: a bead and the force on it, (3,), in units of the largest force.
-        outcome: as in `captioned`.
+        outcome: "reached" or "failed", written large in green or red with a border; "" for none.
         views: views stacked vertically, see `draw_diagram`.
         side: side of each half, metres; by default both ropes fit.
 
@@ -104,7 +96,7 @@ def film_frame(
     ]  # fmt: skip
     codes = [str(label(rope)) or "the plain loop" for rope in (points, goal)]
     lines = [heading, f"now   {codes[0]}", f"goal  {codes[1]}"]
-    frame = captioned(np.concatenate(halves, axis=1), lines, outcome)
+    frame = _captioned(np.concatenate(halves, axis=1), lines, outcome)
     for column, name in ((0, "now"), (_WIDTH, "goal")):
         cv2.putText(frame, name, (column + 12, _TEXT + 6), _FONT, _LETTERS, _WHITE, 1, cv2.LINE_AA)
     return frame
@@ -159,7 +151,7 @@ def require_film(path: str | os.PathLike[str]) -> None:
     if kind not in (".gif", *_CODECS):
         raise InvalidInput(f"a video must end in .gif, .mp4 or .webm, got {os.fspath(path)!r}")
     if kind in _CODECS:
-        pyav("write a .gif")
+        _pyav()
 
 
 def write_film(path: str | os.PathLike[str], frames: Sequence[NDArray[np.uint8]]) -> None:
@@ -186,63 +178,28 @@ def _gif(path: Path, frames: Sequence[NDArray[np.uint8]]) -> None:
 
 
 def _encoded(path: Path, frames: Sequence[NDArray[np.uint8]]) -> None:
-    film = Encoder(path, _CODECS[path.suffix.lower()], frames[0].shape)
-    for frame in frames:
-        film.add(frame)
-    film.close()
+    av = _pyav()
+    encoder, options = _CODECS[path.suffix.lower()]
+    with av.open(str(path), "w") as film:
+        stream = film.add_stream(encoder, rate=FRAMES_PER_SECOND, options=options)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"  # the only pixel format that all browsers play
+        for frame in frames:
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        film.mux(stream.encode(None))  # what the encoder still holds
 
 
-class Encoder:
-    """Write frames to a video file one by one, at `FRAMES_PER_SECOND`.
-
-    Attributes:
-        size: bytes encoded so far.
-    """
-
-    def __init__(self, path: Path, codec: Codec, shape: tuple[int, ...]) -> None:
-        """Open the file for frames of this shape, (height, width, 3).
-
-        Raises:
-            InvalidInput: PyAV isn't installed.
-        """
-        av = pyav()
-        # SVT-AV1 reports its settings on standard error for every file; 1 keeps errors only
-        os.environ.setdefault("SVT_LOG", "1")
-        self.size = 0
-        self._frame = av.VideoFrame.from_ndarray
-        self._film = av.open(str(path), "w")
-        self._stream = self._film.add_stream(
-            codec.encoder, rate=FRAMES_PER_SECOND, options=codec.options
-        )
-        self._stream.height, self._stream.width = shape[:2]
-        self._stream.pix_fmt = codec.pixels
-
-    def add(self, frame: NDArray[np.uint8]) -> None:
-        """Encode a frame, uint8 (height, width, 3), RGB."""
-        self._mux(self._frame(frame, format="rgb24"))
-
-    def close(self) -> None:
-        """Write what the encoder still holds, and close the file."""
-        self._mux(None)
-        self._film.close()
-
-    def _mux(self, frame: Any) -> None:
-        for packet in self._stream.encode(frame):
-            self.size += packet.size
-            self._film.mux(packet)
-
-
-def pyav(instead: str = "") -> Any:
+def _pyav() -> Any:
     """Import PyAV.
 
     Raises:
-        InvalidInput: it isn't installed; the message offers what to do `instead`.
+        InvalidInput: it isn't installed.
     """
     try:
         import av
     except ModuleNotFoundError as error:
         raise InvalidInput(
-            f"a video needs PyAV, which isn't installed; install it: {install_command('video')}"
-            + (f", or {instead}" if instead else "")
+            f"a video needs PyAV, which isn't installed; install it: {install_command('video')},"
+            " or write a .gif"
         ) from error
     return av

@@ -29,23 +29,21 @@ def require_engine(engine: object) -> None:
         raise InvalidInput(f"no engine {engine!r}; there is {', '.join(ENGINES)}")
 
 
-def simulation_class(engine: str) -> type[Simulation]:
-    """Return the class of an engine's simulations; only this imports the engine."""
+def simulation(
+    engine: str, count: int = 1, rope: Rope | None = None, threads: int = 1
+) -> Simulation:
+    """Return a simulation of `count` plain loops; `threads` 0 uses every core.
+
+    Only this imports the engine.
+    """
     require_engine(engine)
     if engine == CHAIN:
         from knotgym.rope.chain.chain_simulation import ChainSimulation
 
-        return ChainSimulation
+        return ChainSimulation(count, rope, threads)
     from knotgym.rope.mujoco_simulation import MujocoSimulation
 
-    return MujocoSimulation
-
-
-def simulation(
-    engine: str, count: int = 1, rope: Rope | None = None, threads: int = 1
-) -> Simulation:
-    """Return a simulation of `count` plain loops; `threads` 0 uses every core."""
-    return simulation_class(engine)(count, rope, threads)
+    return MujocoSimulation(count, rope, threads)
 
 
 def simulation_of(count: int, config: RopeConfig, engine: str = MUJOCO) -> Simulation:

@@ -6,6 +6,9 @@ or undoes a kink), `spread` away from the rope's middle, and `shift` in any dire
 
 A haul pulls two beads apart with full force, one in even and one in odd steps. It ignores strands
 and codes, and undoes tangles in which every small change makes things worse.
+
+After a change run `pytest tests/rope/test_macro_actions.py tests/control/planning`: draws come in a
+fixed order, and passes must lead where the table of moves says.
 """
 
 from collections.abc import Sequence
@@ -22,6 +25,8 @@ from knotgym.rope.model import Array
 
 LONGEST = 10  # actions of a macro-action, at most
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
+# Hauls were introduced for hard unknots, of which no planner without them solved any of 64
+# (docs/hard-unknots.md); their sizes were not compared.
 _HAUL_RISE = -0.2, 0.6  # range of the upward force, in units of the largest force
 _HAUL_STEPS = 4, 20  # range of its length for 100 beads; the upper end is excluded
 

@@ -6,6 +6,9 @@ the loop is cut into sub-chains. Each is a chain of ball joints with one free be
 `connect` equality constraints pull the end of each sub-chain to the start of the next.
 Source: arXiv 2505.18028 for the constants. All beads are equal here; in the published asset their
 lengths vary.
+
+After a change run `pytest tests/rope/test_rope.py`; if the same configuration moves differently,
+raise ROPE_FORMAT: shipped states and recordings are refused until they are made again.
 """
 
 import hashlib

@@ -21,6 +21,8 @@ from knotgym.common.errors import InvalidInput
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
 
+# Set by hand when pictures were relaxed, too; what other values gave was not recorded. A change
+# must keep every curve of tests/generate/test_imported_curves.py.
 _ITERATIONS = 20  # per round
 _REACH = 0.045  # distance in the picture within which strands repel each other, metres; nine pixels
 _APART = 5  # vertices fewer than this many beads apart along the rope don't repel each other

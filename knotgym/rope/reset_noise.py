@@ -16,6 +16,8 @@ from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
+# Of 1,000 resets of states whose noise survival is 0.25, the least that sets allow, 3 need more
+# than FULL_DRAWS (0.75^20); SMALLER_DRAWS end at a millionth of the scale, where no code changes.
 FULL_DRAWS = 20  # draws at full scale
 SMALLER_DRAWS = 20  # further draws, each at half the scale of the one before
 
@@ -55,6 +57,8 @@ def start_qpos(
     if least is None:
         least = [least_clearance(one, rope) for one in writable]
     bound = np.asarray(least, dtype=np.float64)
+    # All ropes that are left draw at once, but each from its own generator: how often one is
+    # refused changes nothing for the others.
     left = list(range(len(writable)))
     for draw in range(FULL_DRAWS + SMALLER_DRAWS):
         if not left:

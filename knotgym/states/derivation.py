@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from knotgym.quality.measures import measure, noise_survival
-from knotgym.rendering.picture import draw, picture_of
+from knotgym.rendering.camera import picture_of
+from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.knots import knot_type

@@ -68,7 +68,7 @@ def _columns(prefix: str, columns: Iterable[Column]) -> tuple[Column, ...]:
     return tuple(
         column._replace(
             name=prefix + column.name,
-            optional=bool(prefix),
+            optional=column.optional or bool(prefix),
             finite=column.dtype[:5] == "float" and prefix != "quality/",
         )
         for column in columns

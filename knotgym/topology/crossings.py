@@ -11,6 +11,8 @@ code of such a curve need not be planar.
 
 Coordinates are in metres. A place along the rope is a fractional bead index: 2.25 is a quarter of
 the way from bead 2 to bead 3.
+
+After a change run `pytest tests/topology/test_crossings.py`.
 """
 
 from dataclasses import dataclass

@@ -7,6 +7,9 @@ knotinfo.org). A name means the handedness with KnotInfo's Jones polynomial, so 
 right-handed trefoil and m3_1 the left-handed one.
 
 A knot type is a name regardless of handedness.
+
+After a change run `pytest tests/topology/test_knot_table.py`: both polynomials must be those of
+KnotInfo's own columns.
 """
 
 import json

@@ -11,6 +11,9 @@ Crossings", 2021).
 Types are named as in KnotInfo's table (`knot_table`), regardless of handedness: both trefoils are
 "3_1", and "3_1#3_1" is both the granny knot and the square knot. A diagram of up to 10 crossings is
 identified by its polynomials, or because it is in the table.
+
+After a change run `pytest tests/topology/test_knots.py`: no hard unknot may be called knotted, and
+all 249 knots of the table keep their names.
 """
 
 from functools import lru_cache

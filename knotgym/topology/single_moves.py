@@ -4,6 +4,9 @@ The base point stays on its strand. First and second moves are listed in the dir
 crossings; the reverse of a first move makes a kink in one arc, and that of a second move lays a
 finger of one arc over another. Arc 0 runs from the base point to the first visit, and arc k from
 the k-th visit to the next.
+
+After a change run `pytest tests/topology/test_single_moves.py`: removals are the faces with one
+and two sides, and each can be put back.
 """
 
 from collections.abc import Iterator

@@ -5,6 +5,9 @@ motions to rope motions exactly. Two more symmetries are approximate: walking th
 direction, and starting the walk at another sub-chain. Starting at any other bead is no symmetry,
 because the rope bends more easily where its sub-chains meet (their closures have no damping): with
 the base shifted by one bead, one step ends 9 mm away; shifted by a sub-chain, 0.5 mm.
+
+After a change run `pytest tests/topology/test_symmetry.py`: what a symmetry says of a code must be
+what the moved rope shows.
 """
 
 from __future__ import annotations

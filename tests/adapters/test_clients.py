@@ -128,7 +128,7 @@ def test_torch_reads_a_hand_played_dataset_that_replays_bit_for_bit(played_room:
     assert knotgym.verify(folder) == []
     rows = arrays(folder, observation="state")
     assert len(rows["actions"]) == open_episodes(folder).episodes.episodes["length"].sum()
-    held = torch_dataset(folder, kind="transitions", observation="state")
+    held = torch_dataset(folder, observation="state")
     got = torch.stack([held[row]["action"] for row in range(len(held))])
     np.testing.assert_array_equal(got, rows["actions"])
 

@@ -12,6 +12,8 @@ from knotgym.adapters import goal_env, sb3_vec_env
 from knotgym.common.errors import InvalidInput, MissingExtra
 from knotgym.envs.environment import KnotEnv
 
+from ..envs.test_env import same as equal
+
 SMALL: dict[str, Any] = {"nx": 1, "horizon": 4, "image_size": 36}
 
 
@@ -50,17 +52,6 @@ def test_steps_are_those_of_its_own_class_over_single_environments(
         assert equal(batched.reset_infos, singles.reset_infos)
         rows += 3
     assert rows == 36 and ended >= 9
-
-
-def equal(one: Any, other: Any) -> bool:
-    """Compare values recursively."""
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(equal(one[name], other[name]) for name in one)
-    if isinstance(one, list | tuple):
-        return len(one) == len(other) and all(map(equal, one, other))
-    if isinstance(one, np.ndarray):
-        return bool(one.dtype == other.dtype and np.array_equal(one, other))
-    return bool(one == other)
 
 
 @pytest.mark.clients

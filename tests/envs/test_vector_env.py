@@ -87,18 +87,6 @@ def test_make_vec_gives_one_batched_simulation(states_path: str, observation: st
     assert rewards.shape == terminated.shape == truncated.shape == (4,)
 
 
-def test_make_vec_can_still_sync(states_path: str) -> None:
-    envs = gym.make_vec(
-        "knotgym/Tie-v0",
-        num_envs=2,
-        vectorization_mode="sync",
-        states=states_path,
-        observation="state",
-    )
-    batched = gym.make_vec("knotgym/Tie-v0", num_envs=2, states=states_path, observation="state")
-    assert same(envs.reset(seed=0), batched.reset(seed=0))
-
-
 def test_views_and_depth_are_those_of_single_environments(
     make: MakeVec, synced: Callable[..., SyncVectorEnv]
 ) -> None:
@@ -189,27 +177,6 @@ def test_threads_change_nothing(make: MakeVec, threads: int) -> None:
         assert same(envs.step(each), others.step(each))
 
 
-def test_next_step_resets_without_acting(make: MakeVec) -> None:
-    envs = make(horizon=1)
-    envs.reset(seed=0)
-    _, rewards, _, truncated, _ = envs.step(np.zeros((3, 6), np.float32))
-    assert rewards.tolist() == [-5] * 3 and truncated.all()
-    _, rewards, terminated, truncated, infos = envs.step(np.zeros((3, 6), np.float32))
-    assert not rewards.any() and not terminated.any() and not truncated.any()
-    assert infos["bead"].tolist() == [-1] * 3
-
-
-def test_same_step_hands_over_the_last_observation(make: MakeVec) -> None:
-    envs, others = make(horizon=1, autoreset_mode="SameStep"), make(horizon=1)
-    envs.reset(seed=0), others.reset(seed=0)
-    each = actions(3, 1)[0]
-    _, _, _, truncated, infos = envs.step(each)
-    last = others.step(each)[0]
-    assert truncated.all()
-    assert np.array_equal(np.stack(infos["final_obs"]), last)
-    assert infos["final_info"]["bead"].min() >= 0 and infos["bead"].tolist() == [-1] * 3
-
-
 def test_without_autoreset_an_ended_rope_cannot_be_stepped(make: MakeVec) -> None:
     envs = make(horizon=1, autoreset_mode="disabled")
     envs.reset(seed=0)
@@ -275,15 +242,10 @@ def test_no_ropes_are_refused(make: MakeVec, count: int) -> None:
         make(num_envs=count)
 
 
-def test_settings_that_cannot_be_had_are_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidInput, match="nx must be from 1 to 11 on 100 beads, got 12"):
-        make(nx=12)
-
-
 @pytest.mark.parametrize(
     "bad",
     [
-        np.full((3, 6), np.nan),
+        np.array([[0] * 6, [0] * 6, [0] * 5 + [np.nan]]),
         np.full((3, 6), 1.01),
         np.zeros((3, 5)),
         np.zeros((4, 6)),
@@ -301,17 +263,6 @@ def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec, bad: NDArray[A
     assert np.array_equal(envs.episodes.simulation.states(), before) and np.array_equal(
         envs.episodes.steps, steps
     )
-
-
-def test_one_bad_action_moves_no_rope(make: MakeVec) -> None:
-    envs = make()
-    envs.reset(seed=0)
-    before = envs.episodes.simulation.states()
-    bad = np.zeros((3, 6), dtype=np.float32)
-    bad[2, 5] = np.nan
-    with pytest.raises(InvalidInput):
-        envs.step(bad)
-    assert np.array_equal(envs.episodes.simulation.states(), before)
 
 
 def test_a_blown_up_rope_ends_alone_and_starts_over(make: MakeVec) -> None:
@@ -409,7 +360,3 @@ def test_gymnasium_1_0_which_has_no_such_class_is_enough(
 def test_an_unknown_autoreset_mode_is_refused(make: MakeVec) -> None:
     with pytest.raises(InvalidInput, match="no autoreset_mode 'never'; there is next_step, same"):
         make(autoreset_mode="never")
-
-
-def test_its_length_is_the_number_of_ropes(make: MakeVec) -> None:
-    assert len(make(num_envs=2)) == 2

@@ -14,7 +14,8 @@ from knotgym.control.policies import make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.picture import draw, picture_of
+from knotgym.rendering.camera import picture_of
+from knotgym.rendering.picture import draw
 from knotgym.rope.model import rope_of
 from knotgym.states.state_file import merge_states, read_states, shipped
 

@@ -251,7 +251,10 @@ def test_sampled_goals_and_negatives_are_halves_of_observations(observation: str
         parts = batch[name].values() if observation == "both" else [batch[name]]
         assert all(len(part) == 3 for part in parts)
     for k, goal in enumerate(goals.tolist()):
-        segment, step = opened.frame_place(goal)
+        # the states of segment s begin at starts[s] + s
+        begins = opened.starts + np.arange(len(opened.starts))
+        segment = int(np.searchsorted(begins, goal, side="right")) - 1
+        step = goal - int(begins[segment])
         seen = opened.observations(segment, step, step + 1)
         pair = seen["state"] if observation == "both" else seen
         half = np.split(pair, 2, axis=2 if observation == "pixels" else 1)[0][0]

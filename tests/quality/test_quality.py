@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.quality import measures
 from knotgym.quality.limits import LEGIBLE, UNAMBIGUOUS, UNITS, UNTWISTED, Limits, Quality
 from knotgym.quality.measures import base_spacing, noise_survival
-from knotgym.rendering.picture import DEFAULT
+from knotgym.rendering.camera import DEFAULT
 from knotgym.rope.model import Rope
 from knotgym.topology.crossings import find_crossings
 

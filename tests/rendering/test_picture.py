@@ -2,9 +2,7 @@
 
 import dataclasses
 import functools
-import json
 import os
-import pickle
 import runpy
 import subprocess
 import sys
@@ -17,16 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput, KnotgymError
-from knotgym.rendering.picture import (
-    PictureConfig,
-    _on_canvas,
-    bead_colours,
-    crossing_pixels,
-    draw,
-    draw_many,
-    project,
-    rope_colours,
-)
+from knotgym.rendering.camera import PictureConfig, bead_colours, project
+from knotgym.rendering.picture import _on_canvas, crossing_pixels, draw, draw_many
 from knotgym.rendering.rasterizer import polygons
 from knotgym.topology.crossings import find_crossings
 
@@ -178,6 +168,10 @@ def differences(
     )
 
 
+def white(beads: int) -> NDArray[np.uint8]:
+    return np.full((beads, 3), 255, dtype=np.uint8)
+
+
 def ring(beads: int = 100, radius: float = 0.2) -> Points:
     angle = 2.0 * np.pi * np.arange(beads) / beads
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(beads)], axis=1)
@@ -191,18 +185,6 @@ def test_the_base_bead_is_white_and_the_rope_runs_towards_red() -> None:
     assert colours.dtype == np.uint8 and colours.shape == (100, 3)
     assert colours[0].tolist() == [255, 255, 255]
     assert np.all(np.diff(colours[1:26, 0].astype(int)) >= 0) and colours[25, 0] == 255
-
-
-def test_colours_follow_the_published_formula() -> None:
-    wave = 0.5 + 0.5 * np.sin(
-        2.0 * np.pi * (np.arange(1, 100)[:, None] / 100 + np.array([0.0, 0.33, 0.67]))
-    )
-    assert np.abs(bead_colours(100)[1:] - 255.0 * wave).max() <= 0.5
-
-
-def test_one_colour_keeps_the_base_bead_white() -> None:
-    colours = rope_colours(5, PictureConfig(colours=(10, 20, 30)))
-    assert colours[0].tolist() == [255, 255, 255] and np.all(colours[1:] == [10, 20, 30])
 
 
 def test_given_colours_replace_those_of_the_config() -> None:
@@ -250,8 +232,10 @@ def test_a_straight_rope_is_as_wide_as_it_should_be() -> None:
     points = np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, -0.02]])
     for size in (64, 128, 256, 512):
         for width in (1.0, 2.0):
-            config = PictureConfig(size=size, width=width, colours=(255, 255, 255))
-            across = draw(points, config)[:, size // 2 + size // 16, 0].sum() / 255.0
+            config = PictureConfig(size=size, width=width)
+            across = (
+                draw(points, config, colours=white(4))[:, size // 2 + size // 16, 0].sum() / 255.0
+            )
             assert across == pytest.approx(
                 2.0 * config.drawn_radius * config.pixels_per_metre, rel=0.07, abs=0.03
             )
@@ -261,12 +245,6 @@ def test_turning_the_camera_turns_the_rope_the_other_way() -> None:
     points = curves()[1]
     quarter = draw(points, PictureConfig(turn=np.pi / 2)).astype(int)
     assert np.abs(quarter - np.rot90(draw(points), -1)).mean() < 0.2
-
-
-def test_zoom_magnifies() -> None:
-    assert project(ring(), PictureConfig(zoom=2.0)) - 64.0 == pytest.approx(
-        2.0 * (project(ring()) - 64.0)
-    )
 
 
 def test_the_perspective_camera_is_the_published_one() -> None:
@@ -290,18 +268,10 @@ def test_what_is_behind_the_perspective_camera_is_not_drawn() -> None:
 # Drawing
 
 
-def test_the_same_points_give_the_same_bytes() -> None:
-    assert np.array_equal(draw(curves()[2]), draw(curves()[2].copy()))
-
-
-def test_drawing_leaves_its_input_alone() -> None:
-    points = curves()[3].copy()
-    draw(points)
-    assert np.array_equal(points, curves()[3])
-
-
-def test_where_the_rope_is_in_the_world_does_not_matter() -> None:
+def test_the_same_points_give_the_same_bytes_wherever_they_are_and_are_left_alone() -> None:
     points = np.round(curves()[4] * 2**20) / 2**20  # so that the shift is exact
+    kept = points.copy()
+    assert np.array_equal(draw(points), draw(kept)) and np.array_equal(points, kept)
     assert np.abs(draw(points).astype(int) - draw(points + [0.5, -1.0, 0.25])).max() <= 8
 
 
@@ -314,13 +284,6 @@ def test_draw_many_is_draw_many_times() -> None:
         assert together.dtype == np.uint8
         assert np.array_equal(together, np.stack([draw(points, config) for points in curves()[:5]]))
     assert draw_many(np.empty((0, 100, 3))).shape == (0, 128, 128, 3)
-
-
-@pytest.mark.parametrize("size", [64, 128, 256, 512])
-@pytest.mark.parametrize("supersampling", [1, 3, 4, 6])
-def test_every_size_is_drawn(size: int, supersampling: int) -> None:
-    image = draw(ring(), PictureConfig(size=size, supersampling=supersampling))
-    assert image.shape == (size, size, 3) and image.dtype == np.uint8 and image.any()
 
 
 def test_the_background_is_what_was_asked_for() -> None:
@@ -341,8 +304,8 @@ def test_neighbouring_beads_leave_no_gap() -> None:
         points = np.stack(
             [0.2 * np.cos(turns * angle), 0.2 * np.sin(turns * angle), 0.02 * np.sin(angle)], axis=1
         )
-        config = PictureConfig(size=512, colours=(255, 255, 255))
-        image = draw(points, config)
+        config = PictureConfig(size=512)
+        image = draw(points, config, colours=white(12))
         for fraction in np.linspace(0.0, 1.0, 21):
             pixels = np.floor(
                 project(
@@ -364,13 +327,14 @@ def test_the_picture_is_that_of_a_ray_tracer() -> None:
 
 def test_beads_seen_end_on_are_discs() -> None:
     column = np.array([[0.1, 0.1, 0.0133 * bead] for bead in range(11)])
-    config = PictureConfig(colours=(255, 255, 255), supersampling=8)
+    config = PictureConfig(supersampling=8)
     points = np.concatenate([column, [[0.11, -0.1, 0.133], [0.09, -0.1, 0.0]]])
     middle = project(points, config)[0]
     row, column_at = np.indices((128, 128)) + 0.5
     outside = (row < middle[1]) & (np.hypot(column_at - middle[0], row - middle[1]) < 3.0)
     half_disc = 0.5 * np.pi * (config.drawn_radius * config.pixels_per_metre) ** 2
-    assert draw(points, config)[outside, 0].sum() / 255.0 == pytest.approx(half_disc, abs=0.15)
+    drawn = draw(points, config, colours=white(len(points)))
+    assert drawn[outside, 0].sum() / 255.0 == pytest.approx(half_disc, abs=0.15)
 
 
 def test_a_long_steep_bead_goes_over_and_under() -> None:
@@ -394,28 +358,22 @@ def test_a_long_steep_bead_goes_over_and_under() -> None:
 # Over and under
 
 
+def shown(drawn: Points, config: PictureConfig) -> NDArray[np.str_]:
+    """Which strands pictures of `drawn` show, at the crossings of `curves`."""
+    return np.concatenate(
+        [
+            shown_strands(draw(one, config), find_crossings(points), points, config)
+            for one, points in zip(drawn, curves(), strict=False)
+        ]
+    )
+
+
 def test_at_every_crossing_the_over_strand_is_shown() -> None:
-    config = PictureConfig()
-    shown = np.concatenate(
-        [
-            shown_strands(draw(points, config), find_crossings(points), points, config)
-            for points in curves()
-        ]
-    )
-    assert len(shown) > 40
-    assert not np.any(shown == "under")
-    assert np.mean(shown == "over") > 0.85
-
-
-def test_the_strand_shown_changes_with_the_heights() -> None:
-    shown = np.concatenate(
-        [
-            shown_strands(draw(points * [1.0, 1.0, -1.0]), find_crossings(points), points)
-            for points in curves()[:10]
-        ]
-    )
-    assert not np.any(shown == "over")
-    assert np.sum(shown == "under") > 10
+    found = shown(curves(), PictureConfig())
+    assert len(found) > 40
+    assert not np.any(found == "under") and np.mean(found == "over") > 0.85
+    upside_down = shown(curves()[:10] * [1.0, 1.0, -1.0], PictureConfig())
+    assert not np.any(upside_down == "over") and np.sum(upside_down == "under") > 10
 
 
 def test_a_strand_hidden_below_a_third_is_ambiguous() -> None:
@@ -448,13 +406,6 @@ def test_crossing_pixels_lie_on_both_strands() -> None:
         )
 
 
-def test_only_a_picture_that_shows_the_crossings_can_be_read() -> None:
-    points = curves()[0]
-    for config in (PictureConfig(camera="perspective"), PictureConfig(size=64)):
-        with pytest.raises(InvalidInput):
-            shown_strands(draw(points, config), find_crossings(points), points, config)
-
-
 # Settings and errors
 
 
@@ -462,22 +413,9 @@ def test_only_a_picture_that_shows_the_crossings_can_be_read() -> None:
     "wrong",
     [
         {"size": 8},
-        {"size": 128.0},
-        {"size": True},
-        {"view": 0.0},
         {"view": float("nan")},
         {"camera": "fisheye"},
-        {"camera_height": -1.0},
-        {"fovy": 180.0},
-        {"turn": float("inf")},
-        {"zoom": 0.0},
-        {"rope_radius": -0.1},
-        {"width": 0.0},
-        {"colours": "rainbow"},
-        {"colours": (1, 2)},
         {"background": (0, 0, 256)},
-        {"background": 0},
-        {"renderer": "filament"},
         {"supersampling": 0},
     ],
 )
@@ -500,13 +438,6 @@ def test_points_that_are_no_rope_are_refused() -> None:
         draw_many(np.zeros((10, 3)))
     with pytest.raises(InvalidInput):
         draw(ring(), colours=np.zeros((99, 3), dtype=np.uint8))
-
-
-def test_a_config_survives_json_and_pickle() -> None:
-    config = PictureConfig(size=64, colours=(1, 2, 3), background=(4, 5, 6), turn=0.5)
-    assert PictureConfig(**json.loads(json.dumps(dataclasses.asdict(config)))) == config
-    assert pickle.loads(pickle.dumps(config)) == config
-    assert hash(config) == hash(dataclasses.replace(config))
 
 
 @pytest.mark.thorough
@@ -561,28 +492,18 @@ def test_both_renderers_obey_every_setting() -> None:
         zoom=1.5,
         width=1.4,
         background=(40, 80, 120),
-        colours=(250, 120, 0),
         supersampling=2,
     )
     for one in (config, dataclasses.replace(config, camera="perspective")):
-        apart = np.abs(
-            draw(curves()[6], one).astype(int)
-            - draw(curves()[6], dataclasses.replace(one, renderer="mujoco"))
-        )
+        other = dataclasses.replace(one, renderer="mujoco")
+        apart = np.abs(draw(curves()[6], one).astype(int) - draw(curves()[6], other))
         assert apart.mean() < 1.5 and (apart.max(axis=-1) > 64).mean() < 0.005
         assert apart[0, 0].max() == 0
 
 
 @gl
 def test_mujoco_shows_the_over_strand_too() -> None:
-    config = PictureConfig(renderer="mujoco")
-    shown = np.concatenate(
-        [
-            shown_strands(draw(points, config), find_crossings(points), points, config)
-            for points in curves()[:15]
-        ]
-    )
-    assert not np.any(shown == "under")
+    assert not np.any(shown(curves()[:15], PictureConfig(renderer="mujoco")) == "under")
 
 
 @gl

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.rendering.camera import PictureConfig, rope_colours, seen_from
+from knotgym.rendering.camera import PictureConfig, bead_colours, seen_from
 from knotgym.rendering.picture import _on_canvas, draw
 from knotgym.rendering.polygon_fill import SHIFT, fill, shrink
 from knotgym.rendering.rasterizer import average, polygons
@@ -13,7 +13,6 @@ from knotgym.rendering.rasterizer import average, polygons
 from ..conftest import trefoil
 
 SIDE = 64
-WORDS = np.empty((0, 0), np.uint64)
 
 
 def convex(rng: np.random.Generator) -> NDArray[np.int32]:
@@ -50,7 +49,7 @@ def test_a_pixel_is_the_mean_that_opencv_takes(factor: int) -> None:
     levels = np.array([0, 9, 250, 7, 30], dtype=np.uint8)
     ours = np.empty((12, 12, 4), np.uint8)
     ours[:] = *colours[0], levels[0]
-    shrink(canvas, canvas.view(np.uint64) if factor == 4 else WORDS, factor, colours, levels, ours)
+    shrink(canvas, factor, colours, levels, ours)
     assert np.array_equal(ours[..., :3], average(colours[canvas], factor))
     blocks = levels[canvas].reshape(12, factor, 12, factor)
     assert np.array_equal(ours[..., 3], blocks.max(axis=(1, 3)))
@@ -71,7 +70,7 @@ def test_a_picture_is_the_one_that_opencv_draws(config: PictureConfig) -> None:
     canvas = np.full((side, side, 3), config.background, dtype=np.uint8)
     seen = _on_canvas(seen_from(config.views[0], rope[None]), config)
     pixels, heights, radii = (array[0] for array in seen)
-    colours = rope_colours(len(rope), config).tolist()
+    colours = bead_colours(len(rope)).tolist()
     outlines, owners, _ = polygons(pixels, heights, radii, side)
     for outline, owner in zip(outlines, owners, strict=True):
         cv2.fillConvexPoly(canvas, outline, colours[owner], cv2.LINE_8, SHIFT)

@@ -7,13 +7,12 @@ import av
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
 
 from knotgym.common.errors import InvalidInput
 from knotgym.rendering.video import (
     FRAMES_PER_SECOND,
     OUTCOMES,
-    captioned,
+    _captioned,
     film_frame,
     film_frames,
     write_film,
@@ -25,37 +24,16 @@ from ..conftest import curled
 FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 180, 240)]
 
 
-def film_length(path: Path) -> int:
-    if path.suffix == ".gif":
-        with Image.open(path) as animation:
-            return getattr(animation, "n_frames", 1)
-    film = cv2.VideoCapture(str(path))
-    count = 0
-    while film.read()[0]:
-        count += 1
-    return count
-
-
-@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a.webm", "A.GIF"])
-def test_a_film_has_the_frames_it_was_given(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a.webm", "a.MP4"])
+def test_a_film_shows_what_it_was_given_at_the_speed_of_the_rope(tmp_path: Path, name: str) -> None:
     write_film(tmp_path / name, FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == [name]
-    if not name.isupper():
-        assert film_length(tmp_path / name) == len(FRAMES)
-
-
-@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a.webm"])
-def test_a_film_shows_what_it_was_given(tmp_path: Path, name: str) -> None:
-    write_film(tmp_path / name, FRAMES)
     film = cv2.VideoCapture(str(tmp_path / name))
-    levels = [float(film.read()[1].mean()) for _ in FRAMES]
+    assert film.get(cv2.CAP_PROP_FPS) == FRAMES_PER_SECOND
+    levels = []
+    while (read := film.read())[0]:
+        levels.append(float(read[1].mean()))
     assert np.allclose(levels, [0, 60, 120, 180, 240], atol=6)
-
-
-def test_a_film_runs_as_fast_as_the_rope(tmp_path: Path) -> None:
-    write_film(tmp_path / "a.gif", FRAMES)
-    with Image.open(tmp_path / "a.gif") as film:
-        assert film.info["duration"] == 1000 // FRAMES_PER_SECOND
 
 
 @pytest.mark.parametrize(("name", "codec"), [("a.mp4", "h264"), ("a.webm", "vp9")])
@@ -123,12 +101,8 @@ def test_another_kind_of_film_is_refused_and_not_written(tmp_path: Path, name: s
 
 
 def test_captions_stand_below_the_picture() -> None:
-    frame = np.arange(30 * 60 * 3).reshape(30, 60, 3).astype(np.uint8)
-    out = captioned(frame, ["one", "two"])
-    assert np.array_equal(out[:30], frame) and out[30:].any() and out.shape[0] % 2 == 0
-
-
-@pytest.mark.parametrize("text", ["", "short", "1+c,2-a,3+a," * 30])
-def test_captions_of_any_length_fit(text: str) -> None:
-    out = captioned(np.zeros((60, 120, 3), dtype=np.uint8), [text])
-    assert out.shape[1] == 120 and not out[:, -4:].any()
+    frame = np.arange(30 * 120 * 3).reshape(30, 120, 3).astype(np.uint8)
+    for lines in (["one", "two"], ["1+c,2-a,3+a," * 3]):  # a long line is written smaller
+        out = _captioned(frame, lines)
+        assert np.array_equal(out[:30], frame) and out[30:].any() and out.shape[0] % 2 == 0
+        assert out.shape[1] == 120 and not out[:, -4:][30:].any()

@@ -35,12 +35,12 @@ EIGHT = np.array(
 seeds = st.integers(0, 2**32 - 1)
 
 
-def random_curve(seed: int, beads: int = 100) -> np.ndarray:
+def random_curve(seed: int, beads: int = 100, modes: int = 5) -> np.ndarray:
     """A closed Fourier curve, 1.33 m long."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0.0, 2.0 * np.pi, beads, endpoint=False)
     points = np.zeros((beads, 3))
-    for mode in range(1, 6):
+    for mode in range(1, modes + 1):
         for wave in (np.cos(mode * angle), np.sin(mode * angle)):
             points += wave[:, None] * rng.normal(size=3) / mode
     points *= 1.33 / np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum()

@@ -8,33 +8,13 @@ from knotgym.topology.crossings import find_crossings, label, visit_spacing
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 
-EIGHT = np.array(
-    [
-        [-1.0, -1.0, 1.0],
-        [1.0, 1.0, 1.0],
-        [2.0, 0.0, 0.0],
-        [1.0, -1.0, -1.0],
-        [-1.0, 1.0, -1.0],
-        [-2.0, 0.0, 0.0],
-    ]
-)
-
-
-def random_curve(rng: np.random.Generator) -> np.ndarray:
-    """A closed Fourier curve of 100 beads, 1.33 m long."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 100, endpoint=False)
-    modes = np.arange(1, int(rng.integers(2, 9)) + 1)
-    waves = np.concatenate([np.cos(modes[:, None] * angle), np.sin(modes[:, None] * angle)])
-    points = waves.T @ (rng.normal(size=(len(waves), 3)) / np.tile(modes, 2)[:, None])
-    points *= 1.33 / np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum()
-    return points
+from .test_crossings import EIGHT, random_curve
 
 
 def assert_agreement(curves: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
     compared = 0
     for index in range(curves):
-        points = random_curve(rng)
+        points = random_curve(seed + index, modes=1 + index % 8)
         if visit_spacing(find_crossings(points), 100) > 1e-9:
             assert label(points) == pyknotid_code(points), f"curve {index} of seed {seed}"
             compared += 1

@@ -20,7 +20,7 @@ from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import read_table
 from knotgym.datasets.manifest_check import read_manifest, run_report
 from knotgym.quality.limits import UNITS
-from knotgym.rendering.camera import rope_colours
+from knotgym.rendering.camera import bead_colours
 from knotgym.rope.model import Array, RopeConfig
 from knotgym.states.state_file import States, read_states
 from knotgym.topology.crossings import find_crossings
@@ -72,7 +72,7 @@ def page_data(
         data |= run
     if pictures is not None:
         data |= _pictures(pictures, notices)
-    data["colours"] = ["#" + bytes(colour).hex() for colour in rope_colours(data["beads"])]
+    data["colours"] = ["#" + bytes(colour).hex() for colour in bead_colours(data["beads"])]
     counts = [(len(data["states"]), "state"), (len(data["episodes"]), "episode")]
     contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
     if not contents:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.generate.states.state_filter import Judgement
 from knotgym.quality.limits import UNITS
-from knotgym.rendering.picture import draw_many, picture_of
+from knotgym.rendering.camera import picture_of
+from knotgym.rendering.picture import draw_many
 from knotgym.rope.model import Array, rope_of
 from knotgym.states.state_file import States
 from knotgym.topology.knots import knot_type

@@ -3,6 +3,9 @@
 A rope's *state* holds, for each vertex, its position and velocity and the side and spin of the bead
 that begins there (`dynamics`). MuJoCo's qpos become states and states qpos, the beads' twist
 included; velocities don't.
+
+After a change run `pytest tests/rope/chain/test_chain_simulation.py`: beads end within 1 mm of
+MuJoCo's after an action, and the same states lead to the same bytes.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -24,6 +27,9 @@ from knotgym.rope.simulation import Ids, Simulation
 
 POSITION, VELOCITY = slice(layout.X, layout.V), slice(layout.V, layout.SIDE)
 SIDE = slice(layout.SIDE, layout.SPUN)
+# No other values are on record. A pull of 0.2 N lengthens an edge by 2e-5 m/s, which `set_lengths`
+# undoes; beside it stand m / h = 0.2 kg/s of a bead, so a stiffer edge would only cost digits. The
+# floor leaves 2.5 mm between two axes for the proof of passage.
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
 _FLOOR = 0.25  # distance that contact keeps at any force, in diameters
 _TICKS = TICKS * sum(SCHEDULE)  # of an action

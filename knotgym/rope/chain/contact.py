@@ -43,14 +43,22 @@ Ints = NDArray[np.int64]
 # pairs of edges: `start` (n + 1,) and `other`, i with each of other[start[i] : start[i + 1]]
 Pairs = tuple[Ints, Ints]
 
+# LISTED and DRIFT trade the length of the list against how often it is made, and change no result:
+# `passage.longest_edge` says which edges they are wide enough for. Why these two, no record says;
+# `python benchmarks/chain.py speed` would tell.
 LISTED = 0.048  # m, between midpoints
 DRIFT = 0.004  # m
+# The fastest vertex of a substep may move further, 11 mm at full force (median): what is missed so,
+# the proof of passage rejects, and the substep is tried again with half its length.
 LOOKAHEAD = 0.008  # m, largest gap at which two edges may meet in a substep
 SHARP = 0.05  # cosine of a joint's angle; neighbours' neighbours may touch only if it is below 0
+# Sizes, not tuned: under full force, shipped states of three and four crossings have 5 contacts on
+# average and 9 at most. A rope with more keeps the first ROWS, and forces that haven't settled to
+# 1e-9 N after ROUNDS are taken as they are; the proof decides whether either mattered.
 ROWS = 40  # contacts of a rope in a substep at most
 ROUNDS = 60  # of Gauss-Seidel at most
 _NEXT = 3  # edges nearer than this along the rope are not in the list
-STRETCH = 1.01  # no edge is longer than this times its length
+STRETCH = 1.01  # no edge is longer than this times its length; `judge` rejects 0.1 % already
 
 
 @njit(nogil=True)
@@ -103,7 +111,8 @@ def closest(x: Array, i: int, j: int) -> Any:
     s = where_below(det, 1e-12 * both, 0.5, s)  # parallel: any will do
     free = fma(uv, s, vw) / vv
     t = min(max(free, 0.0), 1.0)
-    # an end of the other edge is nearest: the nearest point to it
+    # An end of the other edge is nearest: the nearest point to it. Where t wasn't clamped, s is
+    # kept to the bit, which is what the comparison with 1e-300 says of a difference of exactly 0.
     s = where_below(abs(free - t), 1e-300, s, min(max(fma(uv, t, -uw) / uu, 0.0), 1.0))
     to = along(along((-w[0], -w[1], -w[2]), -s, u), t, v)
     return norm(to), s, t, to
@@ -141,6 +150,8 @@ def find_rows(
     _vertex_most(v, motion)
     found[:] = 0
     close = STRETCH * length + touch
+    # Cheap tests first: of 466 pairs listed for four tangled ropes, midpoints leave at most 102,
+    # and only those are worth the divisions of `closest`.
     for i in range(n):
         own = vector(middle, i)
         # Edges meet in the substep only if their midpoints are nearer than an edge's length, a
@@ -258,6 +269,8 @@ def push_apart(
                         own = share * rows[r, layout.NORMAL + c, lane]
                         column[r, block, c, lane] += own
                         speed[r, lane] += own * v[vertex, c, lane]
+        # `first`: blocks before the first vertex of the contact stay zero, so substitution and all
+        # sums may begin there: a third of the work is saved on average
         forward(system, column[r], first)
         for i in range(first, n):
             for c, e in enumerate(layout.DIAGONAL):
@@ -301,6 +314,9 @@ def _solve_forces(
     so that f = c0 - c1 u is solved by f = (c0 - c1 u') / (1 + c1 w).
     """
     slope = physics.contact_stiffness * h + physics.contact_damping
+    # One contact after the other, each with the newest forces of the others. The weights are a
+    # symmetric, positive semidefinite matrix, so no round raises the energy, projection to f >= 0
+    # included. The order is that of the lane's own rows: it doesn't depend on the other lanes.
     for _ in range(ROUNDS):
         change = 0.0
         for r in range(count):

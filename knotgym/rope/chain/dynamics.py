@@ -247,6 +247,9 @@ def set_lengths(x: Array, length: float, rounds: int) -> None:
             # The matrix has 2 on its diagonal and -cos of the joint's angle beside it, so it is
             # positive definite unless the rope is straight all round, which no closed rope is.
             put(beside, (i,), -dot(vector(edge, i), vector(edge, j)))
+        # Elimination from edge 0 on, without pivoting: the matrix is diagonally dominant. Row i + 1
+        # loses `ratio` times row i, and the last row `wide` times each, which leaves `pivot` and
+        # `last` for the last unknown; then the others follow backwards.
         last = load(edge, (n - 1, 3))
         pivot = 2.0 + 0.0 * last
         put(wing, (0,), load(beside, (n - 1,)))
@@ -305,7 +308,7 @@ def turn_sides(side: Array, old: Array, new: Array, spin: Array, step: Array) ->
     h = load(step, (0,))
     for i in range(len(side)):
         p, t, u = vector(side, i), vector(old, i), vector(new, i)
-        # smallest rotation from t to u, of p across t: p - (p . u) / (1 + t . u) (t + u)
+        # Smallest rotation from t to u, of p across t: p - (p . u) / (1 + t . u) (t + u)
         k = dot(p, u) / fma(t[0], u[0], fma(t[1], u[1], fma(t[2], u[2], 1.0)))
         p = along(p, -k, (t[0] + u[0], t[1] + u[1], t[2] + u[2]))
         # Then by the spin: p + angle (t x p), made perpendicular and of unit length below.

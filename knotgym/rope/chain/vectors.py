@@ -3,7 +3,8 @@
 Products are summed from z to x, each rounded once by `fma`, and always in this order: another
 one would round otherwise, and recorded episodes would no longer repeat.
 
-After a change run `pytest tests/rope/chain tests/data`: states must keep their bits.
+After a change run `pytest tests/rope/chain` and `knotgym suite --recorded`: recordings that ship
+must be rebuilt to the bit.
 """
 
 import math

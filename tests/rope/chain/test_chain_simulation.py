@@ -3,7 +3,6 @@ itself to the bit.
 """
 
 import os
-import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +12,6 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
 from knotgym.rope.chain.chain_simulation import ChainSimulation, physics_of
 from knotgym.rope.chain.contact import closest
 from knotgym.rope.chain.simd import LANES, put
@@ -171,54 +169,6 @@ def test_a_substep_that_cannot_be_proved_safe_is_taken_back(rope: Rope, curls: A
     assert (chain.applied_shares == 1).all()
 
 
-def test_a_state_that_is_not_finite_is_told(rope: Rope) -> None:
-    chain = ChainSimulation(3, rope)
-    states = chain.states()
-    states[1, 0] = np.nan
-    chain.restore(states)
-    assert chain.step([0, 0, 0], np.zeros((3, 3))).tolist() == [True, False, True]
-    assert np.isfinite(chain.points[[0, 2]]).all()
-
-
-@pytest.fixture(scope="module")
-def nine(rope: Rope, curls: Array) -> Array:
-    chain = ChainSimulation(9, rope)
-    chain.lay(curls[np.arange(9) % 5])
-    return moved(chain, 4)
-
-
-@pytest.mark.parametrize(("count", "threads"), [(1, 1), (3, 1), (6, 2), (9, 3), (9, 0)])
-def test_states_are_the_same_bytes_in_any_company_on_any_threads(
-    rope: Rope, curls: Array, nine: Array, count: int, threads: int
-) -> None:
-    chain = ChainSimulation(count, rope, threads)
-    chain.lay(curls[np.arange(count) % 5])
-    assert np.array_equal(moved(chain, 4), nine[:count])
-
-
-def test_a_restored_rope_goes_on_bit_for_bit(rope: Rope, curls: Array) -> None:
-    chain = ChainSimulation(5, rope)
-    chain.lay(curls)
-    saved = moved(chain, 3)
-    again = pickle.loads(pickle.dumps(chain))
-    other = ChainSimulation(2, rope)
-    other.restore(saved[[1, 4]])
-    after = moved(chain, 3, seed=1)
-    assert np.array_equal(moved(again, 3, seed=1), after)
-    for beads, forces in pulls(5, 3, seed=1):
-        other.step(beads[[1, 4]], forces[[1, 4]])
-    assert np.array_equal(other.states(), after[[1, 4]])
-
-
-def test_ropes_not_named_stand_still(rope: Rope, curls: Array) -> None:
-    chain = ChainSimulation(5, rope)
-    chain.lay(curls)
-    before = chain.states()
-    chain.act(np.full((2, 6), 0.5), [1, 3])
-    assert np.array_equal(chain.states([0, 2, 4]), before[[0, 2, 4]])
-    assert not np.array_equal(chain.states([1]), before[[1]])
-
-
 def test_a_rope_goes_to_mujoco_and_back(rope: Rope, curls: Array) -> None:
     chain = ChainSimulation(5, rope)
     chain.lay(curls)
@@ -231,16 +181,6 @@ def test_a_rope_goes_to_mujoco_and_back(rope: Rope, curls: Array) -> None:
     back.lay(qpos)
     still = chain.states().reshape(5, 100, 10)[:, :, [0, 1, 2, 6, 7, 8]]
     assert np.abs(back.states().reshape(5, 100, 10)[:, :, [0, 1, 2, 6, 7, 8]] - still).max() < 1e-6
-
-
-def test_actions_are_read_as_in_mujocos_engine(rope: Rope) -> None:
-    chain = ChainSimulation(2, rope)
-    actions = chain.actions([7, 60], np.full((2, 3), 0.1))
-    assert chain.read_actions(actions)[0].tolist() == [7, 60]
-    with pytest.raises(InvalidInput, match=r"must be in \[-1, 1\]"):
-        chain.act(np.full((2, 6), np.nan))
-    with pytest.raises(ValueError, match="at least 1 rope, got 0"):
-        ChainSimulation(0)
 
 
 def test_a_rope_that_the_proof_does_not_cover_is_refused() -> None:

@@ -1,0 +1,172 @@
+"""What both engines promise: batches, threads, saved states, copies, actions; see `Simulation`."""
+
+import pickle
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.common.errors import InvalidInput
+from knotgym.rope.engines import ENGINES, simulation
+from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.simulation import Simulation
+
+from ..conftest import curled
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module", params=ENGINES)
+def engine(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def laid(engine: str, count: int, threads: int = 1) -> Simulation:
+    """Ropes of 0 to 4 curls, in turn."""
+    ropes = simulation(engine, count, Rope(), threads)
+    curls = np.stack([ropes.rope.qpos(ropes.rope.from_curve(curled(nx))) for nx in range(5)])
+    ropes.lay(curls[np.arange(count) % 5])
+    return ropes
+
+
+def moved(ropes: Simulation, steps: int, seed: int = 0, ids: list[int] | None = None) -> Array:
+    """States after random actions, the same for rope i in a batch of any size."""
+    rngs = [np.random.default_rng([seed, i]) for i in range(ropes.count)]
+    for _ in range(steps):
+        actions = np.array([rng.uniform(-1, 1, 6) for rng in rngs])
+        ropes.act(actions if ids is None else actions[ids], ids)
+    return ropes.states(ids)
+
+
+def test_a_simulation_starts_with_plain_loops_and_needs_one(engine: str) -> None:
+    ropes = simulation(engine, 2)
+    assert np.abs(ropes.points - ropes.rope.loop()).max() < 1e-9
+    with pytest.raises(InvalidInput, match="at least 1 rope, got 0"):
+        simulation(engine, 0)
+
+
+@pytest.fixture(scope="module")
+def nine(engine: str) -> Array:
+    return moved(laid(engine, 9), 3)
+
+
+@pytest.mark.parametrize(("count", "threads"), [(1, 1), (3, 3), (6, 2), (9, 0)])
+def test_states_are_the_same_bytes_in_any_company_on_any_threads(
+    engine: str, nine: Array, count: int, threads: int
+) -> None:
+    assert np.array_equal(moved(laid(engine, count, threads), 3), nine[:count])
+
+
+def test_ropes_not_named_stand_still(engine: str) -> None:
+    ropes = laid(engine, 5)
+    before = ropes.states()
+    ropes.act(np.full((2, 6), 0.5), [1, 3])
+    assert np.array_equal(ropes.states([0, 2, 4]), before[[0, 2, 4]])
+    assert not np.array_equal(ropes.states([1]), before[[1]])
+
+
+def test_points_are_those_of_qpos(engine: str) -> None:
+    ropes = laid(engine, 2)
+    moved(ropes, 3)
+    assert np.abs(ropes.points - ropes.rope.points(ropes.qpos())).max() < 1e-9
+
+
+def test_a_restored_rope_goes_on_bit_for_bit(engine: str) -> None:
+    ropes = laid(engine, 5)
+    saved = moved(ropes, 3)
+    again, elsewhere = pickle.loads(pickle.dumps(ropes)), simulation(engine, 5, threads=2)
+    assert again.rope.config == ropes.rope.config and np.array_equal(again.points, ropes.points)
+    moved(elsewhere, 2, seed=9)
+    elsewhere.restore(saved[[1, 4]], [1, 4])
+    after = moved(ropes, 3, seed=1)
+    assert np.array_equal(moved(again, 3, seed=1), after)
+    assert np.array_equal(moved(elsewhere, 3, seed=1, ids=[1, 4]), after[[1, 4]])
+
+
+def test_saved_states_are_copies(engine: str) -> None:
+    ropes = laid(engine, 1)
+    states, qpos = ropes.states(), ropes.qpos()
+    kept = states.copy(), qpos.copy()
+    moved(ropes, 1)
+    assert np.array_equal(states, kept[0]) and np.array_equal(qpos, kept[1])
+
+
+def test_a_rope_laid_forgets_what_it_did_and_leaves_the_others(engine: str) -> None:
+    ropes, fresh = laid(engine, 3), laid(engine, 3)
+    before = moved(ropes, 3)
+    qpos = ropes.rope.qpos(ropes.rope.from_curve(curled(2)))[None]
+    ropes.lay(qpos, [1])
+    fresh.lay(qpos, [1])
+    assert np.array_equal(ropes.states([0, 2]), before[[0, 2]])
+    assert np.array_equal(moved(ropes, 2, ids=[1]), moved(fresh, 2, ids=[1]))
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        (np.full((2, 6), np.nan), r"must be in \[-1, 1\]"),
+        (np.array([[0.0] * 6, [0, 0, 0, 0, 0, 1.001]]), r"got \[0.0, 0.0, 0.0, 0.0, 0.0, 1.001\]"),
+        (np.full((2, 6), -np.inf), r"must be in \[-1, 1\]"),
+        (np.zeros((2, 5)), r"shape \(2, 5\) for 2 ropes"),
+        (np.zeros((3, 6)), r"shape \(3, 6\) for 2 ropes"),
+        (np.zeros(6), r"shape \(6,\) for 2 ropes"),
+    ],
+)
+def test_bad_actions_are_refused_and_nothing_moves(
+    engine: str, actions: Array, message: str
+) -> None:
+    ropes = laid(engine, 2)
+    before = ropes.states()
+    with pytest.raises(InvalidInput, match=message):
+        ropes.act(actions)
+    assert np.array_equal(ropes.states(), before)
+
+
+def test_rounding_beyond_1_is_taken_for_1(engine: str) -> None:
+    one, other = laid(engine, 1), laid(engine, 1)
+    one.act(np.array([[0.1, 0, 0, 1, -1, 1]]))
+    other.act(np.array([[0.1, 0, 0, np.nextafter(np.float32(1), np.float32(2)), -1 - 1e-6, 1]]))
+    assert np.array_equal(one.states(), other.states())
+    with pytest.raises(InvalidInput):
+        one.act(np.full((1, 6), 1 + 2e-6))
+
+
+def test_actions_and_read_actions_are_inverse(engine: str) -> None:
+    ropes, rng = laid(engine, 8), np.random.default_rng(0)
+    for _ in range(20):
+        beads, forces = rng.integers(0, 100, 8), rng.uniform(-0.2, 0.2, (8, 3))
+        actions = ropes.actions(beads, forces)
+        assert actions.dtype == np.float32 and np.abs(actions).max() <= 1
+        read, pulled = ropes.read_actions(actions)
+        assert np.array_equal(read, beads) and np.abs(pulled - forces).max() < 1e-7
+
+
+def test_an_action_pulls_the_nearest_bead_where_it_says(engine: str) -> None:
+    ropes = simulation(engine, 1)
+    at = 1.2 * ropes.points[0, 30] / ropes.rope.config.reach
+    action = np.concatenate([at, [0.0, 0.0, 1.0]])[None]
+    before = ropes.points[0, 30].copy()
+    ropes.act(action)
+    assert 0.02 < ropes.points[0, 30, 2] - before[2] < 0.06
+
+
+def test_a_rope_whose_state_is_not_finite_is_told_and_its_neighbours_move_as_ever(
+    engine: str,
+) -> None:
+    ropes, other = laid(engine, 3), laid(engine, 3)
+    states = ropes.states([1])
+    states[:, 40:60] = np.nan
+    ropes.restore(states, [1])
+    for _ in range(2):  # and told again
+        assert ropes.act(np.full((3, 6), 0.3)).tolist() == [True, False, True]
+        other.act(np.full((3, 6), 0.3))
+    assert np.array_equal(ropes.states([0, 2]), other.states([0, 2]))
+    ropes.lay(ropes.rope.qpos(ropes.rope.loop())[None], [1])
+    assert ropes.act(np.zeros((3, 6))).all()
+
+
+def test_another_rope_is_pickled_whole(engine: str) -> None:
+    ropes = simulation(engine, 2, Rope(RopeConfig(frame_skip=6)), threads=2)
+    again = pickle.loads(pickle.dumps(ropes))
+    assert again.rope.config == ropes.rope.config
+    assert np.array_equal(moved(again, 2, seed=1), moved(ropes, 2, seed=1))
