@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.loaders import Transitions
 
@@ -52,7 +52,7 @@ def convert(source: str, out: Path, video: bool) -> int:
     """Write the dataset; return its number of episodes."""
     opened = Transitions(source, observation="both", action="pull")
     episodes = opened.dataset.episodes
-    reached = outcomes(episodes, opened.task).reached
+    reached = goal_reached(episodes, opened.task)
     goals = gauss_codes(episodes.episodes["goal_visits"])
     shape = opened.observations(0, 0, 1)["pixels"].shape[1:]
     made = LeRobotDataset.create(

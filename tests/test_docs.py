@@ -24,9 +24,8 @@ from synthetic_episodes import TINY
 
 import knotgym
 from knotgym.control.planning import moves
-from knotgym.control.verification import OVERLAPS
 from knotgym.datasets import episode_dataset, image_table
-from knotgym.datasets.cards.fact_tables import overlap_rows
+from knotgym.datasets.cards import state_card
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
@@ -34,7 +33,7 @@ from knotgym.generate.episodes import recordings
 from knotgym.quality.limits import UNITS
 from knotgym.states import schema
 from knotgym.states import state_file as states
-from knotgym.states.state_file import SHIPPED, shipped
+from knotgym.states.state_file import SHIPPED, read_states, shipped
 
 from .scripts import ROOT
 from .small_job import knotgym as knotgym_command
@@ -168,8 +167,8 @@ def test_the_ten_lines_of_the_readme_run(capsys: pytest.CaptureFixture[str]) -> 
 ELSEWHERE = {
     "data.md": "images(",  # below, with pictures
     "images.md": "read_rows(",
-    "drawn-coverage.md": "write_png(",  # makes the figures of the page, in minutes
-    "hard-unknots.md": "write_png(",
+    "drawn-coverage.md": "write_gallery(",  # makes the figures of the page, in minutes
+    "hard-unknots.md": "write_gallery(",
 }
 
 
@@ -379,11 +378,10 @@ def test_the_citation_has_the_version_of_the_package() -> None:
 
 def test_what_train_and_test_share_is_as_computed() -> None:
     said = [line for line in (DOCS / "sets.md").read_text().splitlines() if "| `" in line]
-    for name, file in SHIPPED.items():
-        shared = json.loads((shipped().parent / OVERLAPS).read_text())[file]
-        counts = {nx: {"overlap": found} for nx, found in shared.items()}
-        for row in overlap_rows(counts):
-            assert f"| `{name}` | {' | '.join(row)} |" in said
+    for name in SHIPPED:
+        states = read_states(shipped(name), images=False)
+        for row in state_card.tables(states, {})["train and test"].rows:
+            assert f"| `{name}` | {' | '.join(map(str, row))} |" in said
 
 
 def test_every_extra_is_in_the_table_of_the_start_page() -> None:

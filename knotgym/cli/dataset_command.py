@@ -54,7 +54,7 @@ def gallery(given: Given) -> None:
     from knotgym.cli.inspection import gallery as draw
 
     out = _out(given, "gallery.png")
-    given.progress.say(f"{out}: {draw(given['path_or_id'], out, 8, given.run.overwrite)}")
+    given.progress.say(f"{out}: {draw(given['path_or_id'], out, given.run.overwrite)}")
 
 
 @_command("", _SOURCE)
@@ -263,20 +263,14 @@ def _print(given: Given, *lines: str) -> None:
 
 def _out(given: Given, name: str) -> Path:
     """Return the output that was typed, or a file of this name beside the dataset."""
-    from knotgym.datasets.located import folder_of
+    from knotgym.datasets.located import locate
 
-    return given["out"] or folder_of(given["path_or_id"]) / name
+    return given["out"] or locate(given["path_or_id"]).folder / name
 
 
 def _target(given: Given) -> dict[str, Any]:
-    """Return where `subsets` writes; linked files, and a file in Minari's folder, are refused."""
-    from knotgym.datasets.located import refuse_minaris_folder, sources
-
-    out, dataset_id = given["out"], given["id"]
-    sources(given["path_or_id"])
-    if out is not None and not dataset_id:
-        refuse_minaris_folder(out)
-    return {"out": out, "dataset_id": dataset_id, "overwrite": given.run.overwrite}
+    """Return where `subsets` writes."""
+    return {"out": given["out"], "dataset_id": given["id"], "overwrite": given.run.overwrite}
 
 
 def _say_kept(given: Given, *made: Path) -> None:

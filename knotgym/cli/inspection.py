@@ -17,18 +17,12 @@ from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episode_verification import expanded
 from knotgym.datasets.episodes import differences
 from knotgym.datasets.foreign_file import try_files
-from knotgym.datasets.gallery import write_episode_gallery, write_gallery, write_picture_gallery
+from knotgym.datasets.gallery import episode_tiles, picture_tiles, state_tiles, write_gallery
 from knotgym.datasets.image_table import read_table
-from knotgym.datasets.located import (
-    demonstrations,
-    episodes_at,
-    resolve_dataset,
-    resolve_datasets,
-    sources,
-)
-from knotgym.datasets.manifest_check import read_manifest
+from knotgym.datasets.located import locate, locate_own, root_of
+from knotgym.datasets.manifest import read_manifest
 from knotgym.datasets.page.page_data import page_data
-from knotgym.datasets.page.page_writer import write_page
+from knotgym.datasets.page.page_writer import page_html
 from knotgym.generate.episodes.evaluate import film as film_of
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
@@ -36,7 +30,7 @@ from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import rope_of
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
-from knotgym.states.state_file import leads_out, minari_root, read_states, states_at
+from knotgym.states.state_file import read_states
 
 Image: TypeAlias = NDArray[np.uint8]
 _LARGE = 4_000_000  # bytes; larger tables are checked faster by several processes than by one
@@ -47,13 +41,14 @@ def show(named: str, console: Console) -> None:
     if transcripts_at(named) is not None:
         print_transcripts(Path(named), console)
         return
-    for kind, path in resolve_datasets(named):
-        if kind == "images":
-            print_images(str(path), console)
-        elif kind == "states":
-            print_states(named, states_at(path), console)
-        else:
-            print_episodes(str(path), console)
+    found = locate(named)
+    if found.pictures:
+        print_images(found.pictures, console)
+    elif found.states:
+        print_states(named, found.states, console)
+    else:
+        for one in found.episodes:
+            print_episodes(one, console)
 
 
 def faults(named: str, progress: Progress) -> Iterator[str]:
@@ -62,63 +57,55 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
     Raises:
         InvalidFile: the HDF5 library crashes on one of the files.
     """
-    given = [Path(named)]
-    if not given[0].exists() and not leads_out(named):
-        given = [minari_root() / named]
-    try_files([*given, *(file for one in given for file in sorted(one.glob("**/*.h*5")))])
-    tables = [file for one in given for file in (one, *one.glob("**/*.parquet")) if file.is_file()]
+    root = root_of(named)
+    try_files([root, *sorted(root.glob("**/*.h*5"))])
+    tables = [file for file in (root, *root.glob("**/*.parquet")) if file.is_file()]
     large = sum(file.stat().st_size for file in tables) > _LARGE
+    progress.stage(f"checking {root}")
     with executor(0 if large else 1) as pool:
-        for _, path in resolve_datasets(named):
-            progress.stage(f"checking {path}")
-            yield from verification.faults(path, pool.map, progress.stage)
+        yield from verification.faults(named, pool.map, progress.stage)
 
 
 def checked(named: str) -> str:
     """Describe what `faults` has checked, as counts."""
-    counts: Counter[str] = Counter()
-    for kind, path in resolve_datasets(named):
-        if kind == "images":
-            counts["pictures"] += len(read_table(path, columns=["nx"]))
-        elif kind == "states":
-            counts["Gauss codes"] += len(read_states(states_at(path), images=False))
-        if kind != "images":
-            inside = episodes_at(str(path)) if kind == "episodes" else demonstrations(path)
-            for one in inside:
-                own = open_episodes(one.path).episodes.episodes
-                counts["episodes" if kind == "episodes" else "demonstrations"] += own.rows
-                counts["steps replayed"] += int(own["length"].sum())
-        counts["checksums"] += len(read_manifest(path)[0].get("files", {})) if path.is_dir() else 0
+    found, counts = locate(named), Counter[str]()
+    if found.pictures:
+        counts["pictures"] = len(read_table(found.pictures, columns=["nx"]))
+    if found.states:
+        counts["Gauss codes"] = len(read_states(found.states, images=False))
+    for one in found.episodes:
+        own = open_episodes(one).episodes.episodes
+        counts["demonstrations" if found.states else "episodes"] += own.rows
+        counts["steps replayed"] += int(own["length"].sum())
+    counts["checksums"] = len(read_manifest(found.root)[0].get("files", {}))
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
-def gallery(named: str, out: Path, columns: int, overwrite: bool) -> str:
+def gallery(named: str, out: Path, overwrite: bool) -> str:
     """Write a contact sheet; return a one-line summary."""
     _require_picture_or_page(out, ".png", overwrite)
-    found = resolve_datasets(named)
-    kind, path = found[0]
+    found = locate(named)
+    if found.pictures:
+        tiles, what = picture_tiles(found.pictures), "pictures"
+        count = len(read_table(found.pictures, columns=["nx"]))
+    elif found.states:
+        tiles, what = state_tiles(read_states(found.states, images=False)), "states"
+        count = len(tiles)
+    else:
+        tiles, what = episode_tiles(found.episodes), "episodes, each at its end"
+        count = sum(open_episodes(one).episodes.episodes.rows for one in found.episodes)
     with atomic_write(out, overwrite=overwrite) as temporary:
-        if kind == "states":
-            states = read_states(states_at(path), images=False)
-            write_gallery(temporary, states, columns)
-            shown = count = len(states)
-            what = "states"
-        elif kind == "images":
-            shown, what = write_picture_gallery(temporary, path, columns), "pictures"
-            count = len(read_table(path, columns=["nx"]))
-        else:
-            shown = write_episode_gallery(temporary, [one.path for one in found], columns)
-            count = sum(open_episodes(one.path).episodes.episodes.rows for one in found)
-            what = "episodes, each at its end"
-    return f"{shown} of {count} {what}" if shown < count else f"{count} {what}"
+        write_gallery(temporary, tiles)
+    return f"{len(tiles)} of {count} {what}" if len(tiles) < count else f"{count} {what}"
 
 
 def page(named: str, out: Path, overwrite: bool) -> str:
     """Write an HTML page for browsing a dataset; return a one-line summary."""
     _require_picture_or_page(out, ".html", overwrite)
-    data = page_data(**sources(named)._asdict())
+    found = locate_own(named)
+    data = page_data(found.title, found)
     with atomic_write(out, overwrite=overwrite) as temporary:
-        write_page(temporary, data)
+        temporary.write_text(page_html(data), encoding="utf-8")
     return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
 
@@ -138,8 +125,9 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
     """
     require_output(out, folder=False, overwrite=overwrite)
     require_film(out)
-    kind, path = resolve_dataset(named, "states", "episodes")
-    frames, steps, difference = (_state_film if kind == "states" else _episode_film)(path, row)
+    found = locate(named).only("states", "episodes")
+    made = _state_film(found.states, row) if found.states else _episode_film(found.episodes[0], row)
+    frames, steps, difference = made
     if difference:
         raise Failed(f"row {row} of {named} ends in another state when replayed: {difference}")
     progress.stage("writing")
@@ -150,7 +138,7 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
 
 def _state_film(path: Path, row: int) -> tuple[list[Image], int, str]:
     """Replay a state; return frames, their number of steps, and how the end differs."""
-    states = read_states(states_at(path), images=False)
+    states = read_states(path, images=False)
     _require_row(row, len(states))
     if not {"start_qpos", "actions", "steps"} <= states.source.keys():
         raise InvalidInput(

@@ -1,5 +1,6 @@
 """Summaries that `knotgym dataset show` prints for states, pictures, episodes and transcripts."""
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill, wrap
@@ -8,12 +9,11 @@ from typing import Any
 from rich.console import Console
 
 from knotgym.common.errors import InvalidFile
-from knotgym.datasets.cards.fact_tables import CardTable, image_tables, state_tables
-from knotgym.datasets.cards.image_card import summary as image_summary
-from knotgym.datasets.cards.state_card import summary as state_summary
+from knotgym.datasets.cards import image_card, state_card
+from knotgym.datasets.cards.fact_tables import CardTable
 from knotgym.datasets.episode_verification import show_episodes
-from knotgym.datasets.image_table import shards
-from knotgym.datasets.manifest_check import read_manifest, run_report
+from knotgym.datasets.image_table import read_table, shards
+from knotgym.datasets.manifest import read_manifest
 from knotgym.prompting.reading_scores import HEAD, reading_scores, score_rows
 from knotgym.prompting.summary import summarize
 from knotgym.prompting.transcripts import read_transcripts, transcripts_at
@@ -26,27 +26,23 @@ _LISTED = 24  # entries of a mapping that are printed, at most
 def print_states(path: str, file: Path, console: Console) -> None:
     """Print a summary of a state file and of the run in its folder's manifest."""
     states = read_states(file, images=False)
-    facts = state_summary(states)
-    report = run_report(read_manifest(file.parent)[0])
+    report = read_manifest(file.parent)[0].get("report", {})
     _say(console, f"{path}: {len(states)} states")
-    if facts["sources"]:
-        made = ", ".join(f"{policy} {count}" for policy, count in facts["sources"].items())
-        _say(console, f"sources: {made}")
-    _print_tables(state_tables(facts, report), console)
+    if "policy" in states.source:
+        made = sorted(Counter(states.source["policy"].tolist()).items())
+        _say(console, f"sources: {', '.join(f'{policy} {count}' for policy, count in made)}")
+    _print_tables(state_card.tables(states, report), console)
 
 
-def print_images(path: str, console: Console) -> None:
+def print_images(path: Path, console: Console) -> None:
     """Print a summary of a perception table."""
-    facts, size = image_summary(path), sum(shard.stat().st_size for shard in shards(path))
-    _say(
-        console,
-        f"{path}: {facts['pictures']} pictures, {size / facts['pictures']:.0f} bytes each",
-    )
-    _print_tables(image_tables(facts), console)
-    _say(console, f"sizes {facts['sizes']}, colours {facts['colours']}")
+    size = sum(shard.stat().st_size for shard in shards(path))
+    count = len(read_table(path, columns=["nx"]))
+    _say(console, f"{path}: {count} pictures, {size / count:.0f} bytes each")
+    _print_tables(image_card.tables(path), console)
 
 
-def print_episodes(path: str, console: Console) -> None:
+def print_episodes(path: Path, console: Console) -> None:
     """Print a summary of an episode file or a Minari dataset."""
     _print_facts(show_episodes(path), console)
 
@@ -91,6 +87,8 @@ def _in_words(value: Any) -> str:
 
 def _print_tables(tables: Mapping[str, CardTable], console: Console) -> None:
     for one in tables.values():
+        if not one.rows:
+            continue
         shown = narrow_table(one.head, title=one.title, left=one.left)
         for row in one.rows:
             shown.add_row(*map(str, row))

@@ -11,24 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.configuration import read_json
-from knotgym.common.tables import format_of
 from knotgym.control.recorded_policy import RecordedPolicy
 from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episode_dataset import FORMAT as EPISODES_FORMAT
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
 from knotgym.datasets.episodes import Episodes
-from knotgym.datasets.image_table import is_images
+from knotgym.datasets.located import locate
 from knotgym.datasets.machine import others
-from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
+from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import read_states, shipped, ships
+from knotgym.states.state_file import read_states, ships
 
 # a phrase in the faults of replays, which may differ on another machine because of rounding
 _REPLAYED = ("bit for bit", "played again")
-OVERLAPS = "overlaps.json"  # beside the shipped sets: file -> nx -> `splits.overlap`
 _LANES = 256
 _MOST_EPISODES = 10_000_000
 _ROUNDING = 1e-9  # m and 1: other processors round the noise of a reset differently
@@ -79,25 +75,23 @@ def faults(
 
 
 def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator[str]:
-    given = Path(source)
-    if is_images(given):
+    found = locate(os.fspath(source))
+    if found.pictures:
         # imported here, because only this check needs pyarrow
         from knotgym.datasets.image_verification import image_faults
 
-        yield from image_faults(given, each, count)
-    elif given.is_dir() and any((given / n).is_file() for n in ("manifest.json", "states.h5")):
-        yield from folder_faults(given, replay, count)
-    elif given.is_file() and format_of(given) != EPISODES_FORMAT:
-        states = read_states(given)
-        yield from state_faults(states, count)
-        stored = read_json(given.with_name(OVERLAPS)) if given.parent == shipped().parent else {}
-        yield from overlap_faults(states, stored.get(given.name, {}), OVERLAPS)
+        yield from image_faults(found.pictures, each, count)
+    elif found.states and found.root.is_dir():
+        yield from folder_faults(found.root, replay, count)
+    elif found.states:
+        yield from state_faults(read_states(found.states), count)
     else:
-        found = [*verify_episodes(str(source), replay, count=count)]
-        yield from found or _start_faults(str(source))
+        for one in found.episodes:
+            faults = [*verify_episodes(one, replay, count=count)]
+            yield from faults or _start_faults(one)
 
 
-def _start_faults(source: str) -> Iterator[str]:
+def _start_faults(source: Path) -> Iterator[str]:
     """Yield episodes of a collection that don't begin as the seeds of its run say."""
     dataset = open_episodes(source)
     run, rows, task = dataset.attributes.get("run"), dataset.episodes.episodes, dataset.task
@@ -111,8 +105,8 @@ def _start_faults(source: str) -> Iterator[str]:
     of_run = [episode_seed(seed, number) for number in range(count)]
     if not ships(task.states):
         task = replace(task, states=str(dataset.states_path()))
-    whole = np.flatnonzero(~rows["relabelled"])
-    for some in np.split(whole, range(_LANES, len(whole), _LANES)) if len(whole) else ():
+    for first in range(0, rows.rows, _LANES):
+        some = np.arange(first, min(first + _LANES, rows.rows))
         own = rows.take(some)
         batch = EpisodeBatch(task, len(some))
         batch.begin(np.arange(len(some)), own["seed"].clip(0).tolist())

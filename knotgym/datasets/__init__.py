@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from knotgym.datasets.episode_verification import show_episodes as show_episodes
     from knotgym.datasets.episodes import Episodes as Episodes
     from knotgym.datasets.episodes import goals_reached as goals_reached
-    from knotgym.datasets.episodes import relabelled as relabelled
     from knotgym.datasets.image_table import read_table as read_table
     from knotgym.datasets.minari_form import MinariMetadata as MinariMetadata
     from knotgym.datasets.minari_form import publish as publish
@@ -48,7 +47,6 @@ else:
             "publish": "knotgym.datasets.minari_form",
             "read_states": "knotgym.states.state_file",
             "read_table": "knotgym.datasets.image_table",
-            "relabelled": "knotgym.datasets.episodes",
             "select": "knotgym.datasets.subsets",
             "shipped": "knotgym.states.state_file",
             "show_episodes": "knotgym.datasets.episode_verification",

@@ -32,7 +32,14 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common import tables
 from knotgym.common.configuration import as_json, from_json
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, one_line
+from knotgym.common.errors import (
+    InvalidFile,
+    InvalidInput,
+    KnotgymError,
+    MissingFile,
+    one_line,
+    printable,
+)
 from knotgym.datasets.episodes import (
     EPISODES,
     PULLS,
@@ -81,8 +88,8 @@ class EpisodeDataset:
 
     @property
     def name(self) -> str:
-        """The dataset id, or else the name of the file."""
-        return str((self.metadata or {}).get("dataset_id", self.path.name))
+        """The dataset id, or else the name of the file, without control characters."""
+        return printable(str((self.metadata or {}).get("dataset_id", self.path.name)))
 
     @cached_property
     def facts(self) -> dict[str, Any]:

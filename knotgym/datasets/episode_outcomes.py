@@ -1,50 +1,30 @@
-"""Outcomes of episodes, computed again from their codes and the task's reward rule."""
-
-from typing import NamedTuple
+"""Where episodes reach their goal, computed again from their codes."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.episodes import Episodes, held_for, ranges, within_tow
-from knotgym.envs.reward import outcome
+from knotgym.datasets.episodes import Episodes, within_tow
 from knotgym.envs.tasks import TaskConfig
 
 
-class Outcomes(NamedTuple):
-    """What the rows of steps bring by the reward rule, each (rows,).
+def goal_reached(episodes: Episodes, task: TaskConfig) -> NDArray[np.bool_]:
+    """Return which states show the goal for as many consecutive states as the task asks.
 
-    Attributes:
-        reached: whether the row's state shows the goal for long enough, bool.
-        reward, terminated, truncated: as the columns of these names.
+    A start is never one of them, nor a state beyond the bound on towing or in which the simulation
+    blew up.
+
+    Returns:
+        bool (rows,), for each row of steps.
     """
-
-    reached: NDArray[np.bool_]
-    reward: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-
-
-def outcomes(episodes: Episodes, task: TaskConfig) -> Outcomes:
-    """Compute the outcomes of columns from codes, vertices, and whether simulations blew up."""
     own, steps = episodes.episodes, episodes.steps
     episode, first, last = episodes.episode_of(), episodes.offsets[:-1], episodes.last()
     shown = (steps["visits"] == own["goal_visits"][episode]).all(axis=1)
-    shown[first] = False  # the start isn't the result of a pull
-    within = within_tow(episodes, task.tow_limit)
-    failed = np.zeros(len(shown), dtype=bool)
-    failed[last] = own["failed"]
+    shown[first] = False  # the start isn't the result of a pull, and so ends an earlier run too
+    shown &= within_tow(episodes, task.tow_limit)
+    index = np.arange(len(shown), dtype=np.int64)
+    # consecutive states up to each one: since the last row that doesn't show the goal
+    held = index - np.maximum.accumulate(np.where(shown, -1, index))
     wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
-    count = ranges(np.zeros_like(own["length"]), own["length"] + 1)  # pulls before each state
-    reached = (held_for(shown & within, episodes) >= wanted[episode]) & ~failed
-    found = outcome(task, reached, count, failed, ~within)
-
-    def of_pull(values: NDArray[np.generic]) -> NDArray[np.generic]:
-        """Move what a state has to the row of the pull that led there."""
-        moved = np.roll(values, -1)
-        moved[last] = 0
-        return moved
-
-    return Outcomes(
-        np.asarray(reached & (count > 0)),
-        *map(of_pull, found),  # type: ignore[arg-type]
-    )
+    reached = shown & (held >= wanted[episode])
+    reached[last] &= ~own["failed"]
+    return np.asarray(reached)

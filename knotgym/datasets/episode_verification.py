@@ -37,8 +37,7 @@ def uncounted(stage: str, done: int, total: int) -> None:
 def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) -> EpisodeDataset:
     """Return a dataset with all columns, made by playing its episodes again.
 
-    Of columns that can't be recomputed, goals in hindsight and the numbers of planned pulls, the
-    dataset's own stay.
+    The numbers of planned pulls can't be recomputed: the dataset's own stay.
     """
     parts, task = [], dataset.task
     if not ships(task.states):
@@ -49,24 +48,17 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
             np.arange(first, min(first + _BLOCK, dataset.episodes.episodes.rows))
         )
         made = replay(some, task)
-        goals = made.episodes["goal_points"].copy()
-        hindsight = some.episodes["relabelled"]
-        goals[hindsight] = made.steps["observation"][made.last()][hindsight]
-        own = {name: some.episodes[name] for name in ("relabelled", "planned")}
-        parts.append(made._replace(episodes=made.episodes.replaced(goal_points=goals, **own)))
+        own = made.episodes.replaced(planned=some.episodes["planned"])
+        parts.append(made._replace(episodes=own))
     return replace(dataset, episodes=merged(parts) if parts else dataset.episodes)
 
 
-def verify_episodes(
-    source: Any, replay: Replay | None, *, pyknotid: bool = True, count: Count = uncounted
-) -> Iterator[str]:
+def verify_episodes(source: Any, replay: Replay, *, count: Count = uncounted) -> Iterator[str]:
     """Verify a file of episodes or a Minari dataset.
 
     Args:
         source: what `open_episodes` takes.
-        replay: plays the episodes again, to be compared; None to believe their states.
-        pyknotid: compare each episode's last state with pyknotid, an independent labeller; about
-            10 ms each.
+        replay: plays the episodes again, to be compared.
         count: progress callback.
 
     Yields:
@@ -88,17 +80,14 @@ def verify_episodes(
     yield from split_faults(dataset)
     yield from duplicate_faults(dataset)
     try:
-        columns = dataset
-        if replay is not None:
-            columns = expanded(dataset, replay, count)
-            for fault in differences(columns.episodes, dataset.episodes):
-                yield f"{dataset.path}, {fault}, played again"
+        columns = expanded(dataset, replay, count)
+        for fault in differences(columns.episodes, dataset.episodes):
+            yield f"{dataset.path}, {fault}, played again"
     except KnotgymError as error:
         yield f"{dataset.path}: can't be played again: {one_line(error)}"
         return
-    if not columns.episodes.is_recording:
-        for fault in _code_faults(columns, pyknotid, count):
-            yield f"{dataset.path}, {fault}"
+    for fault in _code_faults(columns, count):
+        yield f"{dataset.path}, {fault}"
     if not dataset.episodes.is_recording:
         yield from minari_faults(dataset)
 
@@ -121,7 +110,6 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "simulation_failures": int(own["failed"].sum()),
         "policies": _counted(own["policy"]),
         "goals": _counted(gauss_codes(own["goal_visits"])),
-        "relabelled": int(own["relabelled"].sum()),
         "bytes": size,
         "bytes_per_step": size / max(1, int(own["length"].sum())),
         "rope": dataset.attributes.get("rope"),
@@ -158,13 +146,12 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
         alone = (side == 0) & ~steps["macro_start"] & (bead == 0) & (steps["macro_target"] == 0)
         if not np.where(side == 0, alone, led & (abs(side) == 1)).all():
             yield f"{dataset.path}: a pull isn't one of the macro-action that it belongs to"
-    missing = ~own["relabelled"] & (own["goal"] < 0)
-    if missing.any() or (own["start"] < 0).any():
-        row = int((missing | (own["start"] < 0)).argmax())
-        yield f"{dataset.path}, episode {row}: it names no start, or no goal"
+    missing = (own["goal"] < 0) | (own["start"] < 0)
+    if missing.any():
+        yield f"{dataset.path}, episode {missing.argmax()}: it names no start, or no goal"
 
 
-def _code_faults(dataset: EpisodeDataset, pyknotid: bool, count: Count) -> Iterator[str]:
+def _code_faults(dataset: EpisodeDataset, count: Count) -> Iterator[str]:
     """Yield where codes aren't those of the vertices, or goals not those that their codes say."""
     episodes = dataset.episodes
     own, steps, first = episodes.episodes, episodes.steps, episodes.offsets[:-1]
@@ -173,16 +160,14 @@ def _code_faults(dataset: EpisodeDataset, pyknotid: bool, count: Count) -> Itera
     begins = gauss_codes(steps["visits"][first])
     for row, last in enumerate(episodes.last().tolist()):
         count("codes read again", row, own.rows)
-        # the goal of an episode in hindsight is its last state, whose code has been compared
-        if not own["relabelled"][row] and str(shown[row]) != wanted[row]:
+        if str(shown[row]) != wanted[row]:
             yield f"episode {row}: its goal shows {str(shown[row])!r}, not {wanted[row]!r}"
-        if pyknotid:
-            second = pyknotid_code(_float64(steps["observation"][last])).chiral
-            if second != chiral[last]:
-                yield (
-                    f"episode {row}, step {own['length'][row]}: pyknotid reads {second!r}, the file"
-                    f" says {chiral[last]!r}"
-                )
+        second = pyknotid_code(_float64(steps["observation"][last])).chiral
+        if second != chiral[last]:
+            yield (
+                f"episode {row}, step {own['length'][row]}: pyknotid reads {second!r}, the file"
+                f" says {chiral[last]!r}"
+            )
         knots = [knot_type(GaussCode.parse(str(code))) for code in (begins[row], wanted[row])]
         if knots[0] != knots[1]:
             yield (

@@ -30,14 +30,14 @@ from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
 _STARTS = (
     Column("seed", "int64", (), "", "of start, goal and the policy's draws; -1 if none is known"),
     Column("start", "int64", (), "", "row of the states that it starts in, before reset noise"),
-    Column("goal", "int64", (), "", "row of the states that shows the goal; -1 if relabelled"),
+    Column("goal", "int64", (), "", "row of the states that shows the goal"),
     Column("start_qpos", "float64", ("nq",), "m, 1", "generalized positions of the rope at rest"),
 )
 _PLAYED = (
     Column("policy", "text", (), "", "name of the policy that acted"),
     Column("goal_visits", "int16", ("visits",), "", "Gauss code of the goal"),
     Column("hold", "int32", (), "steps", "to show the goal for; 0 for the task's number"),
-    Column("relabelled", "bool", (), "", "the goal is the last state, in hindsight"),
+    Column("relabelled", "bool", (), "", "always false: loaders relabel episodes as they are read"),
     Column("length", "int64", (), "pulls", "T; the episode has T + 1 rows of steps"),
     Column("success", "bool", (), "", "the goal was shown for as long as the task asks"),
     Column("failed", "bool", (), "", "the simulation blew up in the last pull"),
@@ -202,7 +202,7 @@ def ranges(first: ArrayLike, lengths: ArrayLike) -> NDArray[np.int64]:
     return np.repeat(starts, counts) + np.arange(int(counts.sum()))
 
 
-def code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:
+def _code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:
     """Number distinct codes: equal rows of (n, width) have equal numbers from 0, int64 (n,)."""
     rows = np.ascontiguousarray(visits)
     if not len(rows):
@@ -216,7 +216,7 @@ def gauss_codes(
 ) -> NDArray[np.str_]:
     """Write codes as text, with chirality if signs are given: str (n,)."""
     both = visits if signs is None else np.concatenate([visits, signs.astype(np.int16)], axis=1)
-    ids = code_ids(both)
+    ids = _code_ids(both)
     texts: dict[int, str] = {}
     for row in np.unique(ids, return_index=True)[1].tolist():
         code = gauss_code(visits[row], None if signs is None else signs[row])
@@ -237,20 +237,6 @@ def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None)
     return GaussCode(numbers, "".join(letters))
 
 
-def held_for(shown: NDArray[np.bool_], episodes: Episodes) -> NDArray[np.int64]:
-    """Count the consecutive states of an episode, up to each one, that show something.
-
-    Args:
-        shown: bool (rows,), for each row of steps whether it does.
-        episodes: the episodes that the rows belong to.
-    """
-    index = np.arange(len(shown), dtype=np.int64)
-    before = np.repeat(episodes.offsets[:-1], episodes.episodes["length"] + 1) - 1
-    # the last row up to this one that doesn't show it, but none of an earlier episode
-    without = np.maximum(np.maximum.accumulate(np.where(shown, -1, index)), before)
-    return np.where(shown, index - without, 0)
-
-
 def within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]:
     """Return which states lie within the bound on towing: bool (rows,), see `rope.towing`."""
     seen = episodes.steps["observation"]
@@ -267,14 +253,14 @@ def codes_held(
     """Number the code of each state, and count for how many steps it has been shown.
 
     Returns:
-        int64 (rows,) each: the codes as `code_ids` numbers them, but -1 where none counts: from the
+        int64 (rows,) each: the codes, numbered from 0, but -1 where none counts: from the
         first state beyond the bound on towing on, and where the simulation blew up; and the steps.
     """
     offsets, episode = episodes.offsets, episodes.episode_of()
     beyond = ~within_tow(episodes, tow_limit)
     beyond[episodes.last()] |= episodes.episodes["failed"]
     passed = np.concatenate([[0], np.cumsum(beyond)])
-    numbers = code_ids(episodes.steps["visits"])
+    numbers = _code_ids(episodes.steps["visits"])
     numbers[passed[1:] > passed[offsets[episode]]] = -1
     # the state of a reset isn't a step, so that the first step begins to hold a code
     row = np.arange(len(numbers))
@@ -317,48 +303,6 @@ def goals_reached(
     if relabel == "last":
         first = first[np.append(np.diff(episode[first]) > 0, True)] if len(first) else first
     return Reached(episode[first], first - offsets[episode[first]])
-
-
-def relabelled(episodes: Episodes, at: Reached, *, hold: int = 0, reward: float) -> Episodes:
-    """Cut episodes at states that become their goals, reached there for the first time.
-
-    Args:
-        episodes: columns; left as they are.
-        at: steps of `goals_reached`, one episode of the result each.
-        hold: consecutive states for which the goals were shown; 0 for the task's number.
-        reward: for success.
-
-    Returns:
-        Episodes that succeed in their last pull; without expert actions, which were planned for
-        another goal.
-    """
-    offsets = episodes.offsets
-    taken = ranges(offsets[at.episode], at.step + 1)
-    goal, count = offsets[at.episode] + at.step, len(at.step)
-    steps = dict(episodes.steps.take(taken))
-    steps.pop("expert_action", None)
-    last = np.cumsum(at.step + 1) - 1
-    for name in steps.keys() & {*_names(PULLS), "action", "share"}:
-        steps[name][last] = 0
-    steps["reward"][:], steps["truncated"][:], steps["terminated"][:] = 0, False, False
-    steps["reward"][last - 1], steps["terminated"][last - 1] = reward, True
-    changed = {
-        "goal": np.full(count, -1, np.int64),
-        "hold": np.full(count, hold, np.int32),
-        "relabelled": np.ones(count, dtype=bool),
-        "length": at.step.astype(np.int64),
-        "success": np.ones(count, dtype=bool),
-        "failed": np.zeros(count, dtype=bool),
-        "total": np.full(count, float(reward)),
-        "goal_visits": episodes.steps["visits"][goal],
-        "goal_points": episodes.steps["observation"][goal],
-    }
-    kept = episodes.episodes.take(at.episode)
-    sizes = {"visits": episodes.steps["visits"].shape[1]}
-    return Episodes(
-        Table(kept.schema.sized(**sizes), {**kept, **changed}),
-        Table(episodes.steps.schema.only(*steps), steps),
-    )
 
 
 def _names(schema: Schema) -> list[str]:

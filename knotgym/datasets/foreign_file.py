@@ -58,7 +58,7 @@ def _is_hdf5(path: Path) -> bool:
         return file.read(8) == b"\x89HDF\r\n\x1a\n"
 
 
-def read_whole(path: str) -> None:
+def _read_whole(path: str) -> None:
     """Read everything stored in a file but its links; ignore errors that Python can catch."""
 
     def look(name: str, item: h5py.Group | h5py.Dataset) -> None:
@@ -83,6 +83,6 @@ if __name__ == "__main__":
     for one in sys.argv[1:]:
         print("begun", flush=True)
         try:
-            read_whole(one)
+            _read_whole(one)
         except Exception:  # as above
             continue

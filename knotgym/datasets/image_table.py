@@ -12,7 +12,7 @@ import json
 import os
 import struct
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import atomic_write, require_regular
+from knotgym.common.atomic_files import require_regular
 from knotgym.common.errors import (
     InvalidFile,
     MissingExtra,
@@ -32,17 +32,19 @@ from knotgym.common.errors import (
 from knotgym.quality.limits import UNITS
 from knotgym.states.splits import IMAGE_SPLITS
 
-FORMAT = "knotgym-images"
-FORMAT_VERSION = 1
-DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `row_line`
+_FORMAT = "knotgym-images"
+_FORMAT_VERSION = 1
+_DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `row_line`
 GRADES = ("easy", "medium", "hard", "extreme")
-ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be read
+_ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be read
 _LEAST_ROW = 64  # bytes; every row stores more, because it has its own picture
 _MOST_EXPANDED = 1000  # limit of uncompressed bytes per stored byte
 _LARGEST = 4096  # pixels, side of the largest picture that is decoded
+# metadata by which Hugging Face reads the column `image` as pictures
+SHOWS_IMAGE = {"huggingface": json.dumps({"info": {"features": {"image": {"_type": "Image"}}}})}
 _PNG = b"\x89PNG\r\n\x1a\n"
 
-# `columns.toml` has the types of Arrow; the schemas of pyarrow and Hugging Face derive from it
+# `columns.toml` has the types of Arrow, from which the schema of pyarrow is made
 TABLES: dict[str, Any] = tomllib.loads(
     (files("knotgym.datasets") / "columns.toml").read_text("utf-8")
 )
@@ -58,46 +60,34 @@ def arrow(module: str = "pyarrow") -> Any:
         raise MissingExtra(module, install_command("huggingface"), "Parquet") from error
 
 
-def schema(columns: Mapping[str, Any] = COLUMNS) -> Any:
-    """Return the pyarrow schema of columns, with Hugging Face features in its metadata."""
-    pa = arrow()
-    features = {name: _feature(kind) for name, kind in columns.items()}
-    return pa.schema(
-        [(name, _arrow_type(pa, kind)) for name, kind in columns.items()],
-        metadata={"huggingface": json.dumps({"info": {"features": features}}, sort_keys=True)},
-    )
+def _schema() -> Any:
+    """Return the pyarrow schema of a perception table."""
+    types = [(name, _arrow_type(kind)) for name, kind in COLUMNS.items()]
+    return arrow().schema(types, metadata=SHOWS_IMAGE)
 
 
-def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a shard atomically from rows with all of COLUMNS, `image` as PNG bytes.
-
-    The same rows give the same bytes.
-    """
-    write_table(path, table_of(rows))
-
-
-def write_table(path: str | os.PathLike[str], table: Any) -> None:
-    """Write a pyarrow.Table with the schema as a shard, as `write_rows` does."""
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(parquet(table))
+def picture_column(pictures: Iterable[bytes]) -> Any:
+    """Return PNG bytes as a pyarrow.Array in the layout of Hugging Face's Image feature."""
+    rows = [{"bytes": one, "path": None} for one in pictures]
+    return arrow().array(rows, _arrow_type("image"))
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
     """Return rows with all of COLUMNS, `image` as PNG bytes, as a pyarrow.Table."""
     full = [{**row, "image": {"bytes": row["image"], "path": None}} for row in rows]
-    return arrow().Table.from_pylist(full, schema=schema())
+    return arrow().Table.from_pylist(full, schema=_schema())
 
 
 def parquet(table: Any) -> bytes:
-    """Return the bytes of a shard with the rows of a pyarrow.Table."""
+    """Return the bytes of a shard with the rows of a pyarrow.Table; the same rows give the same."""
     digest = hashlib.sha256()
     for row in _rows(table):
         digest.update(row_line(row))
-    named = {"format": FORMAT, "format_version": FORMAT_VERSION, DIGEST: digest.hexdigest()}
+    named = {"format": _FORMAT, "format_version": _FORMAT_VERSION, _DIGEST: digest.hexdigest()}
     metadata = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
     table, sink = table.replace_schema_metadata(metadata), arrow().BufferOutputStream()
     arrow("pyarrow.parquet").write_table(
-        table, sink, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True
+        table, sink, row_group_size=_ROW_GROUP, compression="zstd", write_page_index=True
     )
     return bytes(sink.getvalue())
 
@@ -228,7 +218,7 @@ def row_line(row: Mapping[str, Any]) -> bytes:
 
 def stored_digest(shard: Path) -> str:
     """Return the `content_sha256` that a shard was written with, or "" if it has none."""
-    return str(_named(arrow("pyarrow.parquet").ParquetFile(shard)).get(DIGEST, ""))
+    return str(_named(arrow("pyarrow.parquet").ParquetFile(shard)).get(_DIGEST, ""))
 
 
 def points_of(table: Any) -> NDArray[np.float64]:
@@ -244,10 +234,10 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         file = parquet.ParquetFile(path)
         named = _named(file)
         name, version = named.get("format", "none"), named.get("format_version", "none")
-        if (name, version) != (FORMAT, FORMAT_VERSION):
+        if (name, version) != (_FORMAT, _FORMAT_VERSION):
             raise InvalidFile(
-                f"{path} has format {name!r} version {version}; this version reads {FORMAT!r}"
-                f" version {FORMAT_VERSION}"
+                f"{path} has format {name!r} version {version}; this version reads {_FORMAT!r}"
+                f" version {_FORMAT_VERSION}"
             )
         _require_schema(file, os.path.getsize(path))
         table = file.read(columns=columns)
@@ -271,7 +261,7 @@ def _named(file: Any) -> dict[str, Any]:
 def _require_schema(file: Any, stored: int) -> None:
     """Refuse a shard with other columns or types, or with sizes that its bytes can't hold."""
     found = file.schema_arrow
-    for wanted in schema():
+    for wanted in _schema():
         at = found.get_all_field_indices(wanted.name)
         if len(at) != 1:
             raise InvalidFile(f"column {wanted.name} must exist once, found {len(at)}")
@@ -302,21 +292,13 @@ def _has_nulls(values: Any) -> bool:
     return False
 
 
-def _arrow_type(pa: Any, kind: Any) -> Any:
+def _arrow_type(kind: Any) -> Any:
     """Convert a type in the notation of COLUMNS to a pyarrow type."""
+    pa = arrow()
     if isinstance(kind, dict):
-        return pa.struct([(name, _arrow_type(pa, inner)) for name, inner in kind.items()])
+        return pa.struct([(name, _arrow_type(inner)) for name, inner in kind.items()])
     if isinstance(kind, list):
-        return pa.list_(_arrow_type(pa, kind[0]), kind[1] or -1)
+        return pa.list_(_arrow_type(kind[0]), kind[1] or -1)
     if kind == "image":
         return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     return {"string": pa.string(), "bool": pa.bool_()}.get(kind) or getattr(pa, kind)()
-
-
-def _feature(kind: Any) -> Any:
-    """Convert a type in the notation of COLUMNS to a Hugging Face feature."""
-    if isinstance(kind, dict):
-        return {name: _feature(inner) for name, inner in kind.items()}
-    if isinstance(kind, list):
-        return {"feature": _feature(kind[0]), "length": kind[1] or -1, "_type": "List"}
-    return {"_type": "Image"} if kind == "image" else {"dtype": kind, "_type": "Value"}

@@ -6,13 +6,11 @@ nothing stored is believed. Splits are checked for overlap. Each fault is report
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidFile, KnotgymError, MissingFile, one_line
 from knotgym.datasets.episode_verification import Count, uncounted
@@ -26,15 +24,14 @@ from knotgym.datasets.image_table import (
     shards,
     stored_digest,
 )
-from knotgym.datasets.manifest_check import listed_faults, read_manifest
+from knotgym.datasets.manifest import listed_faults, read_manifest
+from knotgym.datasets.split_verification import leaks
 from knotgym.quality.limits import UNAMBIGUOUS, Quality
 from knotgym.rendering.appearance_config import SIZES
-from knotgym.rope.model import Array, Rope
+from knotgym.rope.model import Rope
 from knotgym.states.derivation import row_faults as state_faults
-from knotgym.states.near_duplicates import pairs_within
 from knotgym.states.splits import IMAGE_SPLITS
 
-_HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m long
 _COLOURS = ("published", "single", "gradient", "lines")
 _RECOMPUTED = ("crossings", "accepted", "grade")
 _DRAWN_WITH, _MOST_DRAWN = ("zoom", "width", "noise", "blur"), 1000.0
@@ -53,7 +50,8 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
     folder = Path(path)
     arrow()
     if folder.is_dir():
-        yield from _folder_faults(folder)
+        manifest, faults = read_manifest(folder)
+        yield from [*faults, *listed_faults(folder, manifest)]
     readable, files = True, shards(path)
     count("files of pictures", 0, len(files))
     for done, faults in enumerate(each(shard_faults, files), 1):
@@ -79,7 +77,7 @@ def shard_faults(path: Path) -> list[str]:
         digest = stored_digest(path)
     except (InvalidFile, MissingFile) as error:
         return [str(error)]
-    if digest not in ("", now.hexdigest()):
+    if digest != now.hexdigest():
         faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
     return faults
 
@@ -127,23 +125,12 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
         yield "image is not the rendering of points with this appearance"
 
 
-def _folder_faults(folder: Path) -> Iterator[str]:
-    """Yield faults of the manifest and checksums, and Parquet files that it doesn't list."""
-    manifest, faults = read_manifest(folder)
-    yield from faults
-    yield from listed_faults(folder, manifest)
-    if manifest:
-        for shard in shards(folder):
-            if f"data/{shard.name}" not in manifest["files"]:
-                yield f"{shard.name} is not in the manifest"
-
-
 def _split_faults(table: Any) -> Iterator[str]:
     """Yield what splits share: near-duplicates and ropes; and codes or nx in the wrong split."""
     split, codes, nx = (np.array(table[name].to_pylist()) for name in ("split", "gauss_code", "nx"))
     sources = table["source"].to_pylist()
     numbers = [source["row"] for source in sources]
-    for row, other in _near_across_splits(points_of(table), split):
+    for row, other, _ in leaks(points_of(table), split):
         yield (
             f"rows {numbers[row]} ({split[row]}) and {numbers[other]} ({split[other]}) are"
             " near-duplicates"
@@ -164,13 +151,3 @@ def _split_faults(table: Any) -> Iterator[str]:
         yield "test-nx has pictures with no more crossings than train"
     if len(set(numbers)) != len(numbers):
         yield "two rows have the same number"
-
-
-def _near_across_splits(points: Array, split: NDArray[np.str_]) -> Iterator[tuple[int, int]]:
-    """Yield pairs of rows of different splits that are near-duplicates."""
-    # rows with non-finite or huge coordinates are reported elsewhere and have no distance
-    sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
-    for one, other in combinations(sorted(set(split.tolist())), 2):
-        rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
-        for i, k, _ in pairs_within(points[rows], points[others]):
-            yield int(rows[i]), int(others[k])

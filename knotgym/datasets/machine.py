@@ -6,7 +6,6 @@ simulation amplifies to millimetres.
 """
 
 import platform
-from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.common.configuration import read_json
-from knotgym.common.errors import KnotgymError
+from knotgym.common.errors import KnotgymError, printable
 from knotgym.datasets.episode_dataset import open_episodes
 
 
@@ -37,26 +36,18 @@ def machine() -> dict[str, str]:
     }
 
 
-def distinct(reports: Iterable[Any]) -> list[dict[str, str]]:
-    """List the machines in the reports of runs, each once, in order of appearance."""
-    found: list[dict[str, str]] = []
-    for report in reports:
-        listed = report.get("machines") if isinstance(report, dict) else None
-        for one in listed if isinstance(listed, list) else ():
-            if _is_machine(one) and one not in found:
-                found.append(one)
-    return found
-
-
 def others(folder: Path) -> str:
     """Describe how the machines of a folder's run differ from this one; "" if they don't."""
-    reports = []
+    here, reports = machine(), list[Any]()
     with suppress(OSError, ValueError):
         reports.append(read_json(folder / "manifest.json"))
     with suppress(KnotgymError):
         reports.append(open_episodes(folder).attributes.get("run"))
-    here = machine()
-    return "; ".join(_difference(one, here) for one in distinct(reports) if one != here)
+    found: dict[str, None] = {}
+    for report in reports:
+        with suppress(AttributeError, TypeError):  # it lists no machines
+            found |= {_difference(one, here): None for one in report.get("machines", ())}
+    return printable("; ".join(filter(None, found)))
 
 
 def _difference(one: dict[str, str], here: dict[str, str]) -> str:
@@ -64,10 +55,4 @@ def _difference(one: dict[str, str], here: dict[str, str]) -> str:
         f"{name} {one.get(name, 'unknown') or 'none'} (here {here.get(name, 'unknown') or 'none'})"
         for name in sorted(one.keys() | here.keys())
         if one.get(name) != here.get(name)
-    )
-
-
-def _is_machine(value: Any) -> bool:
-    return isinstance(value, dict) and all(
-        isinstance(text, str) and text.isprintable() for pair in value.items() for text in pair
     )

@@ -7,26 +7,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from knotgym.common.atomic_files import atomic_write, require_output, sha256
+from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
+from knotgym.datasets.episode_dataset import EpisodeDataset, write_episodes
 from knotgym.datasets.episodes import episode_digests
-from knotgym.datasets.located import (
-    refuse_minaris_folder,
-    require_apart_from,
-    resolve_dataset,
-    sources,
+from knotgym.datasets.located import locate
+from knotgym.datasets.minari_form import MinariMetadata, metadata_of
+from knotgym.datasets.selectable import (
+    Destination,
+    EpisodeRows,
+    StateRows,
+    opened,
+    publish_rows,
+    require_target,
 )
-from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
-from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import (
-    merge_states,
-    minari_root,
-    read_states,
-    ships,
-    states_at,
-    write_states,
-)
+from knotgym.states.state_file import merge_states, ships, write_states
 
 
 def merge(
@@ -47,66 +42,52 @@ def merge(
     """
     if not given:
         raise InvalidInput("nothing to merge: give at least one dataset")
-    for name in given:
-        sources(name)  # refuses links
-    found = [resolve_dataset(name) for name in given]
-    kinds = {one.kind for one in found}
-    if len(kinds) > 1 or "images" in kinds:
+    found, target = [opened(name) for name in given], Destination(out, dataset_id, overwrite)
+    states = [one.states for one in found if isinstance(one, StateRows)]
+    datasets = [one.dataset for one in found if isinstance(one, EpisodeRows)]
+    if len(given) not in (len(states), len(datasets)):
+        kinds = ", ".join(locate(name).kind for name in given)
         raise InvalidInput(
-            "datasets to merge are all of states or all of trajectories, got"
-            f" {', '.join(one.kind for one in found)}"
+            f"datasets to merge are all of states or all of trajectories, got {kinds}"
         )
-    if not dataset_id:
-        if out is None:
-            raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
-        require_output(out, folder=False, overwrite=overwrite)
-        refuse_minaris_folder(out)
-    require_apart_from(Path(out or minari_root()) / dataset_id, *given)
-    if kinds == {"states"}:
-        if dataset_id or out is None:
-            raise InvalidInput("an id is for episodes; give --out for states")
-        states = merge_states([read_states(states_at(path)) for _, path in found], distinct=True)
-        with atomic_write(out, overwrite=overwrite) as temporary:
-            write_states(temporary, states)
-        return f"{out}: {len(states)} states"
-    datasets = [open_episodes(path) for _, path in found]
-    task = _one_task(datasets)
+    file = require_target(found[0], target, [locate(name).root for name in given])
+    if states:
+        merged = merge_states(states, distinct=True)
+        with atomic_write(file, overwrite=overwrite) as temporary:
+            write_states(temporary, merged)
+        return f"{out}: {len(merged)} states"
+    _require_alike(datasets)
     _require_distinct(datasets)
-    parts, count = (
-        [one.episodes for one in datasets],
-        sum(one.episodes.episodes.rows for one in datasets),
-    )
+    parts = [one.episodes for one in datasets]
+    count = f"{sum(one.episodes.rows for one in parts)} episodes"
     if dataset_id:
-        first = datasets[0]
-        states_file = None if ships(task.states) else first.states_path()
-        metadata = _metadata(datasets, dataset_id)
-        made = publish(parts, task, metadata, out, states=states_file, overwrite=overwrite)
-        return f"{made}: {count} episodes"
-    assert out is not None
-    with atomic_write(out, overwrite=overwrite) as temporary:
-        write_episodes(temporary, parts, task)
-    return f"{out}: {count} episodes"
+        made = publish_rows(datasets[0], parts, _metadata(datasets, dataset_id), target, {})
+        return f"{made}: {count}"
+    with atomic_write(file, overwrite=overwrite) as temporary:
+        write_episodes(temporary, parts, datasets[0].task)
+    return f"{out}: {count}"
 
 
-def _one_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
-    """Return the task that datasets share; their state files may have different names."""
+def _require_alike(datasets: Sequence[EpisodeDataset]) -> None:
+    """Refuse datasets of several tasks; their state files may have different names."""
     first = datasets[0]
+    wanted = _facts(first)
     for other in datasets[1:]:
-        if replace(other.task, states=None) != replace(first.task, states=None):
-            raise InvalidInput(
-                f"datasets to merge must have one task; {first.path} has {first.task},"
-                f" {other.path} has {other.task}"
-            )
-        if other.attributes.get("rope") != first.attributes.get("rope"):
-            raise InvalidInput(f"{first.path} and {other.path} are of different rope models")
-        if other.episodes.is_recording != first.episodes.is_recording:
-            raise InvalidInput(f"one of {first.path} and {other.path} is a recording; expand it")
-        if _states_digest(other) != _states_digest(first):
-            raise InvalidInput(
-                f"datasets to merge must have one state file; {first.path} and {other.path} were"
-                " reset from different ones"
-            )
-    return first.task
+        for name, value in _facts(other).items():
+            if value != wanted[name]:
+                raise InvalidInput(
+                    f"datasets to merge must have one {name}; {first.path} has {wanted[name]},"
+                    f" {other.path} has {value}"
+                )
+
+
+def _facts(dataset: EpisodeDataset) -> dict[str, object]:
+    return {
+        "task": replace(dataset.task, states=None),
+        "rope model": dataset.attributes.get("rope"),
+        "form": dataset.attributes["form"],
+        "state file, by its SHA-256": _states_digest(dataset),
+    }
 
 
 def _states_digest(dataset: EpisodeDataset) -> str:

@@ -35,7 +35,7 @@ from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.common.tables import new_hdf5
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
-from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes
 from knotgym.envs.tasks import TaskConfig
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
@@ -105,10 +105,11 @@ def publish(
     *,
     states: str | os.PathLike[str] | None = None,
     facts: Mapping[str, Any] | None = None,
-    minari: bool | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write episodes as a Minari dataset; the folder appears when it is complete.
+
+    It has Minari's own files too, unless it is a recording or has more than MINARI_STEPS pulls.
 
     Args:
         parts: sets of episodes, which are appended.
@@ -118,14 +119,12 @@ def publish(
         out: root folder of Minari datasets; None for Minari's own.
         states: a state file to include.
         facts: further attributes of the episode file: run, selection.
-        minari: whether to write Minari's files too; None for sets of up to MINARI_STEPS pulls that
-            aren't recordings.
 
     Returns:
         The dataset's folder.
 
     Raises:
-        InvalidInput: the parts can't be combined, or Minari's files are wanted of a recording.
+        InvalidInput: the parts can't be combined.
         Occupied: there is a dataset of this id, and `overwrite` is false.
     """
     folder = Path(out or minari_root()) / metadata.dataset_id
@@ -133,10 +132,6 @@ def publish(
     if states is not None:
         task = replace(task, states=metadata.dataset_id)
     pulls = sum(int(part.episodes["length"].sum()) for part in parts)
-    recordings = any(part.is_recording for part in parts)
-    wanted = (pulls <= MINARI_STEPS and not recordings) if minari is None else minari
-    if wanted and recordings:
-        raise InvalidInput("Minari's form needs the states of a recording: expand it first")
     with atomic_write(folder, overwrite=overwrite) as temporary:
         data = temporary / "data"
         data.mkdir(parents=True)
@@ -144,7 +139,7 @@ def publish(
         write_episodes(data / FILE, parts, task, own)
         if states is not None:
             copy_file(Path(states), data / "states.h5")
-        if wanted:
+        if pulls <= MINARI_STEPS and not any(part.is_recording for part in parts):
             write_minari(open_episodes(data / FILE), data)
     return folder
 
@@ -162,7 +157,7 @@ def write_minari(dataset: EpisodeDataset, data: Path) -> None:
                 group.attrs[name] = value
             for name, array in (*arrays.items(), *_observations(dataset, k).items()):
                 _write(group, name, array)
-    entries = minari_entries(dataset)
+    entries = _minari_entries(dataset)
     size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
     entries["dataset_size"] = round(size / 1e6, 1)
     text = json.dumps(entries, sort_keys=True, separators=(",", ":"))
@@ -202,7 +197,7 @@ def metadata_of(dataset: EpisodeDataset) -> MinariMetadata | None:
         raise InvalidFile(f"{dataset.path} has invalid metadata: {one_line(error)}") from error
 
 
-def minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
+def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
     """Return the entries of Minari's metadata.json except the size.
 
     Raises:
@@ -232,14 +227,14 @@ def minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
         "requirements": [*here, "minari>=0.5.4"],
         "observation_space": _bounds(replace(task, split="train", states=None)),
         "action_space": serialize_space(action_space(replace(task, action="pull"))),
-        "env_spec": environment_spec(task).to_json(),
-        "eval_env_spec": environment_spec(_evaluated(task, metadata.eval_split)).to_json(),
+        "env_spec": _environment_spec(task).to_json(),
+        "eval_env_spec": _environment_spec(_evaluated(task, metadata.eval_split)).to_json(),
         "total_episodes": len(lengths),
         "total_steps": int(lengths.sum()),
     }
 
 
-def environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
+def _environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
     """Return the environment's spec with every setting, so that later defaults don't matter."""
     spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.task.capitalize()}-v0"))
     spec.kwargs = as_json(task)
@@ -276,7 +271,7 @@ def _minari_episodes(
     max_force = dataset.task.rope.max_force
     goals = gauss_codes(own["goal_visits"])
     codes, chiral = gauss_codes(steps["visits"]), gauss_codes(steps["visits"], steps["signs"])
-    reached = outcomes(dataset.episodes, dataset.task).reached
+    reached = goal_reached(dataset.episodes, dataset.task)
     for k in range(own.rows):
         pulls, states = slice(offsets[k], offsets[k + 1] - 1), slice(offsets[k], offsets[k + 1])
         count = int(own["length"][k])

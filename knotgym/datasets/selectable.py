@@ -5,7 +5,7 @@ an episode file or a Parquet file; or, of episodes, a Minari dataset.
 """
 
 import json
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_apart, require_output, sha256
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_dataset import open_episodes, write_episodes
-from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import COLUMNS, arrow, points_of, read_table, shards, write_table
-from knotgym.datasets.located import resolve_dataset
+from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
+from knotgym.datasets.episodes import Episodes, gauss_codes
+from knotgym.datasets.image_table import COLUMNS, arrow, parquet, points_of, read_table, shards
+from knotgym.datasets.located import locate_own, refuse_minaris_folder
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.states.near_duplicates import families
-from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
-from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.states.state_file import read_states, ships, states_at, write_states
+from knotgym.states.state_file import minari_root, read_states, ships, write_states
 
 Rows = NDArray[np.int64]
 Selections = list[dict[str, Any]]
@@ -44,15 +42,13 @@ class Destination(NamedTuple):
 #   earlier     the selections by which the source itself was made
 #   columns     name -> one value per row
 #   ids         int64 (n,), how `delete` names the rows
-#   splits      name -> bool (n,), the rows of each split
 #   keys()      for each row what it shares with rows that must stay in the same part
 #   write()     write rows to a new file
 
 
-class _States:
+class StateRows:
     def __init__(self, path: Path) -> None:
-        self.digested = states_at(path)
-        self.states = read_states(self.digested)
+        self.digested, self.states = path, read_states(path)
         self.earlier: Selections = self.states.attributes.get("selection", [])
         self.ids = np.arange(len(self.states))
 
@@ -61,27 +57,19 @@ class _States:
         flat = {name: values for name, values in self.states.table.items() if values.ndim == 1}
         return {"row": self.ids} | {name.replace("/", "."): flat[name] for name in flat}
 
-    @property
-    def splits(self) -> dict[str, NDArray[np.bool_]]:
-        found = {name: np.asarray(self.states.split == name) for name in STATE_SPLITS}
-        for name in CODE_SPLITS:
-            rows = [self.states.rows(nx, name) for nx in set(self.states.nx.tolist())]
-            found[name] = np.isin(self.ids, np.concatenate([*rows, self.ids[:0]]))
-        return found
-
     def keys(self) -> list[list[Hashable]]:
-        source = self.states.source
-        shared = {"near": families(self.states.points)}
-        shared |= {name: source[name] for name in ("seed", "trajectory") if name in source}
+        near, seed = families(self.states.points), self.states.source.get("seed")
+        seeds = self.ids[:, None] if seed is None else seed
         return [
-            [(name, values[row].tobytes()) for name, values in shared.items()] for row in self.ids
+            [("near", int(near[row])), ("rope", tuple(seeds[row].tolist()))]
+            for row in range(len(near))
         ]
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
         write_states(path, self.states.taken(rows).replaced({}, selection=made))
 
 
-class _Pictures:
+class _PictureRows:
     def __init__(self, path: Path) -> None:
         self.path, self.digested = path, shards(path)[0]
         flat = [
@@ -107,27 +95,19 @@ class _Pictures:
     def ids(self) -> Rows:
         return self.columns["source.row"]
 
-    @property
-    def splits(self) -> dict[str, NDArray[np.bool_]]:
-        return {name: np.asarray(self.columns["split"] == name) for name in IMAGE_SPLITS}
-
     def keys(self) -> list[list[Hashable]]:
-        shared = {"near": families(points_of(self.table))}
-        names = ("source.family", "source.walk", "source.rope", "source.episode")
-        shared |= {name: self.columns[name] for name in names if name in self.columns}
-        return [
-            [(name, values[row].item()) for name, values in shared.items()]
-            for row in range(len(self.ids))
-        ]
+        near = families(points_of(self.table)).tolist()
+        ropes = zip(self.columns["source.seed"], self.columns["source.rope"], strict=True)
+        return [[("near", one), ("rope", *rope)] for one, rope in zip(near, ropes, strict=True)]
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
         kept = np.isin(np.arange(len(self.ids)), rows)
         table = read_table(self.path).filter(arrow().array(kept))
         metadata = {**(table.schema.metadata or {}), b"selection": json.dumps(made)}
-        write_table(path, table.replace_schema_metadata(metadata))
+        path.write_bytes(parquet(table.replace_schema_metadata(metadata)))
 
 
-class _Episodes:
+class EpisodeRows:
     def __init__(self, path: Path) -> None:
         self.dataset = open_episodes(path)
         self.digested = self.dataset.path
@@ -150,25 +130,14 @@ class _Episodes:
         texts = {"task": task.task, "split": task.split}
         return found | {name: np.full(own.rows, text) for name, text in texts.items()}
 
-    @property
-    def splits(self) -> dict[str, NDArray[np.bool_]]:
-        return {self.dataset.task.split: np.ones(len(self.ids), dtype=bool)}
-
     def keys(self) -> list[list[Hashable]]:
-        (own, steps), task = self.dataset.episodes, self.dataset.task
-        out: list[list[Hashable]] = []
-        for row, first in enumerate(self.dataset.episodes.offsets[:-1].tolist()):
-            pull = steps["bead"][first].tobytes() + steps["force"][first].tobytes()
-            # cuts of one episode begin alike
-            keys: list[Hashable] = [("cut", own["start_qpos"][row].tobytes(), pull)]
-            # states without crossings are shared by nearly all episodes
-            if task.start_nx:
-                keys.append(("state", int(own["start"][row])))
-            if own["goal_visits"][row].any():
-                goal, shown = int(own["goal"][row]), own["goal_visits"][row].tobytes()
-                keys.append(("state", goal) if goal >= 0 else ("goal", shown))
-            out.append(keys)
-        return out
+        own, untying = self.dataset.episodes.episodes, self.dataset.task.start_nx > 0
+        tied = np.asarray(own["goal_visits"].any(axis=1))
+        # states without crossings are shared by nearly all episodes
+        return [
+            [row for row, crosses in ((start, untying), (goal, tying)) if crosses]
+            for start, goal, tying in zip(own["start"], own["goal"], tied, strict=True)
+        ]
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
         facts = {**self.dataset.facts, "selection": made}
@@ -176,8 +145,7 @@ class _Episodes:
 
     def publish(self, rows: Rows, made: Selections, target: Destination) -> Path:
         """Write rows as a Minari dataset, with the states that it resets from."""
-        dataset = self.dataset
-        metadata = metadata_of(dataset) or MinariMetadata(
+        metadata = metadata_of(self.dataset) or MinariMetadata(
             dataset_id=target.dataset_id,
             algorithm_name=", ".join(sorted(set(self.columns["policy"].tolist()))),
             description="",
@@ -186,41 +154,61 @@ class _Episodes:
         metadata = replace(
             metadata, dataset_id=target.dataset_id, description="\n\n".join(sentences)
         )
-        return publish(
-            [dataset.episodes.select(rows)],
-            dataset.task,
-            metadata,
-            target.out,
-            states=None if ships(dataset.task.states) else dataset.states_path(),
-            facts={**dataset.facts, "selection": made},
-            overwrite=target.overwrite,
+        facts = {**self.dataset.facts, "selection": made}
+        return publish_rows(
+            self.dataset, [self.dataset.episodes.select(rows)], metadata, target, facts
         )
 
 
-Selectable = _States | _Pictures | _Episodes
+Selectable = StateRows | _PictureRows | EpisodeRows
 
 
 def opened(source: str | Path) -> Selectable:
     """Open a dataset by its path, name or id.
 
     Raises:
-        MissingFile, InvalidInput: as in `resolve_dataset`.
+        MissingFile, InvalidInput, InvalidFile: as `locate_own`; or it is several datasets.
     """
-    kind, path = resolve_dataset(str(source))
-    if kind == "states":
-        return _States(path)
-    return _Pictures(path) if kind == "images" else _Episodes(path)
+    found = locate_own(str(source)).only()
+    if found.pictures:
+        return _PictureRows(found.pictures)
+    return StateRows(found.states) if found.states else EpisodeRows(found.episodes[0])
 
 
-def require_target(given: Selectable, target: Destination) -> None:
-    """Refuse an output that exists, or an id for another kind of dataset than episodes."""
-    if target.dataset_id and not isinstance(given, _Episodes):
-        raise InvalidInput("an id is for episodes; give --out for states and pictures")
-    if not target.dataset_id:
-        if target.out is None:
-            raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
-        require_output(target.out, folder=False, overwrite=target.overwrite)
-        require_apart(target.out, [given.digested])
+def publish_rows(
+    dataset: EpisodeDataset,
+    parts: Sequence[Episodes],
+    metadata: MinariMetadata,
+    target: Destination,
+    facts: Mapping[str, Any],
+) -> Path:
+    """Write episodes as a Minari dataset of another one's task, with the states it resets from."""
+    states = None if ships(dataset.task.states) else dataset.states_path()
+    return publish(
+        parts,
+        dataset.task,
+        metadata,
+        target.out,
+        states=states,
+        facts=facts,
+        overwrite=target.overwrite,
+    )
+
+
+def require_target(given: Selectable, target: Destination, sources: Iterable[Path]) -> Path:
+    """Return where to write; refuse what exists, is its source, or holds another kind."""
+    if target.dataset_id:
+        if not isinstance(given, EpisodeRows):
+            raise InvalidInput("an id is for episodes; give --out for states and pictures")
+        folder = Path(target.out or minari_root()) / target.dataset_id
+        require_apart(folder, sources)
+        return folder
+    if target.out is None:
+        raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
+    require_output(target.out, folder=False, overwrite=target.overwrite)
+    refuse_minaris_folder(Path(target.out))
+    require_apart(target.out, sources)
+    return Path(target.out)
 
 
 def write_rows(
@@ -229,15 +217,14 @@ def write_rows(
     """Write some rows, at least one, as a new dataset; return its path."""
     if not len(rows):
         raise InvalidInput(f"none of the {len(given.ids)} rows of {source} is left")
-    require_target(given, target)
+    file = require_target(given, target, [given.digested])
     counts = {"sha256": sha256(given.digested), "rows": len(given.ids), "kept": len(rows)}
     made = {"from": source, **counts, **how, "knotgym": knotgym.__version__}
-    if isinstance(given, _Episodes) and target.dataset_id:
+    if isinstance(given, EpisodeRows) and target.dataset_id:
         return given.publish(rows, [*given.earlier, made], target)
-    assert target.out is not None
-    with atomic_write(target.out, overwrite=target.overwrite) as path:
+    with atomic_write(file, overwrite=target.overwrite) as path:
         given.write(rows, [*given.earlier, made], path)
-    return Path(target.out)
+    return file
 
 
 def _sentence(made: Mapping[str, Any]) -> str:

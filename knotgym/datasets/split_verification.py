@@ -1,12 +1,11 @@
 """Verify that starts and goals are of the task's split and that no episode occurs twice.
 
-A start or goal belongs to the split of the state that it matches, whatever its options say. It
-matches a state within NEAR / 2, after the best translation and rotation about z: reset noise at its
-default scale stays below 6 mm, and nothing is that close to two states of a curated set. The plain
-loop, where action sequences begin, belongs to no split.
+A goal is the state that its row names, bit for bit. A start is stirred by reset noise, so it must
+be near the state that its row names, or at least near none of another split.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterator
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -16,14 +15,14 @@ from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import episode_digests
 from knotgym.envs.task_states import start_nx
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.model import Rope
-from knotgym.states.near_duplicates import NEAR, distances
-from knotgym.states.split_names import STATE_SPLITS
+from knotgym.rope.model import Array, Rope
+from knotgym.states.near_duplicates import NEAR, distances, pairs_within
 from knotgym.states.state_file import States, read_states, shipped
 
-_MATCH = NEAR / 2  # metres, root mean square over the beads
-_SAME = 1e-6  # metres; above the rounding of `distances`, far below what any stirring does
+# metres, root mean square over the beads, after the best translation and rotation about z. Reset
+# noise at its default scale stays below 6 mm, and no two states of a curated set are that close.
+_MATCH = NEAR / 2
+_HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m long
 
 
 def split_faults(dataset: EpisodeDataset) -> list[str]:
@@ -36,20 +35,41 @@ def split_faults(dataset: EpisodeDataset) -> list[str]:
         sides = _sides(dataset)
     except KnotgymError as error:
         return [f"{dataset.path}: its split can't be checked: {error}"]
+    own, task, rope = dataset.episodes.episodes, dataset.task, Rope(dataset.task.rope)
     faults: list[str] = []
-    found: dict[str, set[int]] = {split: set() for split in STATE_SPLITS}
-    for name, states in sides.items():
-        checked = _Side(name, states, dataset)
-        for row in range(dataset.episodes.episodes.rows):
-            split, fault = checked.judge(row)
-            if split is not None:
-                found.setdefault(split, set()).add(row)
+    for name, (states, nx) in sides.items():
+        allowed = states.rows(nx, task.split)
+        if name == "goal":
+            allowed = allowed[: task.max_goals]
+        for row, named in enumerate(own[name].tolist()):
+            if not 0 <= named < len(states):
+                fault = f"its {name} is row {named}, of {len(states)} states"
+            elif named not in allowed:
+                fault = f"its {name} is row {named}, none of those of the {task.split} split"
+            elif name == "start":
+                fault = _start_fault(rope.points(own["start_qpos"][row]), named, states, dataset)
+            elif "goal_points" in own and not np.array_equal(
+                own["goal_points"][row], states.points[named].astype(np.float32)
+            ):
+                fault = f"its goal isn't row {named} of the states, as the column goal says"
+            else:
+                continue
             faults += [f"{dataset.path}, episode {row}: {fault}"] if fault else []
-    mixed = {split: rows for split, rows in found.items() if rows}
-    if len(mixed) > 1:
-        listed = "; ".join(f"{split}: {_ranges(rows)}" for split, rows in mixed.items())
-        faults.append(f"{dataset.path}: mixes splits, of starts or goals of episodes {listed}")
     return faults
+
+
+def leaks(points: Array, split: NDArray[np.str_]) -> Iterator[tuple[int, int, float]]:
+    """Yield pairs of rows of different splits that are near-duplicates, and their distance.
+
+    Args:
+        points: float64 (n, beads, 3), metres; rows that aren't finite or are huge are passed over.
+        split: (n,).
+    """
+    sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
+    for one, other in combinations(sorted(set(split.tolist()), reverse=True), 2):
+        rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
+        for i, k, apart in pairs_within(points[others], points[rows]):
+            yield int(rows[k]), int(others[i]), apart
 
 
 def duplicate_faults(dataset: EpisodeDataset) -> list[str]:
@@ -69,92 +89,24 @@ def duplicate_faults(dataset: EpisodeDataset) -> list[str]:
     return faults
 
 
-class _Side:
-    """The starts or the goals of a file, and the states that they are drawn from."""
-
-    def __init__(self, name: str, states: States, dataset: EpisodeDataset) -> None:
-        self.name, self.states, self.task = name, states, dataset.task
-        self.table = dataset.episodes.episodes
-        self.rope = Rope(self.task.rope)
-        self.splits = _split_names(states, self.task)
-        self.mine = self.splits == self.task.split
-        self.known: dict[bytes, int | None] = {}
-        self.allowed = {*states.rows(self.task.goal_nx, self.task.split)[: self.task.max_goals]}
-        # start_qpos of demonstrations: splits must not share start states
-        self.origins: set[bytes] = set()
-        if name == "start" and "start_qpos" in states.source:
-            self.origins = {one.tobytes() for one in states.source["start_qpos"][self.mine]}
-
-    def judge(self, index: int) -> tuple[str | None, str]:
-        """Return the split of an episode's start or goal, None if unknown, and its fault or ""."""
-        given = int(self.table[self.name][index])
-        named = None if given < 0 else given
-        task, states = self.task, self.states
-        if named is not None and not 0 <= named < len(states):
-            return None, f"its {self.name} is row {named}, of {len(states)} states"
-        row = self._row_at(index)
-        if row is None and named is None:
-            return None, ""
-        at = named if row is None else row
-        split, fault = str(self.splits[at]), ""
-        if split != task.split:
-            fault = f"its {self.name} is row {at} " + (
-                f"as the column says, of the {split} split"
-                if row is None
-                else f"of the states, of the {split} split; the dataset says {task.split}"
-            )
-        elif row is not None and named is not None and self.splits[named] != task.split:
-            fault = f"its {self.name} is row {named}, of the {self.splits[named]} split"
-        elif row is not None and named is not None and self.name == "goal":
-            right = states.points[named].astype(np.float32)
-            if not np.array_equal(self.table["goal_points"][index], right):
-                fault = f"its goal isn't row {named} of the states, as the column goal says"
-            elif task.max_goals is not None and named not in self.allowed:
-                fault = f"its goal is row {named}, not of the first {task.max_goals}, max_goals"
-        return split, fault
-
-    def _row_at(self, index: int) -> int | None:
-        """Return the row of the state that the start or goal matches, or None."""
-        what = "start_qpos" if self.name == "start" else "goal_points"
-        if what not in self.table:
-            return None  # a recording holds no vertices
-        stored = self.table[what][index]
-        # episodes share few starts and goals: each is looked up once
-        key = stored.tobytes()
-        if key in self.origins:
-            return None
-        if key not in self.known:
-            points = self.rope.points(stored) if self.name == "start" else stored
-            self.known[key] = self._nearest(np.asarray(points, dtype=np.float64))
-        return self.known[key]
-
-    def _nearest(self, points: NDArray[np.float64]) -> int | None:
-        if points.shape != self.states.points.shape[1:] or not np.isfinite(points).all():
-            return None
-        # demonstrations start at the plain loop, which is of no split
-        loop = self.rope.loop()
-        loops = np.stack([loop, loop * (-1, 1, 1)])  # walked either way
-        if self.name == "start" and distances(points, loops).min() < _SAME:
-            return None
-        apart = distances(points, self.states.points)
-        # a state of the task's own split takes precedence
-        for rows in (np.flatnonzero(self.mine), np.flatnonzero(~self.mine)):
-            if len(rows) and apart[rows].min() < _MATCH:
-                return int(rows[np.argmin(apart[rows])])
-        return None
+def _start_fault(points: Array, named: int, states: States, dataset: EpisodeDataset) -> str:
+    """Say which state of another split a start is, "" if it is none."""
+    if points.shape != states.points.shape[1:] or not np.isfinite(points).all():
+        return "its start isn't a configuration of the rope"
+    if distances(points, states.points[named][None])[0] < _MATCH:
+        return ""
+    split = dataset.task.split
+    mine = np.concatenate([states.rows(nx, split) for nx in set(states.nx.tolist())])
+    apart = distances(points, states.points)
+    apart[mine] = np.inf
+    row = int(apart.argmin())
+    return (
+        f"its start is row {row}, which isn't of the {split} split" if apart[row] < _MATCH else ""
+    )
 
 
-def _split_names(states: States, task: TaskConfig) -> NDArray[np.str_]:
-    """Return the split of each row, str (n,); by code, such as "test-code", if the task's is."""
-    names = states.split.astype("<U10")
-    if task.split not in STATE_SPLITS:
-        for nx in (start_nx(task, states), task.goal_nx):
-            names[states.rows(nx, task.split)] = task.split
-    return names
-
-
-def _sides(dataset: EpisodeDataset) -> dict[str, States]:
-    """Read the states that starts and goals are drawn from, found as the environment does."""
+def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, int]]:
+    """Read the states, and their nx, that starts and goals are drawn from, as when resetting."""
     task = dataset.task
     files = [shipped()]
     if task.states is not None:
@@ -164,21 +116,6 @@ def _sides(dataset: EpisodeDataset) -> dict[str, States]:
         files.insert(0, own)
     read = [read_states(path, images=False) for path in files]
     return {
-        name: next((states for states in read if len(states.rows(nx, task.split))), read[0])
+        name: (next((one for one in read if len(one.rows(nx, task.split))), read[0]), nx)
         for name, nx in (("start", start_nx(task, read[0])), ("goal", task.goal_nx))
     }
-
-
-def _ranges(numbers: Iterable[int]) -> str:
-    """Write whole numbers as ranges.
-
-    >>> _ranges([4, 0, 1, 2])
-    '0-2, 4'
-    """
-    runs: list[list[int]] = []
-    for number in sorted(numbers):
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs)

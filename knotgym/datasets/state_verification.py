@@ -16,7 +16,8 @@ from knotgym.common.tables import digest
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
 from knotgym.datasets.episode_verification import Count, Replay, uncounted, verify_episodes
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
+from knotgym.datasets.manifest import listed_faults, read_manifest
+from knotgym.datasets.split_verification import leaks
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
@@ -24,10 +25,9 @@ from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, require_engine, simulation
 from knotgym.rope.model import Array, Rope, rope_of
 from knotgym.states.derivation import row_faults
-from knotgym.states.near_duplicates import pairs_within, repeated
+from knotgym.states.near_duplicates import repeated
 from knotgym.states.schema import DRAWING, IMPORT, PLAY, RANDOM_WALK, STATES
 from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.splits import overlap
 from knotgym.states.state_file import States, read_states
 from knotgym.topology.gauss import GaussCode
 
@@ -88,16 +88,13 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         yield "states.h5: its columns don't match content_sha256"
 
 
-def folder_faults(
-    folder: Path, replay: Replay | None = None, count: Count = uncounted
-) -> Iterator[str]:
+def folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Iterator[str]:
     """Yield the faults of a folder that `knotgym generate` wrote.
 
     Manifest and checksums come first, then the rows, the demonstrations and the splits.
     """
     manifest, faults = read_manifest(folder)
     yield from faults
-    yield from report_faults(manifest)
     yield from listed_faults(folder, manifest)
     try:
         states = read_states(folder / "states.h5")
@@ -111,24 +108,10 @@ def folder_faults(
         if not own:
             name = file.relative_to(folder / "minari").parents[1].as_posix()
             yield from demonstration_faults(states, name, open_episodes(file))
-    if manifest:
-        yield from _split_faults(states, manifest)
-
-
-def overlap_faults(states: States, stored: Mapping[str, Any], where: str) -> Iterator[str]:
-    """Compare overlaps of train and test, nx -> `splits.overlap`, as the file `where` has them."""
-    for nx in sorted(set(states.nx.tolist())):
-        found = stored.get(str(nx))
-        if not isinstance(found, dict):
-            continue
-        for name, right in overlap(states, nx).items():
-            value = found.get(name)
-            if isinstance(right, float) and isinstance(value, float):
-                wrong = not abs(value - right) < 1e-6  # metres; processors round differently
-            else:
-                wrong = value != right
-            if wrong:
-                yield f"{where}: nx {nx}: {name} of the overlap is {value}, should be {right}"
+    if manifest and manifest["config"].get("split_by") == "code":
+        train, test = (set(states.gauss_code[states.split == split]) for split in STATE_SPLITS)
+        for code in sorted(train & test):
+            yield f"code {code or 'loop'} is in both splits, which should share no code"
 
 
 def demonstration_faults(
@@ -173,7 +156,7 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     if stored["split"] not in STATE_SPLITS:
         yield f"split is {str(stored['split'])!r}"
     try:
-        actions_of(states, row)
+        _actions_of(states, row)
         stream = _STREAMS.get(str(stored["source/policy"]))
         seed = stored["source/seed"] if stream is None else _key(stored["source/seed"], stream)
         if stream == Stream.RANDOM_WALK and not stored["source/dataset"]:
@@ -213,7 +196,7 @@ def _key(seed: NDArray[np.int64], stream: Stream) -> tuple[int, ...]:
     return numbers
 
 
-def actions_of(states: States, row: int) -> NDArray[np.float32]:
+def _actions_of(states: States, row: int) -> NDArray[np.float32]:
     """Return the actions that lead from a row's start to its state, float32 (steps, 6)."""
     steps = int(states.source["steps"][row])
     if "actions" in states.source:
@@ -232,7 +215,7 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
     actions = {}
     for row in rows:
         with suppress(InvalidInput):  # a fault of the row
-            actions[row] = actions_of(states, row)
+            actions[row] = _actions_of(states, row)
     left = sorted(actions)
     if not left:
         return {}
@@ -250,34 +233,16 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
     return {row: qpos[k] for k, row in enumerate(left) if whole[k]}
 
 
-def _split_faults(states: States, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Compare the splits with the configuration, the list and the overlaps of a manifest."""
-    if manifest["config"].get("split_by") == "code":
-        train, test = (set(states.gauss_code[states.split == split]) for split in STATE_SPLITS)
-        for code in sorted(train & test):
-            yield f"code {code or 'loop'} is in both splits, which should share no code"
-    listed = manifest.get("splits")
-    if isinstance(listed, list):
-        for row, (stored, right) in enumerate(zip(states.split.tolist(), listed, strict=False)):
-            if stored != right:
-                yield f"states.h5 row {row}: split is {stored}, the manifest says {right}"
-    summary = manifest.get("summary")
-    counts = summary.get("nx") if isinstance(summary, dict) else None
-    for nx, count in counts.items() if isinstance(counts, dict) else ():
-        if isinstance(count, dict):
-            yield from overlap_faults(states, {nx: count.get("overlap")}, "manifest.json")
-
-
 def _leaks(states: States) -> Iterator[str]:
     """Yield near-duplicates and frames of one rope that are in both train and test."""
-    train, test = (np.flatnonzero(states.split == split) for split in STATE_SPLITS)
-    for i, k, apart in pairs_within(states.points[test], states.points[train]):
+    for row, other, apart in leaks(states.points, states.split):
         yield (
-            f"states.h5 rows {train[k]} (train) and {test[i]} (test) are near-duplicates:"
-            f" {1000 * apart:.1f} mm apart at the best symmetry"
+            f"states.h5 rows {row} ({states.split[row]}) and {other} ({states.split[other]}) are"
+            f" near-duplicates: {1000 * apart:.1f} mm apart at the best symmetry"
         )
-    seeds = {tuple(states.source["seed"][row]): row for row in train}
-    for row in test:
-        other = seeds.get(tuple(states.source["seed"][row]))
-        if other is not None:
-            yield f"states.h5 rows {other} (train) and {row} (test) come from one rope"
+    train, test = (np.flatnonzero(states.split == split) for split in STATE_SPLITS)
+    seeds = {tuple(states.source["seed"][row]): row for row in train.tolist()}
+    for row in test.tolist():
+        rope = tuple(states.source["seed"][row])
+        if rope in seeds:
+            yield f"states.h5 rows {seeds[rope]} (train) and {row} (test) come from one rope"

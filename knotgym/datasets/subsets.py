@@ -6,7 +6,7 @@ copied, not made again.
 """
 
 import re
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,13 @@ from knotgym.datasets.selectable import Destination, Rows, opened, require_targe
 
 _MOST_ROWS = 10_000_000
 _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
-_PART = re.compile(r"([A-Za-z0-9_]+)=([0-9.]{1,20})")
+_PART = re.compile(r"([A-Za-z0-9_]+)=([0-9]{0,9}\.?[0-9]{1,9})")
 
 
 def select(
     source: str | Path,
     *,
     where: str = "",
-    split: str = "",
     sample: int | None = None,
     seed: int = 0,
     out: str | Path | None = None,
@@ -39,7 +38,6 @@ def select(
         source: a state file, the folder of a run, an included set, a folder or file of pictures, an
             episode file, or the folder or id of a Minari dataset.
         where: a condition on the columns, see `conditions`; "" for all rows.
-        split: keep the rows of this split only.
         sample: keep this many of them, drawn at random; their order stays.
         seed: of the draw.
         out: the new file; with `dataset_id` the Minari root.
@@ -50,29 +48,24 @@ def select(
 
     Raises:
         InvalidInput: `where` isn't a condition on these columns.
-        InvalidInput: no row is left, fewer than `sample` are, or there is no such split.
+        InvalidInput: no row is left, or fewer than `sample` are.
         Occupied: the output exists.
     """
     given = opened(source)
     chosen = matching_rows(where, given.columns) if where else np.ones(len(given.ids), dtype=bool)
-    if split:
-        splits = given.splits
-        if split not in splits:
-            raise InvalidInput(f"{source} has no split {split!r}; splits are {', '.join(splits)}")
-        chosen = chosen & splits[split]
     rows = np.flatnonzero(chosen)
     if sample is not None:
         if not 0 < sample <= len(rows):
             raise InvalidInput(f"{len(rows)} rows match, can't sample {sample} of them")
         rows = np.sort(generator(Stream.SELECTION, seed).choice(rows, sample, replace=False))
-    how: dict[str, Any] = {"where": where, "split": split, "sample": sample}
+    how: dict[str, Any] = {"where": where, "sample": sample}
     how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
     return write_rows(given, str(source), rows, how, Destination(out, dataset_id, overwrite))
 
 
 def split(
     source: str | Path,
-    parts: str | Mapping[str, float],
+    parts: str,
     *,
     seed: int = 0,
     out: str | Path | None = None,
@@ -81,13 +74,13 @@ def split(
 ) -> list[Path]:
     """Write a dataset as several, by fractions of its rows.
 
-    What belongs together stays together: near-duplicates; rows of one trajectory, walk or family;
+    What belongs together stays together: near-duplicates; rows of one rope;
     episodes with a common start or goal state that has crossings (all start or end in the few plain
-    loops), and cuts of one episode. The column `split` isn't changed.
+    loops). The column `split` isn't changed.
 
     Args:
         source: as for `select`.
-        parts: name -> fraction, or "train=0.8,val=0.2"; the fractions add up to 1.
+        parts: names and fractions that add up to 1, such as "train=0.8,val=0.2".
         seed: of the random assignment.
         out: as for `select`; "-NAME" is appended to it, before a suffix.
         dataset_id: as for `select`; "-NAME" is inserted before the version.
@@ -115,7 +108,7 @@ def split(
         beside = out if path is None else path.with_name(f"{path.stem}-{name}{path.suffix}")
         named = re.sub(r"(?=-v\d+$)", f"-{name}", dataset_id)
         targets.append(Destination(beside, named, overwrite))
-        require_target(given, targets[-1])
+        require_target(given, targets[-1], [given.digested])
     how = {"parts": shares, "seed": seed}
     return [
         write_rows(given, str(source), np.flatnonzero(dealt == k), {**how, "part": name}, target)
@@ -173,17 +166,11 @@ def row_numbers(text: str) -> list[int]:
     return out
 
 
-def _shares(parts: str | Mapping[str, float]) -> dict[str, float]:
-    if isinstance(parts, str):
-        words = [_PART.fullmatch(word.strip()) for word in parts.split(",")]
-        try:
-            pairs = [(word[1], float(word[2])) for word in words if word]
-        except ValueError:
-            pairs = []
-        if len(dict(pairs)) < len(words):
-            raise InvalidInput(f"parts are such as train=0.8,val=0.2, got {parts!r}")
-        parts = dict(pairs)
-    shares = {str(name): float(share) for name, share in parts.items()}
+def _shares(parts: str) -> dict[str, float]:
+    words = [_PART.fullmatch(word.strip()) for word in parts.split(",")]
+    shares = {word[1]: float(word[2]) for word in words if word}
+    if len(shares) < len(words):
+        raise InvalidInput(f"parts are such as train=0.8,val=0.2, got {parts!r}")
     if len(shares) < 2 or min(shares.values()) <= 0 or abs(sum(shares.values()) - 1) > 1e-6:
         raise InvalidInput(f"parts are at least 2 fractions above 0 that add up to 1, got {shares}")
     return shares

@@ -25,6 +25,7 @@ import knotgym as package
 from knotgym.cli import main as cli
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidFile
+from knotgym.control.verification import replay
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.loaders import arrays
 from knotgym.rendering.diagram import draw_diagram
@@ -341,7 +342,8 @@ def test_the_command_as_installed_makes_a_folder_without_a_fault(
 ) -> None:
     line = [INSTALLED, *words.split(), "--out", str(tmp_path / "a")]
     run = subprocess.run(line, capture_output=True, text=True)
-    assert run.returncode == 0 and run.stderr == "" and list(folder_faults(tmp_path / "a")) == []
+    assert run.returncode == 0 and run.stderr == ""
+    assert list(folder_faults(tmp_path / "a", replay)) == []
     if "3_1" in words:
         states = read_states(tmp_path / "a" / "states.h5")
         assert len(states) == 2 and set(states.knot) == {"3_1"} and set(states.nx) == {3}

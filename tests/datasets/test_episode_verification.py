@@ -13,9 +13,9 @@ import knotgym
 from knotgym.control.verification import replay
 from knotgym.datasets import show_episodes
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
-from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episode_verification import expanded, verify_episodes
-from knotgym.datasets.episodes import Episodes, differences, goals_reached, relabelled
+from knotgym.datasets.episodes import Episodes, differences
 from knotgym.envs.tasks import TaskConfig
 
 Change = Callable[[NDArray[np.generic]], None]
@@ -46,23 +46,12 @@ def test_a_recording_expands_to_the_columns(tmp_path: Path, good: EpisodeDataset
 
 
 @pytest.mark.parametrize("name", [*TINY])
-def test_outcomes_follow_from_codes_by_the_reward_rule(name: str) -> None:
+def test_success_follows_from_codes(name: str) -> None:
     dataset = open_episodes(TINY[name])
-    found, steps = outcomes(dataset.episodes, dataset.task), dataset.episodes.steps
-    for column in ("reward", "terminated", "truncated"):
-        np.testing.assert_array_equal(getattr(found, column), steps[column])
-    reached = found.reached[dataset.episodes.last()]
-    np.testing.assert_array_equal(reached, dataset.episodes.episodes["success"])
-
-
-def test_episodes_in_hindsight_are_verified(tmp_path: Path) -> None:
-    dataset = open_episodes(TINY["random"])
-    at = goals_reached(dataset.episodes)
-    assert len(at.step)
-    made = relabelled(dataset.episodes, at, reward=dataset.task.success_reward)
-    write_episodes(tmp_path / "h.h5", [made], dataset.task)
-    faults = knotgym.verify(tmp_path / "h.h5")
-    assert all("starts as" in fault or "its goal" in fault for fault in faults), faults
+    reached = goal_reached(dataset.episodes, dataset.task)
+    ends = reached[dataset.episodes.last()]
+    np.testing.assert_array_equal(ends, dataset.episodes.episodes["success"])
+    assert reached.sum() == ends.sum()
 
 
 def _first(value: Any) -> Change:
@@ -115,7 +104,7 @@ def test_a_changed_column_is_a_fault(
     change(columns[column])
     harmed = getattr(good.episodes, table).replaced(**columns)
     write_episodes(tmp_path / "h.h5", [good.episodes._replace(**{table: harmed})], good.task)
-    assert [*verify_episodes(tmp_path / "h.h5", played, pyknotid=False)]
+    assert [*verify_episodes(tmp_path / "h.h5", played)]
 
 
 def test_a_digest_that_is_not_the_contents_is_a_fault(tmp_path: Path, good: EpisodeDataset) -> None:
@@ -124,18 +113,18 @@ def test_a_digest_that_is_not_the_contents_is_a_fault(tmp_path: Path, good: Epis
     write_episodes(tmp_path / "h.h5", [good.episodes], good.task)
     with h5py.File(tmp_path / "h.h5", "r+") as file:
         file["steps/force"][0] = 0.5
-    assert any("digest" in fault for fault in verify_episodes(tmp_path / "h.h5", None))
+    assert any("digest" in fault for fault in verify_episodes(tmp_path / "h.h5", replay))
 
 
 def test_an_episode_twice_is_a_fault(tmp_path: Path, good: EpisodeDataset) -> None:
     write_episodes(tmp_path / "h.h5", [good.episodes.select([0, 1, 0])], good.task)
-    faults = [*verify_episodes(tmp_path / "h.h5", None, pyknotid=False)]
+    faults = [*verify_episodes(tmp_path / "h.h5", replay)]
     assert [fault for fault in faults if "episode 2: the same as episode 0" in fault]
 
 
 def test_a_damaged_file_is_one_fault(tmp_path: Path) -> None:
     (tmp_path / "h.h5").write_bytes(TINY["expert"].read_bytes()[:4000])
-    assert len([*verify_episodes(tmp_path / "h.h5", None)]) == 1
+    assert len([*verify_episodes(tmp_path / "h.h5", replay)]) == 1
 
 
 def test_a_summary_counts_what_is_there() -> None:

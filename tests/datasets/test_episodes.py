@@ -7,8 +7,6 @@ from hypothesis import strategies as st
 from synthetic_episodes import code_rows, episodes, sign_rows
 
 from knotgym.common.errors import InvalidInput
-from knotgym.common.tables import Table
-from knotgym.datasets import episodes as module
 from knotgym.datasets.episodes import (
     RECORDED,
     Episodes,
@@ -18,7 +16,6 @@ from knotgym.datasets.episodes import (
     gauss_codes,
     goals_reached,
     merged,
-    relabelled,
 )
 from knotgym.topology.gauss import GaussCode
 
@@ -143,26 +140,3 @@ def test_states_beyond_the_tow_limit_are_no_goals() -> None:
 def test_relabel_is_last_or_all() -> None:
     with pytest.raises(InvalidInput, match="'last' or 'all'"):
         goals_reached(episodes([1]), relabel="first")
-
-
-def test_relabelled_episodes_end_in_their_goal() -> None:
-    made = showing([0, 0, 1, 2], [0, 1])
-    cut = relabelled(made, goals_reached(made), reward=5.0)
-    assert cut.episodes["length"].tolist() == [2, 3, 1]
-    assert cut.episodes["total"].tolist() == [5.0] * 3
-    assert cut.episodes["success"].all() and cut.episodes["relabelled"].all()
-    assert gauss_codes(cut.episodes["goal_visits"]).tolist() == ["1+,1-", "1+,2-,2+,1-", "1+,1-"]
-    np.testing.assert_array_equal(cut.episodes["goal_points"], cut.steps["observation"][cut.last()])
-    assert cut.steps["reward"].tolist() == [0, 5, 0, 0, 0, 5, 0, 5, 0]
-    assert not cut.steps["force"][cut.last()].any()
-
-
-def test_relabelling_leaves_the_episodes_alone_and_drops_expert_actions() -> None:
-    made = showing([0, 1])
-    labels = np.ones((2, 6), np.float32)
-    full = module.STEPS.sized(**dict(made.steps.schema.sizes))
-    made = made._replace(steps=Table(full, {**made.steps, "expert_action": labels}))
-    before = made.steps["reward"].copy()
-    cut = relabelled(made, goals_reached(made), reward=5.0)
-    np.testing.assert_array_equal(made.steps["reward"], before)
-    assert "expert_action" in made.steps and "expert_action" not in cut.steps

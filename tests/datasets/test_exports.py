@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_episodes import TINY, episodes, written
+from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
 from knotgym.control.verification import replay
-from knotgym.datasets import open_episodes, select
+from knotgym.datasets import open_episodes, select, write_episodes
 from knotgym.datasets.cards.citation import citation_file
 from knotgym.datasets.episodes import differences, gauss_codes
 from knotgym.datasets.exports.exporters import EXPORTERS, export
 from knotgym.datasets.exports.huggingface_export import to_huggingface
-from knotgym.datasets.located import Sources, sources
+from knotgym.datasets.located import Located, locate_own
 from knotgym.states.state_file import read_states
 
 EXPERT = str(TINY["expert"])
@@ -41,7 +41,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def huggingface(states_path: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """States and episodes exported for Hugging Face."""
     out = tmp_path_factory.mktemp("upload") / "hub"
-    to_huggingface(Sources("tiny", Path(states_path), [TINY["expert"], TINY["random"]]), out)
+    to_huggingface(Located(Path("tiny"), Path(states_path), tuple(TINY.values())), out)
     return out
 
 
@@ -136,8 +136,10 @@ MARKUP = ("<img", "\n---\n# [", "[a](", "![c]", "http://d", " `e`", " | www", "w
 
 
 @needs_arrow
-def test_cards_show_a_hostile_name_as_text(states_path: str, tmp_path: Path) -> None:
-    to_huggingface(Sources(HOSTILE, Path(states_path)), tmp_path / "hub")
+def test_cards_show_a_hostile_name_as_text(tmp_path: Path) -> None:
+    facts = {"metadata": {"dataset_id": HOSTILE}}
+    write_episodes(tmp_path / "e.h5", [episodes([2])], TASK, facts)
+    export(str(tmp_path / "e.h5"), tmp_path / "hub", "huggingface", replay)
     card = (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")
     head, body = card.removeprefix("---\n").split("\n---\n", 1)
     (name,) = [line for line in head.splitlines() if line.startswith("pretty_name: ")]
@@ -200,7 +202,7 @@ def test_a_link_to_elsewhere_is_not_exported(root: Path, tmp_path: Path) -> None
     data.mkdir(parents=True)
     (data / "episodes.h5").symlink_to(TINY["expert"])
     with pytest.raises(InvalidFile, match="link"):
-        sources(str(data.parent))
+        locate_own(str(data.parent))
 
 
 def test_a_plain_file_never_lands_in_minaris_folder(

@@ -15,11 +15,6 @@ def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
         assert np.array_equal(sheet[top : top + 16, left : left + 16], image)
 
 
-def test_a_contact_sheet_has_no_empty_column() -> None:
-    tile = Tile(np.zeros((16, 16, 3), dtype=np.uint8), ("a",))
-    assert contact_sheet([tile] * 3).shape[1] == 3 * 28
-
-
 def test_a_coloured_tile_is_framed() -> None:
     image = np.zeros((16, 16, 3), dtype=np.uint8)
     sheet = contact_sheet([Tile(image, ("a",), OUTCOMES["failed"])])

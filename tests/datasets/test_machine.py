@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from knotgym.control import verification
-from knotgym.datasets.machine import distinct, machine, others
+from knotgym.datasets.machine import machine, others
 
 REPLAYED = "states.h5 row 0: replay of its start and actions does not end in qpos bit for bit"
 CHANGED = "states.h5 is not the file the manifest lists (SHA-256 differs)"
@@ -56,16 +56,19 @@ def test_what_was_changed_is_wrong_on_any_machine(
 
 
 @pytest.mark.parametrize(
-    "said", ["x", [], {"machines": 3}, {"machines": ["x", 1]}, {"machines": [{"a": "\x1b"}]}]
+    "said", ["x", [], {"machines": 3}, {"machines": ["x", 1]}, {"machines": None}]
 )
 def test_machines_that_are_none_are_passed_over(said: Any, tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text(json.dumps(said), encoding="utf-8")
     assert others(tmp_path) == ""
 
 
-def test_shards_of_two_machines_name_both_once() -> None:
-    one, two = {**machine(), "libc": "a"}, {**machine(), "libc": "b"}
-    assert distinct([{"machines": [one]}, {"machines": [two, one]}, {}]) == [one, two]
+def test_machines_that_differ_are_named_once_and_send_nothing_to_the_terminal(
+    tmp_path: Path,
+) -> None:
+    one = {**machine(), "libc": "\x1b[2J"}
+    told = others(made_on(tmp_path, one, one, machine()))
+    assert told.startswith("libc \\x1b[2J (here ") and told.count("here") == 1
 
 
 def test_a_run_names_its_machine(curated: Path) -> None:

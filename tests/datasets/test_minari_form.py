@@ -142,23 +142,19 @@ def test_large_sets_and_recordings_have_no_minari_form(
     for made in (episodes([3]), episodes([1]).recording()):
         folder = publish([made], TASK, METADATA, tmp_path, overwrite=True)
         assert [path.name for path in (folder / "data").iterdir()] == ["episodes.h5"]
-    with pytest.raises(InvalidInput, match="recording"):
-        publish([made], TASK, METADATA, tmp_path, minari=True, overwrite=True)
 
 
 def test_a_state_file_is_carried_and_found_by_the_id(tmp_path: Path) -> None:
     (tmp_path / "s.h5").write_bytes(b"states")
     task = replace(TASK, states="s.h5")
-    folder = publish(
-        [episodes([1])], task, METADATA, tmp_path, states=tmp_path / "s.h5", minari=False
-    )
+    folder = publish([episodes([1])], task, METADATA, tmp_path, states=tmp_path / "s.h5")
     dataset = open_episodes(folder)
     assert dataset.task.states == ID
     assert dataset.states_path() == folder / "data/states.h5"
 
 
 def test_a_dataset_that_is_there_is_kept(tmp_path: Path) -> None:
-    publish([episodes([1])], TASK, METADATA, tmp_path, minari=False)
+    publish([episodes([1])], TASK, METADATA, tmp_path)
     with pytest.raises(Occupied):
         publish([episodes([1])], TASK, METADATA, tmp_path)
 

@@ -15,6 +15,7 @@ from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets import open_episodes
+from knotgym.datasets.located import Located
 from knotgym.datasets.page import page_data as data_module
 from knotgym.datasets.page.page_data import page_data
 from knotgym.datasets.page.page_writer import page_html
@@ -53,7 +54,7 @@ def hostile(states: States) -> States:
 
 @pytest.fixture(scope="module")
 def shown(states_path: str) -> dict[str, Any]:
-    return page_data("run", states=Path(states_path), episodes=[TINY["expert"]])
+    return page_data("run", Located(Path(), Path(states_path), (TINY["expert"],)))
 
 
 def test_a_page_holds_states_and_episodes(states: States, shown: dict[str, Any]) -> None:
@@ -87,9 +88,9 @@ def test_crossings_of_a_page_spell_the_code(shown: dict[str, Any]) -> None:
 def test_nothing_in_a_file_becomes_markup(states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", hostile(states))
     harmful = written(tmp_path / "e.h5", episodes([2], policy=HOSTILE), TASK)
-    plain = Tags(page_html(page_data("plain", states=tmp_path / "s.h5")))
-    marked = Tags(page_html(page_data(HOSTILE, states=tmp_path / "s.h5")))
-    played = Tags(page_html(page_data("plain", episodes=[harmful])))
+    plain = Tags(page_html(page_data("plain", Located(tmp_path, tmp_path / "s.h5"))))
+    marked = Tags(page_html(page_data(HOSTILE, Located(tmp_path, tmp_path / "s.h5"))))
+    played = Tags(page_html(page_data("plain", Located(tmp_path, episodes=(harmful,)))))
     assert marked.names == plain.names == played.names
     assert json.loads(marked.data)["states"][0]["knot"] == HOSTILE
     assert json.loads(played.data)["episodes"][0]["policy"] == HOSTILE
@@ -118,7 +119,7 @@ def test_a_large_set_is_sampled_and_says_so(
     monkeypatch.setattr(data_module, "MOST_STATES", 3)
     monkeypatch.setattr(data_module, "MOST_FRAMES", 7)
     monkeypatch.setattr(data_module, "MOST_STEPS", 2)
-    data = page_data("run", states=Path(states_path), episodes=[*TINY.values()])
+    data = page_data("run", Located(Path(), Path(states_path), tuple(TINY.values())))
     assert len(data["states"]) == 3
     assert sum(len(one["code"]) for one in data["episodes"]) <= 7
     notices = " ".join(data["notices"])
@@ -128,4 +129,4 @@ def test_a_large_set_is_sampled_and_says_so(
 def test_a_file_without_rows_has_no_page(states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "s.h5", states.taken(np.arange(0)))
     with pytest.raises(InvalidInput, match="nothing to show"):
-        page_data("empty", states=tmp_path / "s.h5")
+        page_data("empty", Located(tmp_path, tmp_path / "s.h5"))

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from knotgym.datasets.located import Located
 from knotgym.datasets.page.page_data import page_data
 from knotgym.datasets.page.page_writer import page_html
 from knotgym.states.state_file import States, write_states
@@ -87,28 +88,6 @@ def test_filters_filter(tab: Chromium, run_page: Path) -> None:
 
 
 @clients
-def test_chirality_is_a_filter(tab: Chromium, run_page: Path) -> None:
-    tab.open(run_page)
-    hands = "[...document.querySelectorAll('[data-filter=chirality]')]"
-    counts = [int(one) for one in tab.ask(f"{hands}.map((one) => one.lastChild.textContent)")]
-    assert len(counts) > 1 and sum(counts) == 8
-    for place, count in enumerate(counts):
-        tab.ask(f"{hands}[{place}].click()")
-        assert tab.ask(CARDS) == count
-        tab.ask(f"{hands}[{place}].click()")
-
-
-@clients
-def test_a_finger_turns_a_state(tab: Chromium, run_page: Path) -> None:
-    tab.resize(390, 800, mobile=True)
-    tab.open(run_page, "#states/6")
-    before, box = tab.ask(LOOKS.format("stage")), "document.getElementById('stage')"
-    x, y = (tab.ask(f"{box}.getBoundingClientRect().{side} + 60") for side in ("left", "top"))
-    tab.touch([(x, y), (x + 80, y + 60)])
-    tab.until(f"{LOOKS.format('stage')} !== '{before}'")
-
-
-@clients
 def test_a_measure_sorts_and_cuts(tab: Chromium, run_page: Path, shown: dict[str, Any]) -> None:
     tab.open(run_page)
     select = "document.querySelector('[data-filter=measure]')"
@@ -147,13 +126,6 @@ def test_an_episode_plays_to_its_end(tab: Chromium, run_page: Path) -> None:
 
 
 @clients
-def test_rejections_are_plotted(tab: Chromium, run_page: Path) -> None:
-    tab.open(run_page)
-    tab.press("3")
-    assert tab.ask(DRAWN.format("rejected")) > 1
-
-
-@clients
 def test_a_card_shows_its_whole_code_and_a_configuration_unfolds(
     tab: Chromium, run_page: Path, shown: dict[str, Any]
 ) -> None:
@@ -184,7 +156,7 @@ def test_markup_in_a_file_is_text_in_the_browser(
 ) -> None:
     write_states(tmp_path / "s.h5", hostile(states))
     (tmp_path / "p.html").write_text(
-        page_html(page_data(HOSTILE, states=tmp_path / "s.h5")), encoding="utf-8"
+        page_html(page_data(HOSTILE, Located(tmp_path, tmp_path / "s.h5"))), encoding="utf-8"
     )
     tab.open(tmp_path / "p.html", "#states/3")
     assert tab.ask("document.querySelectorAll('img').length") == 0

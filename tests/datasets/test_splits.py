@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.splits import IMAGE_SPLITS, split
+from knotgym.states.splits import split
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
 
@@ -16,11 +15,6 @@ EIGHT = list(codes_of("0_1", 2))
 kinds = st.lists(st.integers(0, 7), min_size=1, max_size=60)
 shares = st.floats(0, 1)
 seeds = st.integers(0, 2**32)
-
-
-def test_pictures_have_the_splits_of_states_and_two_more() -> None:
-    assert STATE_SPLITS == ("train", "test")
-    assert IMAGE_SPLITS == (*STATE_SPLITS, "test-code", "test-nx")
 
 
 @given(kinds, shares, seeds)
@@ -48,24 +42,6 @@ def test_split_by_code_shares_no_code(drawn: list[int], share: float, seed: int)
     assert not train & test and abs(len(train) - share * len(set(drawn))) <= 0.5
 
 
-@given(kinds, st.sampled_from(("state", "code")), seeds)
-def test_a_split_is_the_same_for_the_same_seed(drawn: list[int], by: str, seed: int) -> None:
-    one, other = (
-        split([EIGHT[k] for k in drawn], by, 0.5, np.random.default_rng(seed)) for _ in range(2)
-    )
-    assert np.array_equal(one, other)
-
-
-def test_another_seed_splits_otherwise() -> None:
-    codes = EIGHT * 5
-    first, second = (split(codes, "state", 0.5, np.random.default_rng(seed)) for seed in (0, 1))
-    assert not np.array_equal(first, second)
-
-
 def test_codes_with_chirality_are_split_as_the_code_they_show() -> None:
     both = [GaussCode((1, -1), "a"), GaussCode((1, -1), "c")] * 4
     assert set(split(both, "code", 0.5, np.random.default_rng(0))) in ({"train"}, {"test"})
-
-
-def test_nothing_is_split_into_nothing() -> None:
-    assert [len(split([], by, 0.5, np.random.default_rng(0))) for by in ("state", "code")] == [0, 0]

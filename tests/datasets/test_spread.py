@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.datasets.cards.fact_tables import spread_rows
-from knotgym.datasets.cards.state_card import summary
+from knotgym.datasets.cards.state_card import tables
 from knotgym.rope.model import Rope
-from knotgym.states import spread
 from knotgym.states.near_duplicates import distances
 from knotgym.states.spread import (
     bare_stretch,
@@ -40,12 +38,6 @@ def test_circles_are_as_far_from_each_other_as_their_radii_differ() -> None:
     assert found["visits"] is None and found["bare"] is None
 
 
-def test_turns_and_shifts_spread_nothing() -> None:
-    found = spread_of(np.array([turned(circle(0.2, 0.05), angle) for angle in (0.0, 1.0, 2.0)]))
-    assert found["distance"] == pytest.approx((0.0, 0.0), abs=1e-8)
-    assert found["height"] == pytest.approx((0.05, 0.05))
-
-
 def test_a_circle_walked_the_other_way_from_elsewhere_is_the_same_shape() -> None:
     other = turned(np.roll(circle(0.2)[::-1], 7, axis=0), 1.0)
     found = spread_of(np.array([circle(0.2), other]))
@@ -61,13 +53,6 @@ def test_shapes_are_as_far_apart_as_at_the_best_of_all_walks(rope: Rope) -> None
     assert shape_distances(other, one[None])[0] == pytest.approx(best)
 
 
-def test_a_plain_circle_of_the_rope_is_the_widest(rope: Rope) -> None:
-    found = spread_of(rope.loop()[None])
-    assert found["distance"] is None and found["gyration"] == pytest.approx(
-        (0.212, 0.212), abs=5e-4
-    )
-
-
 def test_visits_are_as_far_apart_as_the_curls(rope: Rope) -> None:
     one = rope.from_curve(curled(1))
     same = spread_of(np.array([one, turned(one, 1.0)]))
@@ -78,12 +63,6 @@ def test_visits_are_as_far_apart_as_the_curls(rope: Rope) -> None:
     assert same["visits"] == pytest.approx((100 - same["bare"]) / 2)
 
 
-def test_crossings_anywhere_are_a_quarter_of_the_rope_apart() -> None:
-    even = [np.array([float(place)]) for place in range(100)]
-    assert visit_distance(even, 100) == pytest.approx(25, abs=0.3)
-    assert bare_stretch(np.concatenate(even), 100) == 1.0
-
-
 def test_crossings_at_one_place_are_not_apart_even_over_the_base_bead() -> None:
     places = [np.array([99.5]), np.array([0.5])]
     assert visit_distance(places, 100) == 1.0
@@ -91,17 +70,9 @@ def test_crossings_at_one_place_are_not_apart_even_over_the_base_bead() -> None:
     assert visit_distance([places[0]], 100) is None and bare_stretch(np.empty(0), 100) is None
 
 
-def test_pairs_of_many_are_made_of_some(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spread, "MOST", 3)
-    points = np.array([circle(radius) for radius in (0.1, 0.11, 0.12, 0.16, 0.2)])
-    found = spread_of(points)
-    assert found["distance"] == pytest.approx((0.08, 0.02))  # of the first, the middle and the last
-    assert found["gyration"] == pytest.approx((0.1, 0.2))
-
-
-def test_the_summary_has_the_spread_of_every_nx(states: States) -> None:
-    told = summary(states)["nx"]
+def test_the_card_has_the_spread_of_every_nx(states: States) -> None:
+    rows = tables(states, {})["spread"].rows
+    assert [row[0] for row in rows] == [0, 1, 2, 3, 4]
     loops = states.points[states.nx == 0]
-    assert told["0"]["spread"] == spread_of(loops)
-    assert [row[0] for row in spread_rows(told)] == ["0", "1", "2", "3", "4"]
-    assert told["0"]["spread"]["distance"][1] == distances(loops[0], loops[1:]).min()
+    least = 1000 * distances(loops[0], loops[1:]).min()
+    assert str(rows[0][1]).endswith(f" / {round(least, 1):.3g}")

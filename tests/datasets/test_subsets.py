@@ -16,7 +16,7 @@ from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.subsets import kept, row_numbers
-from knotgym.states.state_file import read_states
+from knotgym.states.state_file import read_states, shipped, write_states
 
 COLUMNS = {
     "row": np.arange(4),
@@ -117,10 +117,8 @@ def test_a_selection_becomes_a_minari_dataset(tmp_path: Path) -> None:
     assert "1 of the 3 rows" in str((found.metadata or {})["description"])
 
 
-def test_an_unknown_split_or_row_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_row_is_refused(tmp_path: Path) -> None:
     made = written(tmp_path / "a.h5", episodes([1, 1]))
-    with pytest.raises(InvalidInput, match="splits are train"):
-        select(made, split="test", out=tmp_path / "b.h5")
     with pytest.raises(InvalidInput, match="no row 2, 7"):
         delete(made, [2, 7, 0], out=tmp_path / "b.h5")
     with pytest.raises(InvalidInput, match="is left"):
@@ -160,8 +158,16 @@ def test_states_are_selected_split_and_deleted_by_the_same_functions(
     left = read_states(delete(states_path, [0], out=tmp_path / "b.h5"))
     np.testing.assert_array_equal(left.qpos, states.qpos[1:])
     assert left.attributes["selection"][0]["deleted"] == [0]
-    train = read_states(select(states_path, split="train", out=tmp_path / "c.h5"))
+    train = read_states(select(states_path, where="split = 'train'", out=tmp_path / "c.h5"))
     assert set(train.split.tolist()) == {"train"}
+
+
+def test_states_without_demonstrations_are_split(tmp_path: Path) -> None:
+    states = read_states(shipped("hard-unknots"))
+    bare = states.replaced({"source/trajectory": np.full(len(states), -1)})
+    write_states(tmp_path / "s.h5", bare)
+    parts = split(tmp_path / "s.h5", "a=0.5,b=0.5", out=tmp_path / "p.h5")
+    assert [len(read_states(one)) for one in parts] == [4, 4]
 
 
 def test_an_output_that_is_there_is_kept(states_path: str, tmp_path: Path) -> None:
@@ -203,7 +209,7 @@ def test_merged_datasets_name_their_sources(tmp_path: Path) -> None:
             ref_max_score=5.0,
             digests={"policy": str(k)},
         )
-        folders.append(str(publish([episodes([1], k)], TASK, metadata, tmp_path, minari=False)))
+        folders.append(str(publish([episodes([1], k)], TASK, metadata, tmp_path)))
     merge(folders, tmp_path, "knotgym/tie-nx2/both-v0")
     found = open_episodes(tmp_path / "knotgym/tie-nx2/both-v0").metadata or {}
     assert found["description"].startswith("Merged of knotgym/tie-nx2/p0-v0, knotgym/")
@@ -220,7 +226,7 @@ def test_equal_episodes_and_other_tasks_are_not_merged(tmp_path: Path) -> None:
     for given, says in (
         ([one, one], "are the same"),
         ([one, two], "one task"),
-        ([one, three], "is a recording"),
+        ([one, three], "one form"),
     ):
         with pytest.raises(InvalidInput, match=says):
             merge(given, tmp_path / "m.h5")

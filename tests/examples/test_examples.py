@@ -9,8 +9,9 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import PictureRow, record
-from knotgym.datasets.image_table import COLUMNS, read_rows, write_rows
+from knotgym.datasets.image_table import COLUMNS, read_rows
 from knotgym.datasets.image_verification import row_faults
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
@@ -116,7 +117,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
         record(PictureRow(points, "test", source), AppearanceConfig())
         for points, source in zip(ropes, sources, strict=True)
     ]
-    write_rows(tmp_path / "table.parquet", rows)
+    (tmp_path / "table.parquet").write_bytes(tables.parquet(tables.table_of(rows)))
     page = tmp_path / "misread.png"
     run_script(FOLDER / "perception" / "trace.py", tmp_path / "table.parquet", "--page", page)
     told = capsys.readouterr().out.splitlines()
@@ -139,7 +140,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
         record(PictureRow(points, "test", source | {"rope": row, "row": row}), look)
         for row, points in enumerate(states.points[chosen])
     ]
-    write_rows(tmp_path / "table.parquet", rows)
+    (tmp_path / "table.parquet").write_bytes(tables.parquet(tables.table_of(rows)))
     assert not list(row_faults(next(read_rows(tmp_path / "table.parquet"))))
     answers = tmp_path / "answers.jsonl"
     script = FOLDER / "perception" / "transcribe.py"

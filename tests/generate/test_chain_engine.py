@@ -15,6 +15,7 @@ import pytest
 
 from knotgym.common.errors import InvalidInput
 from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.verification import replay
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.evaluate import run as evaluate
@@ -103,4 +104,4 @@ def test_demonstrations_are_verified_with_their_engine(tmp_path: Path) -> None:
     out = tmp_path / "nx1"
     words = ("generate", "--nx", "1", "--count", "2", "--engine", "chain", "--workers", "1")
     assert knotgym(*words, "--quiet", "--out", out) == 0
-    assert list(folder_faults(out)) == [] and (out / "minari").is_dir()
+    assert list(folder_faults(out, replay)) == [] and (out / "minari").is_dir()

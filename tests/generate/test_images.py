@@ -27,7 +27,6 @@ from knotgym.datasets.image_table import (
     read_rows,
     read_table,
     shards,
-    write_rows,
 )
 from knotgym.datasets.image_verification import image_faults, row_faults
 from knotgym.generate.images.image_recipe import make_images
@@ -152,7 +151,11 @@ def test_a_leak_between_splits_is_found(
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     test, train = shards(copy, "test")[0], next(row for row in rows if row["split"] == "train")
-    write_rows(test, [{**row, "split": "test"} for row in [*read_rows(test), train]])
+    test.write_bytes(
+        tables.parquet(
+            tables.table_of([{**row, "split": "test"} for row in [*read_rows(test), train]])
+        )
+    )
     found = "\n".join(image_faults(copy))
     assert (
         "SHA-256 differs" in found
@@ -176,7 +179,9 @@ def test_a_near_duplicate_in_another_split_is_found(
     points = symmetry.configuration(np.array(train["points"]).reshape(-1, 3))
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
     planted = PictureRow(points, "test", {**train["source"], "rope": 10**6, "row": 10**6})
-    write_rows(tmp_path / "data.parquet", [train, record(planted, AppearanceConfig())])
+    (tmp_path / "data.parquet").write_bytes(
+        tables.parquet(tables.table_of([train, record(planted, AppearanceConfig())]))
+    )
     [fault] = image_faults(tmp_path / "data.parquet")
     assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault
 

@@ -25,7 +25,7 @@ def published(root: Path, episodes: Episodes, task: TaskConfig = TASK, name: str
     metadata = MinariMetadata(
         dataset_id=f"knotgym/{name}-v0", algorithm_name="scripted", description=""
     )
-    return publish([episodes], task, metadata, root, minari=False)
+    return publish([episodes], task, metadata, root)
 
 
 def train(data: Sequence[Path], out: Path, config: Any, *, resume: bool = False) -> Path:

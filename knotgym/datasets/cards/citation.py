@@ -25,7 +25,7 @@ def plain(text: object) -> str:
     >>> print(plain("<b>[a|b](http://c)"))
     &lt;b&gt;\\[a\\|b\\](http&#58;//c)
     """
-    escaped = html.escape(one_printable_line(text), quote=False)
+    escaped = html.escape(_one_printable_line(text), quote=False)
     escaped = re.sub(r"([\\`*_\[\]|~$])", r"\\\1", escaped)
     # GitHub and Hugging Face turn bare URLs and mentions into links
     escaped = escaped.replace("://", "&#58;//").replace("@", "&#64;")
@@ -34,15 +34,15 @@ def plain(text: object) -> str:
 
 def code_span(text: object) -> str:
     """Quote untrusted text as inline code; only a backtick or a table's bar could end it."""
-    return "`" + one_printable_line(text).replace("`", "'").replace("|", "\\|") + "`"
+    return "`" + _one_printable_line(text).replace("`", "'").replace("|", "\\|") + "`"
 
 
 def yaml_string(text: object) -> str:
     """Quote untrusted text as a YAML string in double quotes."""
-    return json.dumps(one_printable_line(text), ensure_ascii=False)
+    return json.dumps(_one_printable_line(text), ensure_ascii=False)
 
 
-def one_printable_line(text: object) -> str:
+def _one_printable_line(text: object) -> str:
     """Replace what can't be printed, such as line breaks and lone surrogates, by spaces."""
     return " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
 

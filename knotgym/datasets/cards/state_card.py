@@ -1,14 +1,13 @@
-"""The card (README.md) of a folder of states, and the counts shown in it."""
+"""The card (README.md) of a folder of states, and the tables of facts shown in it."""
 
 import json
-from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from knotgym.datasets.cards.citation import code_span, filled, plain
-from knotgym.datasets.cards.fact_tables import state_tables, table
+from knotgym.datasets.cards.fact_tables import CardTable, table
 from knotgym.quality.limits import UNITS
 from knotgym.states.schema import DRAWING, PLAY, RANDOM_WALK
 from knotgym.states.split_names import STATE_SPLITS
@@ -18,26 +17,67 @@ from knotgym.states.state_file import States
 from knotgym.topology.gauss import GaussCode
 
 
-def summary(states: States) -> dict[str, Any]:
-    """Count the states of a file by nx, with their spread and the range of each quality measure, as
-    JSON.
+def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
+    """Return the tables of facts about states by name.
+
+    `report` is that of the manifest; {} for states without one.
     """
-    sources = Counter(states.source.get("policy", np.array([])).tolist())
-    return {
-        "states": len(states),
-        "sources": dict(sorted(sources.items())),
-        "nx": {str(nx): _counts(states, nx) for nx in sorted(set(states.nx.tolist()))},
-        "quality": {
-            name: {
-                "unit": UNITS[name],
-                "min": float(values.min()),
-                "median": float(np.median(values)),
-                "max": float(values.max()),
-            }
-            for name, values in states.quality.items()
-            if len(values)
-        },
-    }
+    numbers = sorted(set(states.nx.tolist()))
+    existing = report.get("existing_codes", {})
+    rejected = [
+        (nx, reason, count)
+        for nx, reasons in report.get("rejected", {}).items()
+        for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+    ]
+    listed = (
+        CardTable(
+            "states",
+            ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"),
+            [_counts(states, nx, existing.get(str(nx), "?") or "many") for nx in numbers],
+            "of: existing Gauss codes; chiral: codes with chirality; both: codes in both splits;"
+            " c / a: positive and negative crossings; actions: fewest / median / most to reach a"
+            " state",
+        ),
+        CardTable(
+            "train and test",
+            ("nx", "test states", "code in train", "diagram in train", "nearest, mm"),
+            [_overlap(states, nx) for nx in numbers],
+            "code in train: test states whose code (without chirality) some train state has;"
+            " diagram in train: test states whose code some train state has up to symmetry (another"
+            " base bead, the other direction, mirrored or switched); nearest: the smallest distance"
+            " from a test state to a train state of any nx, root mean square over the beads,"
+            " minimized over those symmetries and rotations about z",
+        ),
+        CardTable(
+            "spread",
+            ("nx", "apart", "shapes", "gyration", "height", "visits", "bare"),
+            [_spread(states, nx) for nx in numbers],
+            "apart: mm, median / min distance of two states (root mean square over the beads, after"
+            " the best rotation about z); shapes: the same, minimized over base bead and direction"
+            " too; gyration: mm, min / max radius of gyration; height: mm, min / max from the"
+            " lowest to the highest bead; visits: beads, mean distance along the rope between"
+            " crossings of two states, 25 for random positions; bare: beads, longest stretch where"
+            " no state has a crossing",
+        ),
+        CardTable(
+            "quality",
+            ("measure", "unit", "min", "median", "max"),
+            [
+                (name, UNITS[name], *(f"{value:.3g}" for value in np.quantile(own, [0, 0.5, 1])))
+                for name, own in states.quality.items()
+                if len(own)
+            ],
+            left=("measure", "unit"),
+        ),
+        CardTable(
+            "rejected",
+            ("nx", "reason", "rejected"),
+            rejected,
+            f"of {report.get('attempts')} drawings or walks, which can have several reasons",
+            left=("reason",),
+        ),
+    )
+    return {one.title: one for one in listed}
 
 
 def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
@@ -45,15 +85,14 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
 
     `report` is that of the manifest: source, existing codes, rejections, demonstrations.
     """
-    facts = summary(states)
-    tables = {name: one.markdown() for name, one in state_tables(facts, report).items()}
+    found = {name: one.markdown() for name, one in tables(states, report).items()}
     columns = [
         (code_span(one.name), one.dtype, plain(one.unit), one.doc)
         for one in states.table.schema.columns
     ]
     return filled(
         "state_card.md",
-        crossings=", ".join(facts["nx"]),
+        crossings=", ".join(map(str, sorted(set(states.nx.tolist())))),
         count=len(states),
         knot=plain(report["knot"]),
         version=report["version"],
@@ -62,8 +101,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         seed=config["seed"],
         holds=_holds(report),
         made=_made(report),
-        **{name: tables.get(name, "") for name in ("states", "overlap", "quality", "spread")},
-        rejected=tables.get("rejected", ""),
+        **{name.replace(" ", "_"): text for name, text in found.items()},
         columns=table(("column", "type", "unit", "contents"), columns),
         config=json.dumps(config, indent=1, sort_keys=True),
     )
@@ -117,25 +155,36 @@ def _holds(report: Mapping[str, Any]) -> str:
     )
 
 
-def _counts(states: States, nx: int) -> dict[str, Any]:
+def _counts(states: States, nx: int, existing: object) -> tuple[object, ...]:
     rows = np.flatnonzero(states.nx == nx)
-    split = states.split[rows]
-    codes = {name: set(states.gauss_code[rows[split == name]].tolist()) for name in STATE_SPLITS}
-    shown = [GaussCode.parse(text) for text in states.gauss_code_chiral[rows]]
-    signs = [sign for code in shown for sign in code.signs]
+    split, codes = states.split[rows], states.gauss_code[rows]
+    chiral = states.gauss_code_chiral[rows].tolist()
+    train, test = (codes[split == name].tolist() for name in STATE_SPLITS)
+    signs = [sign for code in chiral for sign in GaussCode.parse(code).signs]
     actions: list[int] = []
     if "steps" in states.source:
         steps = states.source["steps"][rows]
         actions = [int(steps.min()), int(np.median(steps)), int(steps.max())]
-    return {
-        "states": len(rows),
-        "codes": len(set(states.gauss_code[rows].tolist())),
-        "codes_with_chirality": len(set(states.gauss_code_chiral[rows].tolist())),
-        **{name: int((split == name).sum()) for name in STATE_SPLITS},
-        "codes_in_both_splits": len(codes["train"] & codes["test"]),
-        "positive_crossings": signs.count(1),
-        "negative_crossings": signs.count(-1),
-        "actions_to_reach": actions,
-        "overlap": overlap(states, nx),
-        "spread": spread_of(states.points[rows]),
-    }
+    return (
+        *(nx, len(rows), len({*codes.tolist()}), existing, len({*chiral})),
+        *(len(train), len(test), len({*train} & {*test})),
+        f"{signs.count(1)} / {signs.count(-1)}",
+        " / ".join(map(str, actions)),
+    )
+
+
+def _overlap(states: States, nx: int) -> tuple[object, ...]:
+    found = overlap(states, nx)
+    near = "-" if found["nearest"] is None else f"{1000 * found['nearest']:.1f}"
+    return nx, found["test_states"], found["code_in_train"], found["diagram_in_train"], near
+
+
+def _spread(states: States, nx: int) -> tuple[object, ...]:
+    found = spread_of(states.points[states.nx == nx])
+    lengths = (found[name] or () for name in ("distance", "shape", "gyration", "height"))
+    beads = (found[name] for name in ("visits", "bare"))
+    return (
+        nx,
+        *(" / ".join(f"{round(1000 * one, 1):.3g}" for one in pair) or "-" for pair in lengths),
+        *("-" if one is None else f"{one:.1f}" for one in beads),
+    )

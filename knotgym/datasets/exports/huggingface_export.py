@@ -12,7 +12,6 @@ ready to upload as it is: it has its card and Parquet files already.
 """
 
 import json
-import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -34,9 +33,9 @@ from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.exports.croissant import croissant
 from knotgym.datasets.exports.parquet_tables import step_tables, write_parquet
-from knotgym.datasets.gallery import write_gallery
+from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.image_table import arrow
-from knotgym.datasets.located import Sources
+from knotgym.datasets.located import Located
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import read_states
 
@@ -52,10 +51,8 @@ class _File(NamedTuple):
     page: str
 
 
-def to_huggingface(
-    source: Sources, out: str | os.PathLike[str], *, overwrite: bool = False
-) -> None:
-    """Write the folder atomically.
+def to_huggingface(source: Located, out: Path, overwrite: bool = False) -> str:
+    """Write the folder atomically, and return a one-line summary.
 
     Raises:
         InvalidInput: the sources have no rows, or are pictures.
@@ -83,14 +80,16 @@ def to_huggingface(
         write_text(folder / "README.md", _card(source.title, description, files, gallery))
         described = croissant(folder, source.title, description)
         write_text(folder / "croissant.json", json.dumps(described, indent=1))
+    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    return f"{size / 1e6:.1f} MB to upload"
 
 
-def _written(source: Sources, folder: Path) -> Iterator[_File]:
+def _written(source: Located, folder: Path) -> Iterator[_File]:
     """Write tables and gallery; yield a description of each file."""
     if source.states is not None:
         states = read_states(source.states)
         if len(states):
-            write_gallery(folder / "gallery.png", states)
+            write_gallery(folder / "gallery.png", state_tiles(states))
         for split in STATE_SPLITS:
             part = states.taken(np.flatnonzero(states.split == split)).table
             if part.rows:

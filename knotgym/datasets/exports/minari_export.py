@@ -9,49 +9,41 @@ uploaded to hf://USER. All ids must begin with the same word, which Minari takes
 """
 
 import json
-import os
-from collections.abc import Sequence
 from pathlib import Path
 
-from knotgym.common.atomic_files import atomic_write, copy_file, require_no_links, require_output
+from knotgym.common.atomic_files import atomic_write, copy_file, require_output
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of, episode_file
-from knotgym.datasets.gallery import write_episode_gallery
-from knotgym.datasets.minari_form import METADATA, dataset_files, write_minari
-from knotgym.states.state_file import leads_out
+from knotgym.datasets.gallery import episode_tiles, write_gallery
+from knotgym.datasets.located import Located
+from knotgym.datasets.minari_form import METADATA, dataset_files, metadata_of, write_minari
 
 
-def to_minari(
-    datasets: Sequence[Path], out: str | os.PathLike[str], *, overwrite: bool = False
-) -> None:
-    """Write the folder atomically.
+def to_minari(source: Located, out: Path, overwrite: bool) -> str:
+    """Write the folder atomically, and return a one-line summary.
 
     Raises:
         InvalidInput: one is not a Minari dataset, two have the same id, or the ids don't begin
             with the same word.
-        InvalidFile: a file of a dataset is a link.
         Occupied: `out` exists, and `overwrite` is False.
     """
     require_output(out, folder=True, overwrite=overwrite)
     entries: dict[str, tuple[int, int, str]] = {}
     sources: dict[str, Path] = {}
-    for dataset in datasets:
-        data = episode_file(dataset).parent
-        require_no_links(Path(dataset), dataset_files(data))
-        opened = columns_of(dataset)
-        if opened.metadata is None:
+    for dataset in source.episodes:
+        opened, data = columns_of(dataset), episode_file(dataset).parent
+        metadata = metadata_of(opened)
+        if metadata is None:
             raise InvalidInput(
                 f"{dataset} is not a Minari dataset; convert it with knotgym dataset merge --id"
             )
-        name, own = opened.name, opened.episodes.episodes
+        name, own = metadata.dataset_id, opened.episodes.episodes
         if name in sources:
             raise InvalidInput(f"two datasets have the id {name}: {sources[name]} and {data}")
-        policy = opened.metadata.get("algorithm_name", "")
-        entries[name], sources[name] = (own.rows, int(own["length"].sum()), policy), data
-    if out_of := [name for name in sources if leads_out(name)]:
-        raise InvalidInput(f"the id {out_of[0]!r} of {sources[out_of[0]]} leads out of the folder")
+        entries[name] = own.rows, int(own["length"].sum()), metadata.algorithm_name
+        sources[name] = data
     words = {name.partition("/")[0] for name in sources}
     if len(words) != 1 or any("/" not in name for name in sources):
         raise InvalidInput(
@@ -70,8 +62,9 @@ def to_minari(
         listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
         write_text(repository / "namespace_metadata.json", json.dumps(listed))
         write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
-        write_episode_gallery(repository / "gallery.png", list(sources.values()))
+        write_gallery(repository / "gallery.png", episode_tiles([*sources.values()]))
         write_text(repository / "README.md", _card(repository.name, entries))
+    return f"a Minari root with {len(sources)} datasets; upload the folder in it"
 
 
 def _card(repository: str, entries: dict[str, tuple[int, int, str]]) -> str:

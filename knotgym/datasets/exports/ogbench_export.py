@@ -14,7 +14,6 @@ A name consists of task, crossings and policy, as `tie-nx2-expert-v0`, with the 
 pictures. Without the policy it is the id of the environment, see `adapters.ogbench_environment`.
 """
 
-import os
 import re
 from pathlib import Path
 from typing import Any
@@ -24,26 +23,27 @@ import numpy as np
 from knotgym.common.atomic_files import atomic_write, copy_file, require_output
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
+from knotgym.datasets.located import Located
 
 _TENTH = 10  # every tenth episode is for validation
 _LOOKS = {"pixels": "visual-", "state": ""}
 
 
-def to_ogbench(source: Any, out: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the files into the folder `out`; OGBench reads ~/.ogbench/data.
+def to_ogbench(source: Located, out: Path, overwrite: bool) -> str:
+    """Write the files into the folder `out`, and return a one-line summary.
 
-    A dataset with both pictures and vertices gives two sets of files.
-
-    Args:
-        source: what `open_episodes` takes.
-        out: the folder.
-        overwrite: replace the files of these names.
+    OGBench reads ~/.ogbench/data. A dataset with both pictures and vertices gives two sets of
+    files.
 
     Raises:
-        InvalidInput: fewer than two episodes, or neither pictures nor vertices.
+        InvalidInput: several datasets, fewer than two episodes, or neither pictures nor vertices.
         Occupied: a file exists, and `overwrite` is False.
     """
-    dataset, folder = columns_of(source), Path(out)
+    if len(source.episodes) > 1:
+        raise InvalidInput(
+            f"{source.title} has {len(source.episodes)} datasets; export them to ogbench one by one"
+        )
+    dataset = columns_of(source.episodes[0])
     shown, count = dataset.task.observation, dataset.episodes.episodes.rows
     looks = [name for name in _LOOKS if shown in (name, "both")]
     if count < 2 or not looks:
@@ -54,15 +54,16 @@ def to_ogbench(source: Any, out: str | os.PathLike[str], *, overwrite: bool = Fa
     names = {look: _LOOKS[look] + _name(dataset) for look in looks}
     files = [f"{name}{end}.npz" for name in names.values() for end in ("-train", "-val", "")]
     for wanted in files:
-        require_output(folder / wanted, folder=False, overwrite=overwrite)
+        require_output(out / wanted, folder=False, overwrite=overwrite)
     validates = np.arange(count) % _TENTH == min(_TENTH, count) - 1
     for look, name in names.items():
         for end, chosen in (("-val", validates), ("-train", ~validates)):
-            with atomic_write(folder / f"{name}{end}.npz", overwrite=overwrite) as temporary:
+            with atomic_write(out / f"{name}{end}.npz", overwrite=overwrite) as temporary:
                 with temporary.open("wb") as file:
                     np.savez_compressed(file, **_arrays(dataset.select(chosen), look))
-        with atomic_write(folder / f"{name}.npz", overwrite=overwrite) as temporary:
-            copy_file(folder / f"{name}-train.npz", temporary)
+        with atomic_write(out / f"{name}.npz", overwrite=overwrite) as temporary:
+            copy_file(out / f"{name}-train.npz", temporary)
+    return f"{count} episodes for ogbench"
 
 
 def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from knotgym.common.tables import Column, Schema, Table
 from knotgym.datasets.episode_dataset import EpisodeDataset
-from knotgym.datasets.episode_outcomes import outcomes
+from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
-from knotgym.datasets.image_table import arrow, encode, schema
+from knotgym.datasets.image_table import SHOWS_IMAGE, arrow, encode, picture_column
 
 _AT_ONCE = 256  # episodes converted at once
 _TEXTS = (
@@ -64,7 +64,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
         "episode": number + episode,
         "step": ranges(np.zeros_like(own["length"]), own["length"] + 1),
         "is_last": is_last,
-        "is_success": outcomes(part.episodes, part.task).reached,
+        "is_success": goal_reached(part.episodes, part.task),
         "goal_points": own["goal_points"][episode],
     }
     if pictures:
@@ -97,21 +97,15 @@ def write_parquet(path: Path, tables: Iterable[Table]) -> tuple[int, str]:
 
 
 def _arrow_table(table: Table) -> Any:
-    """Convert a table; its schema holds the features by which Hugging Face reads pictures."""
-    pa, kinds, arrays = arrow(), {}, []
+    """Convert a table; its metadata say where Hugging Face finds pictures."""
+    pa, columns = arrow(), dict[str, Any]()
     for name, values in table.items():
         flat = np.ascontiguousarray(values).reshape(len(values), -1)
         if name == "image":
-            kind: Any = "image"
-            column = pa.array([{"bytes": encode(one), "path": None} for one in values])
+            column = picture_column(map(encode, values))
         elif values.ndim > 1:
-            kind = [values.dtype.name, flat.shape[1]]
             column = pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
         else:
-            kind = "string" if values.dtype.kind == "U" else values.dtype.name
-            column = pa.array(values.tolist() if kind == "string" else values)
-        kinds[name.replace("/", "_")] = kind
-        arrays.append(column)
-    wanted = schema(kinds)
-    cast = [one.cast(field.type) for one, field in zip(arrays, wanted, strict=True)]
-    return pa.Table.from_arrays(cast, schema=wanted)
+            column = pa.array(values.tolist() if values.dtype.kind == "U" else values)
+        columns[name.replace("/", "_")] = column
+    return pa.table(columns, metadata=SHOWS_IMAGE if "image" in columns else None)

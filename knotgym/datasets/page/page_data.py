@@ -17,15 +17,16 @@ from knotgym.common.configuration import as_json
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import read_table
-from knotgym.datasets.manifest_check import read_manifest, run_report
+from knotgym.datasets.image_table import points_of, read_table
+from knotgym.datasets.located import Located
+from knotgym.datasets.manifest import read_manifest
 from knotgym.quality.limits import UNITS
 from knotgym.rendering.camera import bead_colours
 from knotgym.rope.model import Array, RopeConfig
-from knotgym.states.state_file import States, read_states
+from knotgym.states.state_file import read_states
 from knotgym.topology.crossings import find_crossings
 
-UNIT = 1e-4  # metres
+_UNIT = 1e-4  # metres
 MOST_STATES = 1500  # about 1.3 kB each
 MOST_PICTURES = 400  # about 8 kB more each
 MOST_FRAMES = 7000  # states of all episodes, about 1.1 kB each
@@ -34,20 +35,10 @@ _SHOWN = ("nx", "gauss_code", "gauss_code_chiral", "split", "knot")
 _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 
 
-def page_data(
-    title: str,
-    *,
-    states: Path | None = None,
-    episodes: Sequence[Path] = (),
-    pictures: Path | None = None,
-) -> dict[str, Any]:
-    """Collect everything that the page of a dataset shows; the result can be written as JSON.
+def page_data(title: str, given: Located) -> dict[str, Any]:
+    """Collect everything that the page of datasets shows; the result can be written as JSON.
 
-    Args:
-        title: title of the page.
-        states: state file; the manifest of a run beside it is shown too.
-        episodes: datasets or episode files.
-        pictures: perception table.
+    The manifest of a run beside its states is shown too.
 
     Raises:
         InvalidInput: there are no rows.
@@ -57,21 +48,21 @@ def page_data(
     lists = ("measures", "words", "states", "episodes", "about")
     data: dict[str, Any] = {
         **{name: [] for name in lists},
-        **{"title": title, "unit": UNIT, "points": "", "rejected": {}, "notices": notices},
+        **{"title": title, "unit": _UNIT, "points": "", "rejected": {}, "notices": notices},
         **{"radius": rope.radius, "maxForce": rope.max_force, "beads": rope.beads},
     }
-    if episodes:
-        data |= _episodes(episodes, notices)
-    if states is not None:
-        run = _run(states, notices)
-        if episodes and run["beads"] != data["beads"]:
+    if given.episodes:
+        data |= _episodes(given.episodes, notices)
+    if given.states is not None:
+        found = _states(given.states, notices)
+        if given.episodes and found["beads"] != data["beads"]:
             raise InvalidInput(
-                f"{title} has states of {run['beads']} beads and episodes of {data['beads']}; show"
-                " one of them"
+                f"{title} has states of {found['beads']} beads and episodes of {data['beads']};"
+                " show one of them"
             )
-        data |= run
-    if pictures is not None:
-        data |= _pictures(pictures, notices)
+        data |= found
+    if given.pictures is not None:
+        data |= _pictures(given.pictures, notices)
     data["colours"] = ["#" + bytes(colour).hex() for colour in bead_colours(data["beads"])]
     counts = [(len(data["states"]), "state"), (len(data["episodes"]), "episode")]
     contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
@@ -80,19 +71,27 @@ def page_data(
     return {**data, "says": ", ".join(contents)}
 
 
-def sampled(count: int, most: int) -> list[int]:
+def _sampled(count: int, most: int) -> list[int]:
     """Choose up to `most` of `count` rows, evenly spaced.
 
-    >>> sampled(5, 3), sampled(2, 3)
+    >>> _sampled(5, 3), _sampled(2, 3)
     ([0, 2, 4], [0, 1])
     """
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
 
 
-def _run(file: Path, notices: list[str]) -> dict[str, Any]:
+def _states(file: Path, notices: list[str]) -> dict[str, Any]:
     """Collect a state file and the report of the run in the manifest beside it."""
     states = read_states(file, images=False)
-    report = run_report(read_manifest(file.parent)[0])
+    report = read_manifest(file.parent)[0].get("report", {})
+    rows = _sampled(len(states), MOST_STATES)
+    _notice(notices, rows, len(states), "states")
+    known = {name: own for name, own in states.quality.items() if np.isfinite(own).any()}
+    found = _shapes(rows, states.taken(rows).table, {name: known[name][rows] for name in known})
+    made = {"steps": "steps", "set": "dataset", "trajectory": "trajectory"}
+    for name, column in made.items() if "dataset" in states.source else ():
+        for shown, value in zip(found["states"], states.source[column][rows].tolist(), strict=True):
+            shown[name] = value
     about = {
         "crossings": ", ".join(map(str, sorted(set(states.nx.tolist())))),
         "states": len(states),
@@ -104,70 +103,57 @@ def _run(file: Path, notices: list[str]) -> dict[str, Any]:
         "configuration": _cut(json.dumps(states.attributes.get("config", {}))),
     }
     return {
-        **_states(states, notices),
+        **found,
+        "beads": states.points.shape[1],
         "about": _pairs(about),
         "rejected": {nx: counts for nx, counts in report.get("rejected", {}).items() if counts},
-    }
-
-
-def _states(states: States, notices: list[str]) -> dict[str, Any]:
-    rows = sampled(len(states), MOST_STATES)
-    _notice(notices, rows, len(states), "states")
-    quality = [name for name in states.quality if np.isfinite(states.quality[name]).any()]
-    source = states.source
-    return {
-        "measures": [{"name": name, "unit": UNITS[name]} for name in quality],
-        "points": _encoded(states.points[rows]),
-        "beads": states.points.shape[1],
-        "states": [
-            {
-                **_row(i, {name: states.table[name][i] for name in _SHOWN}),
-                "q": [_number(states.quality[name][i]) for name in quality],
-                "x": _crossings(states.points[i]),
-                "steps": int(source["steps"][i]) if "steps" in source else None,
-                "set": str(source["dataset"][i]) if "dataset" in source else None,
-                "trajectory": int(source["trajectory"][i]) if "trajectory" in source else None,
-            }
-            for i in rows
-        ],
     }
 
 
 def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
     """Collect a perception table: states with their pictures."""
     table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image"])
-    rows = sampled(len(table), MOST_PICTURES)
+    rows = _sampled(len(table), MOST_PICTURES)
     _notice(notices, rows, len(table), "pictures")
-    taken = table.take(rows).to_pylist()
-    points = np.array([row["points"] for row in taken]).reshape(len(taken), -1, 3)
-    measures = list(taken[0]["quality"]) if taken else []
-    manifest = read_manifest(source)[0]
+    taken = table.take(rows)
+    columns = {name: taken[name].to_pylist() for name in (*_SHOWN, "grade", "image")}
+    measured = taken["quality"].to_pylist()
+    quality = {name: [one[name] for one in measured] for name in (measured or [{}])[0]}
+    found = _shapes(rows, {**columns, "points": points_of(taken)}, quality)
+    for shown, grade, image in zip(
+        found["states"], columns["grade"], columns["image"], strict=True
+    ):
+        encoded = base64.b64encode(image["bytes"]).decode("ascii")
+        shown |= {"grade": grade, "image": f"data:image/png;base64,{encoded}"}
+    about = {
+        "pictures": len(table),
+        "configuration": _cut(read_manifest(source)[0].get("config", "")),
+    }
+    return {**found, "words": ["grade"], "about": _pairs(about)}
+
+
+def _shapes(
+    rows: Sequence[int], columns: Mapping[str, Any], quality: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what states and pictures have in common, of the rows with these numbers."""
+    points = columns["points"]
     return {
-        "measures": [{"name": name, "unit": UNITS.get(name, "")} for name in measures],
-        "words": ["grade"],
+        "measures": [{"name": name, "unit": UNITS.get(name, "")} for name in quality],
         "points": _encoded(points),
-        "about": _pairs(
-            {"pictures": len(table), "configuration": _cut(manifest.get("config", ""))}
-        ),
         "states": [
             {
-                **_row(i, row),
-                "grade": row["grade"],
-                "q": [_number(row["quality"][name]) for name in measures],
-                "x": _crossings(own),
-                "image": "data:image/png;base64,"
-                + base64.b64encode(row["image"]["bytes"]).decode("ascii"),
+                "row": number,
+                "nx": int(columns["nx"][k]),
+                "code": str(columns["gauss_code_chiral"][k]),
+                "plain": str(columns["gauss_code"][k]),
+                "split": str(columns["split"][k]),
+                "knot": str(columns["knot"][k]),
+                "q": [_number(values[k]) for values in quality.values()],
+                "x": _crossings(points[k]),
             }
-            for i, row, own in zip(rows, taken, points, strict=True)
+            for k, number in enumerate(rows)
         ],
     }
-
-
-def _row(number: int, row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what states and pictures have in common."""
-    shown: dict[str, Any] = {"row": number, "nx": int(row["nx"])}
-    shown |= {"code": str(row["gauss_code_chiral"]), "plain": str(row["gauss_code"])}
-    return {**shown, "split": str(row["split"]), "knot": str(row["knot"])}
 
 
 def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
@@ -176,10 +162,10 @@ def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
     every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
     lengths = np.concatenate([one.episodes.episodes["length"] for one in datasets]).tolist()
     frames = [min(length, MOST_STEPS) + 1 for length in lengths]
-    rows = sampled(len(every), int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1)
+    rows = _sampled(len(every), int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1)
     # episodes differ in length, so the first guess may be too many
     while len(rows) > 1 and sum(frames[k] for k in rows) > MOST_FRAMES:
-        rows = sampled(len(every), len(rows) - 1)
+        rows = _sampled(len(every), len(rows) - 1)
     _notice(notices, rows, len(every), "episodes")
     if any(lengths[k] > MOST_STEPS for k in rows):
         notices.append(f"Longer episodes show their first {MOST_STEPS} steps.")
@@ -249,8 +235,8 @@ def _crossings(points: Array) -> list[list[float]]:
 
 
 def _encoded(points: Array) -> str:
-    """Encode ropes (n, beads, 3), centred at the origin, as little-endian int16 of UNIT metres."""
-    laid = (points - points.mean(axis=1, keepdims=True)) / UNIT
+    """Encode ropes (n, beads, 3), centred at the origin, as little-endian int16 of _UNIT metres."""
+    laid = (points - points.mean(axis=1, keepdims=True)) / _UNIT
     limits = np.iinfo(np.int16)
     whole = np.rint(laid).clip(limits.min, limits.max).astype("<i2")
     return base64.b64encode(whole.tobytes()).decode("ascii")

@@ -5,22 +5,12 @@ The data are an escaped JSON block that can't contain markup; the script shows t
 
 import html
 import json
-import os
 from collections.abc import Mapping
 from importlib.resources import files
 from string import Template
 from typing import Any
 
-from knotgym.common.atomic_files import atomic_write
-
 _SCRIPTS = ("rope.js", "plots.js", "page.js")
-
-
-def write_page(out: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
-    """Write the page of the result of `page_data` atomically."""
-    text = page_html(data)
-    with atomic_write(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def page_html(data: Mapping[str, Any]) -> str:

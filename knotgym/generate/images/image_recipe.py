@@ -146,7 +146,7 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     for path, result in zip(files, results, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
-    finish_images(place, files, waves.report(), made)
+    finish_images(place, waves.report(), made)
     return f"{len(waves.chooser.chosen)} pictures"
 
 

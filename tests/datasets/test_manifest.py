@@ -11,12 +11,7 @@ import pytest
 
 from knotgym.common.configuration import read_json
 from knotgym.common.errors import InvalidFile
-from knotgym.datasets.manifest_check import (
-    listed_faults,
-    read_manifest,
-    report_faults,
-    run_report,
-)
+from knotgym.datasets.manifest import listed_faults, read_manifest
 
 SOUND: dict[str, Any] = {
     "config": {"seed": 0},
@@ -36,14 +31,13 @@ def written(folder: Path, **changes: Any) -> Path:
 
 def test_a_sound_manifest_has_no_fault(tmp_path: Path) -> None:
     manifest, faults = read_manifest(written(tmp_path))
-    assert faults == report_faults(manifest) == []
-    assert run_report(manifest) == SOUND["report"]
+    assert faults == [] and manifest["report"].items() >= SOUND["report"].items()
 
 
 @pytest.mark.parametrize("name", ["../x", "/etc/hostname", "", "a\x1b[2J"])
 def test_a_name_that_is_no_file_in_the_folder_is_a_fault(tmp_path: Path, name: str) -> None:
     manifest, (fault,) = read_manifest(written(tmp_path, files={name: "0"}))
-    assert manifest == {} and "which is not a file in the folder" in fault and fault.isprintable()
+    assert manifest == {} and "is not a file in the folder" in fault and fault.isprintable()
 
 
 @pytest.mark.parametrize(
@@ -59,9 +53,8 @@ def test_a_name_that_is_no_file_in_the_folder_is_a_fault(tmp_path: Path, name: s
 def test_what_no_run_reports_is_a_fault_and_is_not_shown(
     tmp_path: Path, name: str, value: Any
 ) -> None:
-    manifest, _ = read_manifest(written(tmp_path, report={**SOUND["report"], name: value}))
-    (fault,) = report_faults(manifest)
-    assert fault.startswith(f"manifest.json: report.{name}") and run_report(manifest) == {}
+    manifest, (fault,) = read_manifest(written(tmp_path, report={name: value}))
+    assert f"report.{name}" in fault and fault.isprintable() and manifest == {}
 
 
 @pytest.mark.parametrize("content", [b"[" * 200_000, b"9" * 10_000, b"\xff\xfe", b"", b"{"])
@@ -91,7 +84,7 @@ def test_an_empty_word_for_a_list_of_files_is_a_fault(
     tmp_path: Path, name: str, value: Any
 ) -> None:
     manifest, (fault,) = read_manifest(written(tmp_path, **{name: value}))
-    assert manifest == {} and f"{name} should be an object" in fault
+    assert manifest == {} and name in fault
 
 
 def test_a_data_file_that_is_not_listed_is_a_fault(tmp_path: Path) -> None:
@@ -104,9 +97,3 @@ def test_a_data_file_that_is_not_listed_is_a_fault(tmp_path: Path) -> None:
         "minari/metadata.json is not in the manifest",
         "states.h5 is not in the manifest",
     ]
-
-
-def test_a_report_that_counts_rejections_counts_attempts_too(tmp_path: Path) -> None:
-    lacking = {name: own for name, own in SOUND["report"].items() if name != "attempts"}
-    manifest, _ = read_manifest(written(tmp_path, report=lacking))
-    assert report_faults(manifest) == ["manifest.json: report.rejected needs report.attempts"]

@@ -1,0 +1,101 @@
+"""The manifest of a run's folder: what was asked for, what the run reports, and checksums."""
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
+
+from knotgym.common.atomic_files import atomic_write, sha256
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import InvalidInput, one_line, printable
+from knotgym.datasets.machine import machine
+from knotgym.states.state_file import leads_out
+
+
+def _inside(name: str) -> str:
+    if not name or leads_out(name) or not name.isprintable():
+        raise InvalidInput(f"{printable(name)!r} is not a file in the folder")
+    return name
+
+
+_Count = Annotated[int, Field(strict=True)]
+_Name = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]*$", strict=True)]  # a terminal may show it
+_File = Annotated[str, AfterValidator(_inside)]
+
+
+class _Report(BaseModel, extra="allow"):
+    """What a run that generated states counts; other entries are kept as they are."""
+
+    attempts: _Count | None = None
+    demonstrations: _Count = 0
+    existing_codes: dict[_Name, _Count | None] = {}
+    rejected: dict[_Name, dict[_Name, _Count]] = {}
+    undemonstrated: list[_Name] = []
+
+
+class _Manifest(BaseModel, extra="allow"):
+    config: dict[str, Any]
+    files: dict[_File, str]
+    report: _Report = _Report()
+
+
+def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """Read a manifest; return it (empty if unreadable) and the fault, if any, in a list.
+
+    The report of a run that generated states has all its entries, zero or empty if they are absent.
+    """
+    try:
+        return _Manifest.model_validate(read_json(folder / "manifest.json")).model_dump(), []
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        said = f"{where}: {first['msg']}"
+    except (OSError, ValueError) as error:
+        said = one_line(error)
+    return {}, [printable(f"manifest.json can't be read: {said}")]
+
+
+def write_manifest(
+    folder: Path,
+    format: str,
+    request: Mapping[str, Any],
+    report: Mapping[str, Any],
+) -> None:
+    """Write `manifest.json` into a folder, with the checksum of every other file in it.
+
+    Args:
+        format: name of the format.
+        request: what was asked for: configuration, sources, versions.
+        report: the run's counts.
+    """
+    found = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*"))}
+    manifest = {
+        "format": format,
+        "format_version": 1,
+        **request,
+        "report": report,
+        "machines": [machine()],
+        "files": {
+            name: sha256(path)
+            for name, path in found.items()
+            if path.is_file() and path.name != "manifest.json"
+        },
+    }
+    with atomic_write(folder / "manifest.json") as temporary:
+        temporary.write_text(json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8")
+
+
+def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield listed files that are missing or changed, and data files that aren't listed."""
+    found = [path for kind in ("*.h*5", "*.json", "*.parquet") for path in folder.rglob(kind)]
+    for path in sorted(found) if manifest else ():
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name not in {"manifest.json", *manifest["files"]}:
+            yield f"{name} is not in the manifest"
+    for name, digest in manifest.get("files", {}).items():
+        if not (folder / name).is_file():
+            yield f"{name} is missing"
+        elif sha256(folder / name) != digest:
+            yield f"{name} is not the file the manifest lists (SHA-256 differs)"
