@@ -15,6 +15,7 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import (
     Symmetry,
     canonical_form,
+    diagram_form,
     images,
 )
 
@@ -132,3 +133,16 @@ def test_configuration_leaves_its_input_alone(configurations: NDArray[np.float64
         configurations[5]
     )
     assert np.array_equal(configurations[5], before)
+
+
+@pytest.mark.parametrize(("nx", "diagrams"), [(0, 1), (1, 1), (2, 2), (3, 7)])
+def test_diagrams_are_told_apart_and_their_form_is_one_of_their_codes(
+    nx: int, diagrams: int
+) -> None:
+    forms = {code: diagram_form(code) for code in planar_codes(nx)}
+    assert len(set(forms.values())) == diagrams
+    assert all(forms[form] == form for form in forms.values())
+    for code, form in forms.items():
+        based = [code.rebased(k) for k in range(max(1, 2 * nx))]
+        either = [*based, *(one.reversed() for one in based)]
+        assert form in {*either, *(one.mirrored() for one in either)}
