@@ -99,6 +99,11 @@ def test_the_package_runs_where_no_machine_code_can_be_kept(tmp_path: Path) -> N
     assert str(temporary) in ended.stdout and not any(temporary.iterdir())
 
 
+def test_importing_knotgym_is_light() -> None:
+    held = modules_after("import knotgym")
+    assert held & {*HEAVY, *DRAWING, "cv2", "h5py", "minari", "mujoco", "numba"} == set()
+
+
 def test_datasets_do_not_import_the_environment() -> None:
     above = {"knotgym.envs.environment", "knotgym.rope.simulation", "mujoco"}
     assert modules_after(STATES) & above == set()

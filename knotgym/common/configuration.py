@@ -70,7 +70,7 @@ def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
 
 def _distinct(values: tuple[int, ...]) -> tuple[int, ...]:
     if not values or len(set(values)) < len(values):
-        raise InvalidInput("must be at least one number, each once")
+        raise InvalidInput("must be at least one, each once")
     return values
 
 

@@ -140,7 +140,7 @@ class Recorder:
                 "force": np.array([pull.force for pull in pulls], np.float32).reshape(-1, 3),
                 "helped": np.array([pull.helped for pull in pulls], dtype=bool),
             }
-            self._journal.keep(f"{_KEY}{number}", columns)
+            self._journal[f"{_KEY}{number}"] = columns
 
     def finish(self, number: int, pulls: Sequence[HandPull]) -> bool:
         """Add an episode to the dataset; return whether it was stored.

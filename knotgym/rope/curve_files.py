@@ -31,6 +31,7 @@ from knotgym.common.errors import InvalidInput, one_line
 from knotgym.rope.model import Array
 
 _MOST = 1_000_000  # lines or points of a file, characters of a line
+_MOST_CURVES = 20_000  # of a file
 _COMMENT = re.compile(r"(?:^|\s)#.*")  # 3_1#4_1 is a name
 _PARSING = (
     *(ValueError, OSError, EOFError, MemoryError, RuntimeError),
@@ -76,8 +77,9 @@ def read_curves(path: str | Path) -> list[Curve]:
                 f"{path} holds a link, {count} components{' of' * bool(name)} {name[:80]}, and a"
                 " knot has one; curves of their own need different names"
             )
-    if not found:
-        raise InvalidInput(f"{path} holds no curves")
+    if not 0 < len(found) <= _MOST_CURVES:
+        many = f"{len(found)} curves, more than {_MOST_CURVES}" if found else "no curves"
+        raise InvalidInput(f"{path} holds {many}")
     one = len(found) == 1
     return [
         Curve(given.name if one else f"{given.name}:{name[:80]}", points) for name, points in found

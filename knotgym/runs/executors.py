@@ -36,7 +36,7 @@ class InProcess(Executor):
         return map(fn, *iterables)
 
 
-class Processes(ProcessPoolExecutor):
+class _Processes(ProcessPoolExecutor):
     """Processes of this machine, which leave interrupts to this one and end with it."""
 
     def __init__(self, workers: int) -> None:
@@ -44,7 +44,7 @@ class Processes(ProcessPoolExecutor):
         self.workers = workers
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
-        with uninterrupted(), _safe_path():  # this may start a process
+        with _uninterrupted(), _safe_path():  # this may start a process
             return super().submit(fn, *args, **kwargs)
 
     def end(self) -> None:
@@ -80,7 +80,7 @@ def executor(workers: int, scheduler: str = "") -> Iterator[Executor]:
     if count == 1:
         yield InProcess()
         return
-    pool = Processes(count)
+    pool = _Processes(count)
     try:
         yield pool
         pool.shutdown()
@@ -90,7 +90,7 @@ def executor(workers: int, scheduler: str = "") -> Iterator[Executor]:
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def _uninterrupted() -> Iterator[None]:
     """Delay SIGINT and SIGTERM until the block ends.
 
     Otherwise a process that is just starting would print a traceback of its own.
@@ -120,7 +120,7 @@ def _context() -> multiprocessing.context.BaseContext:
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
-    with uninterrupted(), _safe_path():
+    with _uninterrupted(), _safe_path():
         # Start the tracker first: if the server started it, that would unblock the signals here.
         sys.warnoptions.append(_IGNORED_WARNING)  # child processes inherit warning options
         try:

@@ -113,7 +113,7 @@ class Journal:
         """Return a result; its arrays are mapped from the file and read-only."""
         return {name: self._mapped(column) for name, column in self._results[key].items()}
 
-    def keep(self, key: str, result: Result) -> None:
+    def __setitem__(self, key: str, result: Result) -> None:
         """Add a result, or replace that of the same key.
 
         It is in the file as a whole or not at all, whenever the process is killed.

@@ -123,7 +123,7 @@ class Progress:
         # without the work of a resumed run
         if first.done < done < total:
             left = (self._clock() - since) * (total - done) / (done - first.done)
-            facts["time left, about"] = duration(left)
+            facts["time left, about"] = _duration(left)
         return facts
 
     def _table(self) -> Table:
@@ -134,10 +134,10 @@ class Progress:
         return table
 
 
-def duration(seconds: float) -> str:
+def _duration(seconds: float) -> str:
     """Format a duration with one unit.
 
-    >>> [duration(one) for one in (50, 5000, 8e4, 8e6, 8e8)]
+    >>> [_duration(one) for one in (50, 5000, 8e4, 8e6, 8e8)]
     ['50 s', '83 minutes', '22 hours', '93 days', '25 years']
     """
     for unit, size in (("years", 31_557_600), ("days", 86_400), ("hours", 3600), ("minutes", 60)):

@@ -26,7 +26,7 @@ from functools import partial
 from glob import escape
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from knotgym.common.atomic_files import (
     move_into_place,
@@ -70,24 +70,9 @@ Recipe = Generator[Sequence[Call], list[Result], Output]
 OnProgress = Callable[[str, int, int, Result | None], None]  # stage, done, total, new result
 
 
-class Memo(Protocol):
-    """Results by key: a Journal, or a dictionary."""
-
-    def __contains__(self, key: str, /) -> bool: ...
-    def __getitem__(self, key: str, /) -> Result: ...
-    def keep(self, key: str, result: Result, /) -> None: ...
-
-
-class Memory(dict[str, Result]):
-    """Results that are kept in memory only, for runs that leave no files."""
-
-    def keep(self, key: str, result: Result, /) -> None:
-        self[key] = result
-
-
 def compute(
     recipe: Recipe[Output],
-    journal: Memo | None = None,
+    memo: Journal | dict[str, Result] | None = None,
     pool: Executor | None = None,
     shard: Shard = WHOLE,
     on_progress: OnProgress | None = None,
@@ -96,7 +81,8 @@ def compute(
 
     Args:
         recipe: a new generator.
-        journal: results that are there already; it gets the others. By default they stay in memory.
+        memo: results by key that are there already; it gets the others. By default they are
+            forgotten at the end.
         pool: executes the calls; by default they are executed in this process.
         shard: which share of the calls of each batch is computed.
         on_progress: called with the stage, how many of its calls are done and to be done, and the
@@ -105,37 +91,28 @@ def compute(
     Raises:
         Failed: results of other shards are missing.
     """
-    memo = Memory() if journal is None else journal
-    output, missing = _driven(recipe, memo, pool or InProcess(), shard, on_progress)
-    if missing:
-        raise Failed(missing)
-    return output  # type: ignore[return-value]
-
-
-def _driven(
-    recipe: Recipe[Output],
-    memo: Memo,
-    pool: Executor,
-    shard: Shard,
-    on_progress: OnProgress | None,
-) -> tuple[Output | None, str]:
-    """Drive a recipe as far as the shard can; return its output, and which results are missing."""
+    memo = {} if memo is None else memo
     results: list[Result] | None = None
     while True:
         try:
             calls = next(recipe) if results is None else recipe.send(results)
         except StopIteration as end:
-            return end.value, ""
-        _complete(shard.dealt(calls), memo, pool, on_progress)
+            output: Output = end.value
+            return output
+        _complete(shard.dealt(calls), memo, pool or InProcess(), on_progress)
         missing = [index for index, call in enumerate(calls) if call.key not in memo]
         if missing:
             recipe.close()
             others = sorted({index % shard.of + 1 for index in missing})
-            return None, (
+            raise _Missing(
                 f"{len(missing)} of {len(calls)} results of {_stage(calls[0])!r} are missing: run"
                 f" shard {', '.join(f'{one}/{shard.of}' for one in others)}"
             )
         results = [memo[call.key] for call in calls]
+
+
+class _Missing(Failed):
+    """A shard has computed its share, and the recipe can't go on without the others'."""
 
 
 def run(
@@ -189,7 +166,10 @@ def run(
                 prepare(shown)
             place, show = folder / "made" / out.name, _shown_on(shown, count)
             with (pool or partial(executor, options.workers, options.scheduler))() as workers:
-                summary, missing = _driven(recipe(place), journal, workers, shard, show)
+                try:
+                    summary = compute(recipe(place), journal, workers, shard, show)
+                except _Missing as missing:
+                    summary = f"{shard} is done as far as it can be; {missing}"
             if not journal.is_held:
                 raise Occupied(f"{journal.path} was removed during the run; start the run again")
             if shard.is_whole:
@@ -198,7 +178,6 @@ def run(
                 shown.stage("writing")
                 move_into_place(place, out, overwrite=options.overwrite)
             shutil.rmtree(folder)
-        summary = f"{shard} is done as far as it can be; {missing}" if missing else summary
         text = f": {summary}" if isinstance(summary, str) else ""
         made, seconds = out if shard.is_whole else journal.path, time.perf_counter() - began
         shown.say(f"{made}{text}; {seconds:.0f} s")
@@ -314,7 +293,10 @@ def _is_finished(
 
 
 def _complete(
-    calls: Sequence[Call], memo: Memo, pool: Executor, on_progress: OnProgress | None
+    calls: Sequence[Call],
+    memo: Journal | dict[str, Result],
+    pool: Executor,
+    on_progress: OnProgress | None,
 ) -> None:
     """Compute the calls whose results aren't in the journal; keep each as soon as it is there."""
     done = 0
@@ -341,7 +323,7 @@ def _complete(
             return
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             call, result = running.pop(future), future.result()
-            memo.keep(call.key, result)
+            memo[call.key] = result
             done += 1
             told(call, result)
 

@@ -28,7 +28,6 @@ PD[Loop[1]] can be read too.
 import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain
 
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.diagrams import is_planar
@@ -45,6 +44,7 @@ _DIGITS = r"\d{1,9}"
 # a crossing of a PD code on a line of its own, with or without brackets
 _ROW = re.compile(rf"X?[\[(]?\s*{_DIGITS}(?:\s*[,\s]\s*{_DIGITS}){{3}}\s*[\])]?,?")
 _OVER_UNDER = re.compile(r"([OoUu])(\d{1,9})([+-]?)")
+_SIGNED = re.compile(r"(-?\d{1,9}(?:,-?\d{1,9})+),([+-]+)")  # with the signs of the crossings
 _KNOTINFO = re.compile(r"KnotInfo:?\[?((?:-?\d{1,9},?)+)\]?", re.IGNORECASE)
 
 
@@ -191,11 +191,12 @@ def parse_code(text: str) -> GaussCode:
     """Read a Gauss, PD or DT code, whichever the text is.
 
     Gauss codes may also be written with signed numbers, + over, as by Regina and Knoto-ID
-    (1 -2 3 -1 2 -3); with O and U, and each crossing's sign after every visit or none
-    (O1-U2-O3-U1-O2-U3-, O1U2O3U1O2U3); or, by the name KnotInfo:{-1,2,-3,1,-2,3}, as KnotInfo's
-    table, where + is under. PD codes as by KnotInfo, KnotTheory (PD[X[1,5,2,4],...]), Knoto-ID
-    (one crossing a line, or by ;) or Python (tuples); DT codes as by KnotInfo (bare numbers too),
-    KnotTheory (DTCode[4,6,2]) or SnapPy (DT:[(4,6,2)]), or with letters (DT[cacbca]).
+    (1 -2 3 -1 2 -3), perhaps with the signs of crossings 1, 2, 3, ... at the end (---); with O and
+    U, and each crossing's sign after every visit or none (O1-U2-O3-U1-O2-U3-, O1U2O3U1O2U3); or, by
+    the name KnotInfo:{-1,2,-3,1,-2,3}, as KnotInfo's table, where + is under. PD codes as by
+    KnotInfo, KnotTheory (PD[X[1,5,2,4],...]), Knoto-ID (one crossing a line, or by ;) or Python
+    (tuples); DT codes as by KnotInfo (bare numbers too), KnotTheory (DTCode[4,6,2]) or SnapPy
+    (DT:[(4,6,2)]), or with letters (DT[cacbca]).
 
     Raises:
         InvalidInput: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
@@ -205,7 +206,7 @@ def parse_code(text: str) -> GaussCode:
     """
     if len(text) > _MOST_CHARACTERS:
         raise _invalid(f"{len(text)} characters are too long", text, "Gauss, PD or DT", _SIZE)
-    text = text.strip()
+    text = text.strip().rstrip(";")
     tight = text.translate({ord("{"): "[", ord("}"): "]"})  # as KnotInfo writes lists
     rows = [row.strip() for row in re.split(r"[;\n]", tight) if row.strip()]
     if len(rows) > 1 and all(_ROW.fullmatch(row) for row in rows):  # as Knoto-ID writes PD codes
@@ -217,6 +218,8 @@ def parse_code(text: str) -> GaussCode:
         return GaussCode()
     if theirs := _KNOTINFO.fullmatch(tight):
         return _from_signed([-int(number) for number in re.findall(r"-?\d+", theirs[1])])
+    if signed := _SIGNED.fullmatch(tight):
+        return _from_signed([int(number) for number in signed[1].split(",")], signed[2])
     if tight[:1].upper() in ("O", "U"):
         return _from_over_under(text)
     if _PD.fullmatch(tight):
@@ -249,27 +252,44 @@ def parse_code(text: str) -> GaussCode:
 def code_texts(lines: Iterable[str]) -> Iterator[str]:
     """Yield the codes of a list, one a line; "#" begins a comment.
 
-    Consecutive lines with one crossing of a PD code each, as Knoto-ID writes them, make one code.
+    Brackets may be closed in a later line, and consecutive lines with one crossing of a PD code
+    each make one code; Knoto-ID writes both.
 
-    >>> [*code_texts(["1+,1-", "4 6 2 # DT", "1 1 2 2", "", "2 2 3 1", "3 4 4 1"])]
-    ['1+,1-', '4 6 2', '1 1 2 2', '2 2 3 1\\n3 4 4 1']
+    >>> [*code_texts(["1+,1-", "4 6 2 # DT", "2 2 3 1", "3 4 4 1", "", "PD[", "X[1,1,2,2]", "];"])]
+    ['1+,1-', '4 6 2', '2 2 3 1\\n3 4 4 1', 'PD[\\nX[1,1,2,2]\\n];']
     """
-    rows: list[str] = []
-    for line in chain(lines, [""]):
+    held: list[str] = []
+    opened = 0
+    for line in lines:
         text = line.partition("#")[0].strip()
         # all numbers of a DT code are even
-        odd = _ROW.fullmatch(text) and any(int(one) % 2 for one in re.findall(_DIGITS, text))
-        if odd and len(rows) <= MOST_CROSSINGS:
-            rows.append(text)
-            continue
-        yield from filter(None, ("\n".join(rows), text))
-        rows = []
+        is_row = _ROW.fullmatch(text) and any(int(one) % 2 for one in re.findall(_DIGITS, text))
+        if held and not opened and not is_row:
+            yield "\n".join(held)
+            held = []
+        if text:
+            held.append(text)
+            opened = max(0, opened + text.count("[") - text.count("]"))
+        if held and not opened and not is_row or len(held) > MOST_CROSSINGS + 2:
+            yield "\n".join(held)
+            held, opened = [], 0
+    if held:
+        yield "\n".join(held)
 
 
-def _from_signed(numbers: list[int]) -> GaussCode:
-    """Return the Gauss code of signed numbers, + over; its chirality is unknown."""
-    code = GaussCode.relabelled(numbers)
-    _require_size(code.nx)
+def _from_signed(numbers: list[int], signs: str = "") -> GaussCode:
+    """Return the Gauss code of signed numbers, + over, and of the signs of crossings in order."""
+    _require_size(len(numbers) // 2)
+    labels = sorted({abs(number) for number in numbers})
+    if signs and len(signs) != len(labels):
+        raise _invalid(
+            f"it has {len(labels)} crossings and {len(signs)} signs",
+            numbers,
+            "Gauss",
+            "give each crossing a sign, or none",
+        )
+    letters = [POSITIVE if sign == "+" else NEGATIVE for sign in signs]
+    code = GaussCode.relabelled(numbers, dict(zip(labels, letters, strict=True)) if signs else None)
     if not is_planar(code):
         raise _invalid("no planar diagram has it", numbers, "Gauss", _PLANAR)
     return code

@@ -160,7 +160,7 @@ def test_an_interrupted_run_goes_only_by_a_word_and_no_link_for_it_is_followed(
     staged = staging_folder(output_of(name, tmp_path))
     staged.mkdir()
     with Journal(staged / "journal", {"of": "another run"}) as journal:
-        journal.keep("one", {"result": np.zeros(3)})
+        journal["one"] = {"result": np.zeros(3)}
     for more in ((), ("--overwrite",)):
         assert typed(name, *more) == 2
         (line,) = capfd.readouterr().err.splitlines()

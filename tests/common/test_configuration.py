@@ -79,7 +79,7 @@ def test_every_number_of_every_configuration_refuses_nonsense(
         ({"seed": -1}, "seed must be at least 0, got -1"),
         ({"seed": True}, "seed must be a whole number, got True"),
         ({"seed": "7"}, "seed must be a whole number, got '7'"),
-        ({"nx": [2, 2]}, r"nx must be at least one number, each once, got \[2, 2\]"),
+        ({"nx": [2, 2]}, r"nx must be at least one, each once, got \[2, 2\]"),
         ({"kind": "c"}, "kind must be 'a' or 'b', got 'c'"),
         ({"inner": {"size": 0}}, "inner.size must be at least 1, got 0"),
         ({"inner": {"range": [2, 1]}}, "inner.range must have the smaller number first"),

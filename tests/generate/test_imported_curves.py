@@ -15,13 +15,16 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.control.verification import verify
+from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.generate.states.imported_curves import import_curves, shown_code
 from knotgym.rope.curve_files import read_curves, write_curves
-from knotgym.rope.model import Rope
+from knotgym.rope.model import Rope, rope_of
 from knotgym.states.state_file import read_states, shipped, write_states
 from knotgym.topology.crossings import label
+from knotgym.topology.diagrams import with_chirality
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
+from knotgym.topology.notation import parse_code
 from knotgym.topology.reference_labeller import pyknotid_code
 
 from ..conftest import trefoil
@@ -279,6 +282,11 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("complex.npy", npy(P * 1j), "real numbers"),
     ("many.npy", npy(np.zeros((1_000_001, 3), np.int8)), "more than 1000000 points"),
     ("text.npz", "x", "can't be read"),
+    (
+        "curves.csv",
+        "".join(f"n{k},0,0,0\n" for k in range(20_001)),
+        "20001 curves, more than 20000",
+    ),
     ("knot.stl", "solid", "curves are read from .csv"),
     ("long.csv", " " * 1_000_001, "more than 1000000 lines, or characters"),
     ("lines.vect", "\n" * 1_000_001, "more than 1000000 lines"),
@@ -377,6 +385,15 @@ def test_without_any_curve_nothing_is_written(tmp_path: Path) -> None:
     assert knotgym("dataset", "import", link, "--out", tmp_path / "x.h5") == 2
     assert knotgym("dataset", "import", tmp_path / "no.csv", "--out", tmp_path / "x.h5") == 2
     assert not (tmp_path / "x.h5").exists()
+
+
+def test_knots_that_share_polynomials_are_named(tmp_path: Path) -> None:
+    code = with_chirality(
+        parse_code("[4, 12, 14, 16, 18, 20, 2, 10, 8, 6]")
+    )  # KnotInfo's 10_25, not as in its PD
+    points = drawn_curve(code, np.random.default_rng(0), Rope(rope_of(200)))
+    with pytest.raises(InvalidInput, match="can't be certified; it is one of 10_25, 10_56"):
+        import_curves([wrote(tmp_path / "ten.csv", table(points))])
 
 
 def test_a_curve_that_cannot_be_laid_says_which_limit_it_misses(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from knotgym.generate.states.state_rows import Rows, taken
 from knotgym.generate.states.wanted_codes import WantedCodes
 from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope.model import Rope
-from knotgym.runs.run import Memory, compute
+from knotgym.runs.run import compute
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import pairs_within
@@ -116,7 +116,7 @@ def test_random_walks_need_no_actions_and_no_readability(walked: Path) -> None:
 @pytest.mark.parametrize("config", [DRAWN, WALKED])
 def test_shards_are_merged_to_the_rows_of_the_whole_run(config: GenerateConfig) -> None:
     source = drawn_rows if config.source == "drawing" else rows_of_ropes
-    memory = Memory()
+    memory = dict[str, Rows]()
     for number in (1, 2):
         with contextlib.suppress(Failed):  # results of the other are missing
             compute(source(config, {}), memory, shard=Shard(number, 2))
@@ -176,7 +176,7 @@ def test_a_selection_refuses_near_duplicates_up_to_symmetry(played: Path) -> Non
     selection = Selection()
     assert selection.offer(rows, 0)
     assert not selection.offer(mirrored, 0)
-    assert selection.near[1] == 1 and len(selection.rows()["nx"]) == 1
+    assert selection.rejected[1] == {"near-duplicate": 1} and len(selection.rows()["nx"]) == 1
 
 
 def test_a_code_that_is_given_up_leaves_its_places_to_others() -> None:
@@ -198,7 +198,7 @@ def test_the_coil_is_as_small_as_the_published_one(rope: Rope) -> None:
     ("wrong", "named"),
     [
         ({"nx": (12,)}, "nx takes numbers of crossings from 0 to 11"),
-        ({"nx": ()}, "at least one number"),
+        ({"nx": ()}, "at least one, each once"),
         ({"source": "drawn"}, "source must be 'drawing', 'play' or 'random-walk'"),
         ({"source": "play", "knot": "3_1"}, "--knot needs --source drawing, not play"),
         ({"source": "random-walk", "nx": (7,)}, "takes nx up to 6"),

@@ -120,13 +120,16 @@ def test_a_machine_that_simulates_otherwise_says_so(
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (("--task", "trefoil"), "the suite's tasks must be among unknot, tie, convert; got"),
-        (("--nx", "5"), "the suite's nx must be among 2, 3, 4; got 5"),
-        (("--states", "mine.h5"), "the suite's states must be among readable, random-walk"),
-        (("--policy", "mixed"), "the suite's policies must be among random, noisy"),
-        (("--split", "test"), "the suite's splits must be among train, train-code; got test"),
+        (("--task", "trefoil"), "tasks must be one of unknot, tie, convert, got 'trefoil'"),
+        (("--nx", "5"), "nx must be at most 4, got 5"),
+        (("--states", "mine.h5"), "states must be one of readable, random-walk, got"),
+        (("--policy", "mixed"), "policies must be one of random, noisy"),
+        (("--split", "test"), "splits must be one of train, train-code, got 'test'"),
         (("--episodes", "expert:3"), "--episodes takes a number, or one per policy"),
-        (("--episodes", "dreamer=3"), "episodes are set for random, noisy"),
+        (
+            ("--episodes", "dreamer=3"),
+            "episodes must be one of random, noisy, expert, play, got 'dreamer'",
+        ),
     ],
 )
 def test_what_the_suite_does_not_have_is_one_line(

@@ -119,10 +119,10 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
         kept(self, *arguments)
         began[0].kill()
 
-    kept, here = Journal.keep, RECIPES[name](tmp_path / "here" / name, RunOptions(workers=1))
+    kept, here = Journal.__setitem__, RECIPES[name](tmp_path / "here" / name, RunOptions(workers=1))
     with cluster(tmp_path) as dask, monkeypatch.context() as patch:
         began = [dask.worker(), dask.worker()]
-        patch.setattr(Journal, "keep", kill_one)
+        patch.setattr(Journal, "__setitem__", kill_one)
         there = RECIPES[name](tmp_path / "there" / name, on(dask.address()))
     assert bytes_of(there) == bytes_of(here)
 
@@ -136,10 +136,10 @@ def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
         for process in dask.processes:
             process.kill()
 
-    kept = Journal.keep
+    kept = Journal.__setitem__
     with cluster(tmp_path) as dask, monkeypatch.context() as patch:
         dask.worker()
-        patch.setattr(Journal, "keep", kill_all)
+        patch.setattr(Journal, "__setitem__", kill_all)
         with pytest.raises(Failed, match="the scheduler is gone; --resume continues from there"):
             RECIPES["toy"](tmp_path / "a", on(dask.address()))
     RECIPES["toy"](tmp_path / "a", RunOptions(workers=1, resume=True))

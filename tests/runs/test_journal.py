@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, Occupied
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError
 from knotgym.runs.journal import Journal
 
 RUN = {"config": {"seed": 0}}
@@ -24,7 +24,7 @@ RESULT: dict[str, Any] = {
 def written(path: Path, keys: int = 3) -> bytes:
     with Journal(path, RUN) as journal:
         for key in range(keys):
-            journal.keep(f"part {key}", {"key": np.full(1000, key), **RESULT})
+            journal[f"part {key}"] = {"key": np.full(1000, key), **RESULT}
     return path.read_bytes()
 
 
@@ -48,22 +48,19 @@ def test_a_journal_cut_anywhere_keeps_its_whole_records(tmp_path: Path) -> None:
             left = list(journal)
             assert left == [f"part {key}" for key in range(len(left))]
             for key in range(len(left), 3):
-                journal.keep(f"part {key}", {"key": np.full(1000, key), **RESULT})
+                journal[f"part {key}"] = {"key": np.full(1000, key), **RESULT}
         assert (tmp_path / "j").read_bytes() == whole
-
-
-def test_a_changed_byte_takes_its_record_and_those_after_it(tmp_path: Path) -> None:
-    whole = bytearray(written(tmp_path / "j"))
-    whole[-10_000] ^= 1
-    (tmp_path / "j").write_bytes(whole)
+    changed = bytearray(whole)
+    changed[-10_000] ^= 1  # takes its record and those after it
+    (tmp_path / "j").write_bytes(changed)
     with Journal(tmp_path / "j", RUN) as journal:
         assert "part 2" not in journal and "part 0" in journal
 
 
 def test_the_last_result_of_a_key_counts(tmp_path: Path) -> None:
     with Journal(tmp_path / "j", RUN) as journal:
-        journal.keep("a", {"x": np.zeros(3)})
-        journal.keep("a", {"x": np.ones(5)})
+        journal["a"] = {"x": np.zeros(3)}
+        journal["a"] = {"x": np.ones(5)}
         assert journal["a"]["x"].tolist() == [1] * 5
     with Journal(tmp_path / "j", RUN) as journal:
         assert journal["a"]["x"].tolist() == [1] * 5
@@ -73,7 +70,7 @@ def test_other_journals_are_only_read(tmp_path: Path) -> None:
     before = written(tmp_path / "other")
     (tmp_path / "other").chmod(0o400)
     with Journal(tmp_path / "j", RUN, [tmp_path / "other"]) as journal:
-        journal.keep("part 9", RESULT)
+        journal["part 9"] = RESULT
         assert "part 1" in journal and journal["part 1"]["key"][0] == 1
     assert (tmp_path / "other").read_bytes() == before
 
@@ -88,20 +85,9 @@ def test_the_journal_of_another_run_is_refused_and_left(tmp_path: Path) -> None:
     assert (tmp_path / "j").read_bytes() == before
 
 
-def test_one_process_writes(tmp_path: Path) -> None:
-    with Journal(tmp_path / "j", RUN), pytest.raises(Occupied, match="another run is writing"):
-        Journal(tmp_path / "j", RUN)
-
-
-def test_a_fresh_journal_forgets(tmp_path: Path) -> None:
-    written(tmp_path / "j")
-    with Journal(tmp_path / "j", {"config": 2}, fresh=True) as journal:
-        assert len(journal) == 0
-
-
 def test_objects_are_not_kept(tmp_path: Path) -> None:
     with Journal(tmp_path / "j", RUN) as journal, pytest.raises(InvalidInput, match="not objects"):
-        journal.keep("a", {"x": np.array([object()])})
+        journal["a"] = {"x": np.array([object()])}
 
 
 def record(head: str, size: int = 0, content: bytes = b"") -> bytes:

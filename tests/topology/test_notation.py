@@ -280,6 +280,8 @@ def test_snappy_certifies_every_hard_unknot() -> None:
     [
         "O1-U2-O3-U1-O2-U3-",
         "o1- u2- o3- u1- o2- u3-",
+        "-1 2 -3 1 -2 3 ---",
+        "PD[\nX[0,3,1,4],\nX[4,1,5,2],\nX[2,5,3,0]\n];",
         "1,5,2,4;5,3,6,2;3,1,4,6",
         "X[1,5,2,4]\nX[5,3,6,2]\nX[3,1,4,6]\n",
         "1 5 2 4\n5 3 6 2\n3 1 4 6",
@@ -293,8 +295,10 @@ def test_a_list_has_a_code_a_line_or_a_crossing_a_line() -> None:
     trefoil = ["1 5 2 4", "5 3 6 2", "3 1 4 6"]
     lines = ["# two", *trefoil, "", *(f"X[{row.replace(' ', ',')}]" for row in trefoil), "O1U1"]
     lines += ["4 6 8 2", "4 6 8 2 # twice the figure-eight knot", "[[1,1,2,2]]"]
+    lines += ["PD[", "X[1,5,2,4],", "", "X[5,3,6,2],X[3,1,4,6]", "];"]
     codes = [parse_code(text) for text in code_texts(lines)]
-    assert [code.nx for code in codes] == [3, 3, 1, 4, 4, 1] and codes[0] == codes[1] == TREFOIL
+    assert [code.nx for code in codes] == [3, 3, 1, 4, 4, 1, 3]
+    assert codes[0] == codes[1] == codes[6] == TREFOIL
 
 
 def test_signs_between_visits_may_part_them_or_be_the_crossings() -> None:
@@ -308,7 +312,9 @@ def test_knotinfo_is_read_by_its_name_because_its_plus_is_under() -> None:
         parse_code("{-1,2,-3,1,-2,3}")
 
 
-@pytest.mark.parametrize("text", ["O1+U1-", "O1+U2O2+U1", "O1xU1", "O1", "KnotInfo:{1,2}"])
+@pytest.mark.parametrize(
+    "text", ["O1+U1-", "O1+U2O2+U1", "O1xU1", "O1", "KnotInfo:{1,2}", "1 -1 ++"]
+)
 def test_a_malformed_code_of_others_is_one_line(text: str) -> None:
     with pytest.raises(InvalidInput) as caught:
         parse_code(text)

@@ -111,8 +111,8 @@ def collect(
 
     source = read()
     return run(
-        lambda place: episodes_of(config, source, place, replay if recorded else play),
-        dataset_folder(config, out),
+        lambda place: _episodes_of(config, source, place, replay if recorded else play),
+        _dataset_folder(config, out),
         identity(config, source),
         options,
         progress,
@@ -128,7 +128,7 @@ def named(config: CollectConfig) -> CollectConfig:
     return config if config.dataset_id else replace(config, dataset_id=distinct_id(config))
 
 
-def dataset_folder(config: CollectConfig, out: Path | None) -> Path:
+def _dataset_folder(config: CollectConfig, out: Path | None) -> Path:
     """Return the folder of a collection's dataset."""
     return (out or minari_root()) / config.dataset_id
 
@@ -139,7 +139,7 @@ def require_collectable(config: CollectConfig, out: Path | None, options: RunOpt
     Raises:
         Occupied: it does, and `options` don't say what to do with it.
     """
-    folder = dataset_folder(config, out)
+    folder = _dataset_folder(config, out)
     if not options.resume and options.shard.is_whole:
         require_output(folder, folder=True, overwrite=options.overwrite)
     require_no_interrupted_run(folder, options, options.shard)
@@ -151,7 +151,7 @@ def sources_of(config: CollectConfig) -> dict[str, Any]:
     return sources([config.policy, *adviser], [config.task])
 
 
-def episodes_of(
+def _episodes_of(
     config: CollectConfig,
     source: dict[str, Any],
     place: Path,
@@ -162,7 +162,7 @@ def episodes_of(
         Call(f"episodes {few.start}-{few.stop - 1}", block, (config, few))
         for few in blocks(config.episodes, config.task)
     ]
-    return publish_episodes(config, [from_result(part) for part in parts], source, place)
+    return _publish(config, [from_result(part) for part in parts], source, place)
 
 
 def play(config: CollectConfig, numbers: range) -> Result:
@@ -194,7 +194,7 @@ def _best(tried: list[Episodes]) -> Episodes:
     return best._replace(episodes=best.episodes.replaced(planned=planned))
 
 
-def publish_episodes(
+def _publish(
     config: CollectConfig, parts: list[Episodes], source: dict[str, Any], place: Path
 ) -> str:
     """Publish a collection's episodes as the folder `place`; return a summary.

@@ -49,21 +49,11 @@ def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, film
     return as_result(rollouts(make_policy(policy), task, seeds, keep=STEPS if film else None))
 
 
-class Evaluation:
-    """The results of an evaluation, and the films of its first episodes.
-
-    Attributes:
-        results: one per setup, in the order of `EvaluateConfig.setups`.
-        films: the filmed episodes of each setup.
-    """
-
-    def __init__(self) -> None:
-        self.results: list[Result] = []
-        self.films: list[Episodes] = []
+Evaluation = tuple[list[Result], list[Episodes]]  # a result and a film of each setup
 
 
-def evaluation(config: EvaluateConfig, found: Evaluation, filmed: int = 0) -> Recipe[str]:
-    """Play every setup, and its first episodes for a film; fill `found`, and return a summary."""
+def evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
+    """Play every setup, in the order of `config.setups`, and its first episodes for a film."""
     setups = list(config.setups())
     numbers = blocks(config.episodes, config.task)
     calls = [
@@ -77,24 +67,21 @@ def evaluation(config: EvaluateConfig, found: Evaluation, filmed: int = 0) -> Re
         if filmed
     ]
     parts = [from_result(part) for part in (yield [*calls, *films])]
-    count = len(numbers)
+    results = []
     for setup, one in enumerate(setups):
-        played = merged(parts[setup * count : (setup + 1) * count])
-        found.results.append(result_of(*one, played.episodes))
-    found.films += parts[len(calls) :]
-    return f"{len(setups)} results of {config.episodes} episodes each"
+        played = merged(parts[setup * len(numbers) : (setup + 1) * len(numbers)])
+        results.append(result_of(*one, played.episodes))
+    return results, parts[len(calls) :]
 
 
 def evaluate(config: EvaluateConfig, workers: int = 1) -> list[Result]:
     """Play every setup and write nothing; return the results in the order of `config.setups`."""
-    require_playable(config)
-    found = Evaluation()
+    _require_playable(config)
     with executor(workers) as pool:
-        compute(evaluation(config, found), pool=pool)
-    return found.results
+        return compute(evaluation(config), pool=pool)[0]
 
 
-def require_playable(config: EvaluateConfig) -> None:
+def _require_playable(config: EvaluateConfig) -> None:
     """Refuse setups whose policies don't fit, before any work is done.
 
     Raises:
@@ -133,7 +120,7 @@ def run(
 
     Raises:
         InvalidInput: resume, restart or a shard is requested without `out`, or a film of a shard.
-        InvalidPolicy, InvalidInput: as in `require_playable`.
+        InvalidPolicy, InvalidInput: as in `_require_playable`.
         InvalidInput, Occupied, Failed: as in `runs.run.run`, and for `video`.
     """
     progress = progress or Progress(quiet=True)
@@ -146,19 +133,21 @@ def run(
         from knotgym.rendering.video import require_film
 
         require_film(video)
-    require_playable(config)
-    source, found = sources_of(config), Evaluation()
+    _require_playable(config)
+    source, results, films = sources_of(config), list[Result](), list[Episodes]()
 
     def recipe(place: Path | None) -> Recipe[str]:
+        nonlocal results, films
         if video is not None:
             require_output(video, folder=False, overwrite=options.overwrite)
-        summary = yield from evaluation(config, found, config.filmed if video is not None else 0)
+        filmed = 0 if video is None else config.filmed
+        results, films = yield from evaluation(config, filmed)
         if video is not None:  # before the output, which says that all is done
-            _write_film(config, found, video, options.overwrite)
+            _write_film(config, films, video, options.overwrite)
         if place is not None:
-            text = as_text(report(config, found.results, source))
+            text = as_text(report(config, results, source))
             place.write_text(text, encoding="utf-8")
-        return summary
+        return f"{len(results)} results of {config.episodes} episodes each"
 
     def prepare(shown: Progress) -> None:
         compile_first(shown, config.task.engine, options.workers)
@@ -180,20 +169,20 @@ def run(
         )
         if not options.shard.is_whole:
             return []
-        if not found.results:  # it was finished already
+        if not results:  # it was finished already
             with evaluation_in(out) as (_, results):
-                found.results = results
+                pass
         if video is not None and not video.exists():
             raise Occupied(
                 f"{out} is finished already, but the film {video} isn't there; --overwrite without"
                 " --resume makes both again"
             )
     if not options.quiet:
-        show(found.results, progress.console, config.task.engine)
+        show(results, progress.console, config.task.engine)
     if video is not None:
-        count = sum(one.episodes.rows for one in found.films)
+        count = sum(one.episodes.rows for one in films)
         progress.say(f"{video}: {count} episodes")
-    return found.results
+    return results
 
 
 def report(
@@ -251,12 +240,14 @@ def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.
     )
 
 
-def _write_film(config: EvaluateConfig, found: Evaluation, video: Path, overwrite: bool) -> None:
+def _write_film(
+    config: EvaluateConfig, films: Sequence[Episodes], video: Path, overwrite: bool
+) -> None:
     from knotgym.rendering.video import write_film
 
     frames = [
         frame
-        for (_, task), one in zip(config.setups(), found.films, strict=True)
+        for (_, task), one in zip(config.setups(), films, strict=True)
         for row in range(one.episodes.rows)
         for frame in film(one, task, row)
     ]

@@ -24,7 +24,7 @@ from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.generate.episodes.collect import collect, require_collectable
 from knotgym.generate.episodes.collect_config import CollectConfig
-from knotgym.generate.episodes.recordings import recordings
+from knotgym.generate.episodes.recordings import Recording, recordings
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_config import POLICIES, SUITE, SuiteConfig
 from knotgym.generate.episodes.suite_facts import describe_set
@@ -67,7 +67,7 @@ def make_suite(
             return make_suite(config, out, options, progress=progress)
     root = Path(out) if out is not None else minari_root()
     folder, known = root / "knotgym", recordings() if config.recorded else {}
-    wanted = _recorded(config, [*known]) if config.recorded else [*config.sets()]
+    wanted = _recorded(config, known) if config.recorded else [*config.sets()]
     results = read_scores(sorted((folder / "evaluations").glob("*.json")))
     for one in wanted:  # before anything is made
         require_collectable(one, root, options)
@@ -88,12 +88,14 @@ def make_suite(
     return folder
 
 
-def _recorded(config: SuiteConfig, known: Sequence[str]) -> list[CollectConfig]:
-    """List the requested sets that are recorded, and the random ones of the same setups."""
+def _recorded(config: SuiteConfig, known: Mapping[str, Recording]) -> list[CollectConfig]:
+    """List the requested sets that are recorded, by the policy that acted, and the random ones of
+    the same setups.
+    """
     every = replace(config, policies=POLICIES).sets()
     setups = {one.task for one in every if one.dataset_id in known}
     wanted = [
-        one
+        replace(one, policy=known[one.dataset_id].config.policy) if one.dataset_id in known else one
         for one in config.sets()
         if one.dataset_id in known or (one.policy.policy == "random" and one.task in setups)
     ]
@@ -136,13 +138,13 @@ def _write_card(
         "results": list(results),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    texts = json.dumps(report, indent=1, sort_keys=True) + "\n", suite_card(report)
+    texts = json.dumps(report, indent=1, sort_keys=True) + "\n", _card_of(report)
     for name, text in zip(_CARD, texts, strict=True):
         with atomic_write(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
 
-def suite_card(report: Mapping[str, Any]) -> str:
+def _card_of(report: Mapping[str, Any]) -> str:
     """Return the card of the benchmark as Markdown; `report` is the content of suite.json."""
     sets = report["sets"]
     columns = "id states split engine policy seed episodes steps".split()

@@ -5,10 +5,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import field
 from importlib.resources import files
 from itertools import product
-from typing import Any
+from typing import Annotated, Any
 
-from knotgym.common.configuration import Seed, configuration
-from knotgym.common.errors import InvalidInput
+from pydantic import Field
+
+from knotgym.common.configuration import Count, Distinct, Seed, choice, configuration
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect_config import CollectConfig, plain_id
@@ -18,6 +19,12 @@ SUITE: dict[str, Any] = tomllib.loads(
     (files("knotgym.generate.episodes") / "data" / "suite.toml").read_text("utf-8")
 )
 POLICIES, STATES, SPLITS = (tuple(SUITE[name]) for name in ("policies", "states", "splits"))
+
+Tasks = Annotated[tuple[Annotated[str, choice(*SUITE["tasks"])], ...], Distinct]
+Policies = Annotated[tuple[Annotated[str, choice(*POLICIES)], ...], Distinct]
+Splits = Annotated[tuple[Annotated[str, choice(*SPLITS)], ...], Distinct]
+States = Annotated[tuple[Annotated[str, choice(*STATES)], ...], Distinct]
+Numbers = Annotated[tuple[Annotated[int, Field(ge=2, le=4)], ...], Distinct]
 
 
 @configuration
@@ -42,30 +49,18 @@ class SuiteConfig:
             without a recording are left out; random episodes follow from the seed.
     """
 
-    tasks: tuple[str, ...] = tuple(SUITE["tasks"])
-    nx: tuple[int, ...] = tuple(SUITE["nx"])
-    policies: tuple[str, ...] = POLICIES
-    splits: tuple[str, ...] = SPLITS
-    states: tuple[str, ...] = STATES
-    episodes: Mapping[str, int] = field(default_factory=dict)
+    tasks: Tasks = tuple(SUITE["tasks"])
+    nx: Numbers = tuple(SUITE["nx"])
+    policies: Policies = POLICIES
+    splits: Splits = SPLITS
+    states: States = STATES
+    episodes: Mapping[Annotated[str, choice(*POLICIES)], Count] = field(default_factory=dict)
     engine: str = MUJOCO
     observation: str = SUITE["observation"]
     seed: Seed = SUITE["seed"]
     recorded: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("tasks", "nx", "policies", "splits", "states"):
-            some, known = getattr(self, name), SUITE[name]
-            wrong = [one for one in some if one not in known]
-            if wrong or not some:
-                raise InvalidInput(
-                    f"the suite's {name} must be among {', '.join(map(str, known))}; got"
-                    f" {', '.join(map(str, wrong)) or 'none'}"
-                )
-        if unknown := [one for one in self.episodes if one not in POLICIES]:
-            raise InvalidInput(
-                f"episodes are set for {', '.join(POLICIES)}; got {', '.join(unknown)}"
-            )
         for _ in self.sets():  # raises if a size, seed or observation is invalid
             pass
 

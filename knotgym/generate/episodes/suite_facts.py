@@ -23,7 +23,7 @@ def describe_set(made: Path) -> dict[str, Any]:
         made: folder of the dataset.
 
     Returns:
-        Its settings and size; `sha256`, of its starts and pulls; `codes`, see `goal_overlap`;
+        Its settings and size; `sha256`, of its starts and pulls; `codes`, see `_goal_overlap`;
         `recorded`: "no" recording, "same", or "differs from episode k".
 
     Raises:
@@ -55,13 +55,13 @@ def describe_set(made: Path) -> dict[str, Any]:
         "bytes": sum(file.stat().st_size for file in files),
         "sha256": content_digest(episodes),
         "versions": versions,
-        "codes": goal_overlap(task) if ships(task.states) else None,
+        "codes": _goal_overlap(task) if ships(task.states) else None,
         "recorded": agreement,
     }
 
 
 @lru_cache
-def goal_overlap(task: TaskConfig) -> dict[str, int]:
+def _goal_overlap(task: TaskConfig) -> dict[str, int]:
     """Count the goal codes of a task's training and test split.
 
     Returns:

@@ -111,7 +111,7 @@ def demonstrated(
                 parts = np.array_split(rows, -(-len(rows) // _TOGETHER)) if rows else []
                 for part in parts:
                     key = f"demonstrations, attempt {attempt}: {nx} {split} {part[0]}"
-                    task = replace(task_of(config, nx, split), states=str(path))
+                    task = replace(_task_of(config, nx, split), states=str(path))
                     seed = config.seed
                     calls.append(Call(key, demonstrate, (task, seed, part.tolist(), attempt)))
         if not calls:
@@ -155,7 +155,7 @@ def compile_planning() -> None:
     rollouts(make_policy(PolicyConfig(policy="expert")), task, [0])
 
 
-def task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:
+def _task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:
     """Return the task of the demonstrations of states with nx crossings in a split."""
     return TaskConfig(
         task="tie" if nx else "unknot",
@@ -198,4 +198,4 @@ def publish_demonstrations(
                 " configuration of that code, is in general not reached."
             ),
         )
-        publish([episodes], task_of(config, nx, split), metadata, root, states=states)
+        publish([episodes], _task_of(config, nx, split), metadata, root, states=states)

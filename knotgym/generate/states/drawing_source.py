@@ -56,7 +56,7 @@ _ONE = np.array([0])
 _STIR, _LOOP_STIR, _REST = (2, 0.05, 0.3), (32, 0.05, 1.0), 3
 
 
-class Order(NamedTuple):
+class _Order(NamedTuple):
     """States to draw of one code.
 
     Attributes:
@@ -89,22 +89,21 @@ def drawn_rows(
     """
     codes = {nx: WantedCodes(config, nx) for nx in config.nx}
     selection, have = Selection(), {nx: Counter[int]() for nx in config.nx}
-    rejected = {nx: Counter[str]() for nx in config.nx}
     made, reserved = Counter[tuple[int, int]](), Counter[tuple[int, int]]()
     given_up: dict[int, set[int]] = {nx: set() for nx in config.nx}
     number = 0
     while True:
-        orders = list[Order]()
+        orders = list[_Order]()
         for nx in config.nx:
             for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items():
                 for wanted in _parts(lacking, _COPIES):
                     first, most = reserved[nx, index], _DRAWINGS * wanted
-                    orders.append(Order(codes[nx][index], index, first, most, wanted))
+                    orders.append(_Order(codes[nx][index], index, first, most, wanted))
                     reserved[nx, index] += most
         if not orders:
             break
         calls = [
-            Call(f"{stage} {number + part}", draw, (config, tuple(orders[first : first + _CODES])))
+            Call(f"{stage} {number + part}", _draw, (config, tuple(orders[first : first + _CODES])))
             for part, first in enumerate(range(0, len(orders), _CODES))
         ]
         number += len(calls)
@@ -112,7 +111,7 @@ def drawn_rows(
             rows, drawn = without_report(result)
             for nx, index, drawings, reasons in drawn:
                 made[nx, index] += drawings
-                rejected[nx].update(reasons)
+                selection.rejected[nx].update(reasons)
             for row, seed in enumerate(rows.get("source/seed", ())):
                 nx, index, drawing = seed[2:].tolist()
                 if selection.offer(rows, row, lenient=drawing >= UNLIKE_DRAWINGS):
@@ -123,15 +122,10 @@ def drawn_rows(
                 for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items()
                 if made[nx, index] >= config.attempts * (have[nx][index] + lacking)
             }
-    for nx in config.nx:
-        rejected[nx]["near-duplicate"] += selection.near[nx]
     report.update(
         existing_codes={str(nx): of.existing for nx, of in codes.items()},
         attempts=made.total(),
-        rejected={
-            str(nx): {reason: n for reason, n in sorted(each.items()) if n}
-            for nx, each in rejected.items()
-        },
+        rejected=selection.reasons(config.nx),
         passed_over={
             str(nx): [str(codes[nx][index]) for index in sorted(given_up[nx])] for nx in config.nx
         },
@@ -146,7 +140,7 @@ def drawn_rows(
     return taken(rows, np.array(order))
 
 
-def draw(config: GenerateConfig, orders: Sequence[Order]) -> Rows:
+def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Rows:
     """Draw codes until enough states of each are accepted.
 
     Returns:
@@ -156,7 +150,8 @@ def draw(config: GenerateConfig, orders: Sequence[Order]) -> Rows:
     simulation = simulation_of(1, config.rope, config.engine_used)
     rows, drawn = list[dict[str, Any]](), []
     for order in orders:
-        selection, rejected, number = Selection(), Counter[str](), order.first
+        selection, number = Selection(), order.first
+        rejected = selection.rejected[order.code.nx]
         letters = _letters(order.code, config.knot)
         while number < order.first + order.drawings and len(selection) < order.wanted:
             # `which` keeps codes from all starting with the same chirality
@@ -166,7 +161,6 @@ def draw(config: GenerateConfig, orders: Sequence[Order]) -> Rows:
             number += 1
             if row is not None and selection.offer(stacked([row]), 0):
                 rows.append(row)
-        rejected["near-duplicate"] = selection.near[order.code.nx]
         drawn.append([order.code.nx, order.which, number - order.first, rejected])
     return with_report(stacked(rows), drawn)
 
@@ -184,7 +178,7 @@ def _letters(code: GaussCode, knot: str) -> tuple[str, ...]:
 
 def _drawn(
     config: GenerateConfig,
-    order: Order,
+    order: _Order,
     code: GaussCode,
     number: int,
     simulation: Simulation,

@@ -50,14 +50,13 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
         Failed: states are missing, although `config.attempts` are used up.
     """
     ropes, selection = config.lives.ropes, Selection()
-    have, rejected = Counter[tuple[int, str]](), {nx: Counter[str]() for nx in config.nx}
-    of_code = Counter[tuple[str, GaussCode]]()
+    have, of_code = Counter[tuple[int, str]](), Counter[tuple[str, GaussCode]]()
     lived = 0
     while lacking := [
         (nx, split)
         for nx in config.nx
         for split in STATE_SPLITS
-        if have[nx, split] < wanted(config, nx, split)
+        if have[nx, split] < _wanted(config, nx, split)
     ]:
         if lived >= config.attempts * config.count:
             named = ", ".join(f"nx {nx} {split}" for nx, split in lacking)
@@ -73,33 +72,28 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
         for result in (yield calls):
             rows, reasons = without_report(result)
             for nx, each in reasons:
-                rejected[nx].update(each)
+                selection.rejected[nx].update(each)
             for row, rope in enumerate(ropes_of(rows)):
                 code = GaussCode.parse(str(rows["gauss_code"][row]))
                 split = split_of(config, rope)
-                even = wanted(config, code.nx, split) / len(codes_of(UNKNOT, code.nx))
-                if have[code.nx, split] >= wanted(config, code.nx, split):
+                even = _wanted(config, code.nx, split) / len(codes_of(UNKNOT, code.nx))
+                if have[code.nx, split] >= _wanted(config, code.nx, split):
                     continue
                 if config.source == PLAY and of_code[split, code] >= max(_LEAST, _UNEVEN * even):
                     continue
                 if selection.offer(rows, row):
                     have[code.nx, split] += 1
                     of_code[split, code] += 1
-    for nx in config.nx:
-        rejected[nx]["near-duplicate"] += selection.near[nx]
     report.update(
         existing_codes={str(nx): len(codes_of(UNKNOT, nx)) for nx in config.nx},
         attempts=lived,
-        rejected={
-            str(nx): {reason: n for reason, n in sorted(each.items()) if n}
-            for nx, each in rejected.items()
-        },
+        rejected=selection.reasons(config.nx),
     )
     rows = selection.rows()
     return joined([taken(rows, rows["nx"] == nx) for nx in config.nx])
 
 
-def wanted(config: GenerateConfig, nx: int, split: str) -> int:
+def _wanted(config: GenerateConfig, nx: int, split: str) -> int:
     """Return the number of states to make with nx crossings in a split."""
     train = int(np.floor(config.count * config.train_share + 0.5))
     return train if split == STATE_SPLITS[0] else config.count - train
@@ -116,7 +110,7 @@ def ropes_of(rows: Rows) -> list[int]:
     return [int(seed[2]) for seed in rows.get("source/seed", ())]
 
 
-def key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
+def _key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
     """Return the key of a rope's random stream."""
     stream = Stream.PLAYED_ROPE if config.source == PLAY else Stream.RANDOM_WALK
     return key(stream, config.seed, rope)
@@ -133,7 +127,7 @@ def play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ...
         numbers.
     """
     ropes = range(first, first + config.lives.ropes)
-    keys = [key_of(config, rope) for rope in ropes]
+    keys = [_key_of(config, rope) for rope in ropes]
     lives = live(config.lives, config.engine_used, keys)
     played = config.source == PLAY
     limits = [config.limits, config.twist] if played else [config.twist]

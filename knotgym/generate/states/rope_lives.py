@@ -32,7 +32,7 @@ _SLOPE = 0.1  # most upward or downward part of a pull, in units of the largest 
 BeadsAndForces = tuple[NDArray[np.int64], NDArray[np.float32]]
 
 
-class Frame(NamedTuple):
+class _Frame(NamedTuple):
     """A rope as it lies after some pulls; its velocity isn't kept.
 
     Attributes:
@@ -48,7 +48,7 @@ class Frame(NamedTuple):
     points: Array
 
 
-class Lives(Policy):
+class _Lives(Policy):
     """The policy of some ropes' lives, and what was seen of them.
 
     Attributes:
@@ -66,7 +66,7 @@ class Lives(Policy):
         self, config: PlayConfig, keys: Sequence[tuple[int, ...]], start_qpos: Array
     ) -> None:
         self.config, self.keys, self.start_qpos = config, keys, start_qpos
-        self.frames: list[Frame] = []
+        self.frames: list[_Frame] = []
         self.actions = np.zeros((len(keys), config.pulls, 6), dtype=np.float32)
 
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
@@ -75,7 +75,7 @@ class Lives(Policy):
     def player(self, batch: EpisodeBatch) -> "_Living":
         return _Living(self, batch)
 
-    def play(self, engine: str) -> "Lives":
+    def play(self, engine: str) -> "_Lives":
         """Play the lives once, side by side."""
         schema = STARTS.sized(nq=self.start_qpos.shape[1])
         rows = schema.empty(len(self.keys))
@@ -95,7 +95,7 @@ def coil(rope: Rope) -> Array:
     return rope.from_curve(np.stack(curve, axis=1))
 
 
-def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> Lives:
+def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> _Lives:
     """Live the lives of ropes, side by side; each depends on its own key alone.
 
     Args:
@@ -110,15 +110,15 @@ def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> Li
         walk = PlayConfig(
             settle=0, random=config.settle, opening=0, rounds=0, first=config.settle, every=1
         )
-        for frame in Lives(walk, keys, start.copy()).play(engine).frames:
+        for frame in _Lives(walk, keys, start.copy()).play(engine).frames:
             start[frame.rope] = frame.qpos  # a rope that was lost on the way stays a coil
-    return Lives(config, keys, start).play(engine)
+    return _Lives(config, keys, start).play(engine)
 
 
 class _Living(Player):
     """Plays the phases of a life in each lane, one after the other."""
 
-    def __init__(self, life: Lives, batch: EpisodeBatch) -> None:
+    def __init__(self, life: _Lives, batch: EpisodeBatch) -> None:
         self.planned = np.zeros(batch.count, dtype=np.int64)
         self._life, self._batch = life, batch
         self._simulation, self._rngs = batch.simulation, dict[int, np.random.Generator]()
@@ -164,7 +164,7 @@ class _Living(Player):
         columns = self._batch.number[seen].tolist(), self._batch.steps[seen].tolist()
         # where a reset lays the rope; the chain engine's own vertices differ by rounding
         qpos = self._simulation.qpos(seen)
-        self._life.frames += map(Frame, *columns, qpos, self._simulation.rope.points(qpos))
+        self._life.frames += map(_Frame, *columns, qpos, self._simulation.rope.points(qpos))
 
     def _random(self, ids: Ids) -> BeadsAndForces:
         actions = self._drawn[ids, self._batch.steps[ids]]

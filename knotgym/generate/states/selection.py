@@ -1,6 +1,7 @@
 """Selection of states: of the rows that passed the filter, which are new and still wanted."""
 
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,11 +15,11 @@ class Selection:
     """States kept so far, none near another.
 
     Attributes:
-        near: nx -> number of rows refused as near duplicates.
+        rejected: nx -> reason -> number of rejected candidates; `offer` counts near duplicates.
     """
 
     def __init__(self) -> None:
-        self.near = Counter[int]()
+        self.rejected = defaultdict[int, Counter[str]](Counter)
         self._parts: list[Rows] = []
         self._kept: list[tuple[GaussCode, Array]] = []
 
@@ -40,11 +41,15 @@ class Selection:
             others = [one for shown, one in self._kept if shown.nx == code.nx]
             near = bool(others) and bool((distances(points, np.stack(others)) < NEAR).any())
         if near:
-            self.near[code.nx] += 1
+            self.rejected[code.nx]["near-duplicate"] += 1
             return False
         self._kept.append((code, points))
         self._parts.append(taken(rows, slice(row, row + 1)))
         return True
+
+    def reasons(self, numbers: Sequence[int]) -> dict[str, dict[str, int]]:
+        """Return `rejected` for some numbers of crossings, as JSON."""
+        return {str(nx): dict(sorted(self.rejected[nx].items())) for nx in numbers}
 
     def rows(self) -> Rows:
         """Return the kept rows, in the order in which they were offered."""
