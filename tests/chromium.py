@@ -4,14 +4,13 @@ port.
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import select
 import shutil
 import subprocess
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -114,14 +113,6 @@ class Chromium:
         self.call("Page.navigate", url=address)
         self.until("document.readyState === 'complete'")
 
-    def mouse(self, kind: str, place: tuple[float, float], modifiers: int = 0) -> None:
-        """Send "mousePressed", "mouseMoved" or "mouseReleased"; modifiers: 1 alt, 8 shift."""
-        x, y = place
-        self.call(
-            "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1,
-            clickCount=1, modifiers=modifiers,
-        )  # fmt: skip
-
     def press(self, key: str) -> None:
         """Press a key; a letter is also sent as its place on the keyboard, which viser asks for."""
         text = {"text": key} if len(key) == 1 else {}
@@ -140,22 +131,6 @@ class Chromium:
                 "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1,
                 clickCount=1,
             )  # fmt: skip
-
-    def touch(self, path: Sequence[tuple[float, float]], pause: float = 0.1) -> None:
-        """Draw a finger along a path, pixels, resting as long after each step."""
-        for kind, places in (
-            ("touchStart", path[:1]),
-            *(("touchMove", [place]) for place in path[1:]),
-            ("touchEnd", []),
-        ):
-            points = [{"x": float(x), "y": float(y)} for x, y in places]
-            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
-            time.sleep(pause)
-
-    def picture(self, path: Path) -> None:
-        """Write what is seen as PNG."""
-        shot = self.call("Page.captureScreenshot", format="png")
-        path.write_bytes(base64.b64decode(shot["data"]))
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Send a command and wait for its result."""

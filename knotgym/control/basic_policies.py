@@ -1,6 +1,6 @@
 """Policies without a plan: random and constant actions, and what players of actions share."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,13 +14,11 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import choices, nearest_beads
 from knotgym.rope.simulation import ROUNDING
 
-TOGETHER = 32  # rows that a network is given at once, always
-
 Generators = Sequence[np.random.Generator]
 
 
 class ActionPlayer:
-    """Chooses actions of the task's view, which pulls carry out.
+    """Chooses actions of the task's view, which pulls carry out; subclasses define `choose`.
 
     Attributes:
         batch: the episodes.
@@ -29,11 +27,8 @@ class ActionPlayer:
         rngs: the generator of the episode in each lane.
     """
 
-    def __init__(
-        self, batch: EpisodeBatch, name: str, choose: Callable[[Ids], Any] | None = None
-    ) -> None:
-        """Take a function from lanes to their actions; subclasses may define `choose` instead."""
-        self.batch, self.name, self._choose = batch, name, choose
+    def __init__(self, batch: EpisodeBatch, name: str) -> None:
+        self.batch, self.name = batch, name
         self.planned = np.zeros(batch.count, dtype=np.int64)
         self.rngs: list[np.random.Generator] = [np.random.default_rng(0)] * batch.count
         self._pulled = np.zeros(batch.count, dtype=bool)  # since the view last looked
@@ -46,8 +41,7 @@ class ActionPlayer:
 
     def choose(self, ids: Ids) -> Any:
         """Return one action of the task's view for each of the lanes; the caller checks them."""
-        assert self._choose is not None
-        return self._choose(ids)
+        raise NotImplementedError
 
     def act(self, ids: Ids) -> Pulls:
         """Choose actions, and return the pulls that carry them out."""
@@ -122,29 +116,16 @@ class ConstantPolicy:
 
     def player(self, batch: EpisodeBatch) -> ActionPlayer:
         """Return a player for the lanes of a batch."""
-        return ActionPlayer(batch, self.name, lambda ids: np.tile(self._action, (len(ids), 1)))
+        return _ConstantPlayer(batch, self.name, self._action)
 
 
-class NetworkPolicy:
-    """A function from batches of observations to batches of actions, such as a network.
+class _ConstantPlayer(ActionPlayer):
+    def __init__(self, batch: EpisodeBatch, name: str, action: NDArray[np.float32]) -> None:
+        super().__init__(batch, name)
+        self._action = action
 
-    Attributes:
-        name: stored with its episodes.
-    """
-
-    def __init__(self, function: Callable[[Any], Any], name: str) -> None:
-        """Take a function of arrays (TOGETHER, ...), or of dicts of such, see `in_blocks`."""
-        self._function, self.name = function, name
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Any task, with the observation that it has."""
-        return task
-
-    def player(self, batch: EpisodeBatch) -> ActionPlayer:
-        """Return a player for the lanes of a batch."""
-        return ActionPlayer(
-            batch, self.name, lambda ids: in_blocks(self._function, batch.observations(ids))
-        )
+    def choose(self, ids: Ids) -> NDArray[np.float32]:
+        return np.tile(self._action, (len(ids), 1))
 
 
 def pull_task(task: TaskConfig) -> TaskConfig:
@@ -198,26 +179,3 @@ def checked(actions: Any, batch: EpisodeBatch, name: str) -> NDArray[np.float32]
         raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
     checked_actions: NDArray[np.float32] = actions
     return checked_actions
-
-
-def in_blocks(function: Callable[[Any], Any], inputs: Any) -> NDArray[Any]:
-    """Apply a network to n rows, always TOGETHER at once; rows that are missing are zeros.
-
-    The sums of a network depend on how many rows it is given, and an action mustn't depend on the
-    episodes beside it.
-
-    Args:
-        function: from arrays (TOGETHER, ...) to an array (TOGETHER, ...).
-        inputs: an array (n, ...), or a dict of such arrays.
-    """
-    parts = inputs if isinstance(inputs, dict) else {"": inputs}
-    count, given = len(next(iter(parts.values()))), []
-    for first in range(0, count, TOGETHER):
-        block = {}
-        for name, values in parts.items():
-            some = values[first : first + TOGETHER]
-            block[name] = np.zeros((TOGETHER, *values.shape[1:]), values.dtype)
-            block[name][: len(some)] = some
-        answer = np.asarray(function(block if isinstance(inputs, dict) else block[""]))
-        given.append(answer[: count - first])
-    return np.concatenate(given)

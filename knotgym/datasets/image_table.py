@@ -32,7 +32,7 @@ from knotgym.common.errors import (
 from knotgym.quality.limits import UNITS
 from knotgym.states.splits import IMAGE_SPLITS
 
-_FORMAT = "knotgym-images"
+FORMAT = "knotgym-images"
 _FORMAT_VERSION = 1
 _DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `row_line`
 GRADES = ("easy", "medium", "hard", "extreme")
@@ -83,7 +83,7 @@ def parquet(table: Any) -> bytes:
     digest = hashlib.sha256()
     for row in _rows(table):
         digest.update(row_line(row))
-    named = {"format": _FORMAT, "format_version": _FORMAT_VERSION, _DIGEST: digest.hexdigest()}
+    named = {"format": FORMAT, "format_version": _FORMAT_VERSION, _DIGEST: digest.hexdigest()}
     metadata = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
     table, sink = table.replace_schema_metadata(metadata), arrow().BufferOutputStream()
     arrow("pyarrow.parquet").write_table(
@@ -234,9 +234,9 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         file = parquet.ParquetFile(path)
         named = _named(file)
         name, version = named.get("format", "none"), named.get("format_version", "none")
-        if (name, version) != (_FORMAT, _FORMAT_VERSION):
+        if (name, version) != (FORMAT, _FORMAT_VERSION):
             raise InvalidFile(
-                f"{path} has format {name!r} version {version}; this version reads {_FORMAT!r}"
+                f"{path} has format {name!r} version {version}; this version reads {FORMAT!r}"
                 f" version {_FORMAT_VERSION}"
             )
         _require_schema(file, os.path.getsize(path))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Values below were set by hand; no record says what others would score.
 PARTICLES = 384
 # Standard deviation around a start position met in training, metres: smooths that empirical prior.
 _START_NOISE = 0.02

@@ -21,6 +21,7 @@ from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]
 
+# Values below were set by hand; no record says what others would score.
 # Errors of neighbouring beads are correlated, so BEADS residuals count as BEADS / 25 independent
 # ones: the log-likelihood is divided by this.
 _CORRELATION = 25.0

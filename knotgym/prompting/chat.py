@@ -194,10 +194,11 @@ class Chat:
         openai, config = self._openai, self._config
         settings = {} if config.temperature < 0 else {"temperature": config.temperature}
         try:
-            # a server that sends a byte at a time keeps the client's own timeouts from expiring
-            async with asyncio.timeout(config.timeout), self._client() as client:
+            async with self._client() as client:
                 complete = client.chat.completions.with_raw_response.create
-                raw = await complete(model=config.model, messages=messages, **settings)
+                # a server that sends a byte at a time keeps the client's own limits from expiring
+                async with asyncio.timeout(config.timeout):
+                    raw = await complete(model=config.model, messages=messages, **settings)
                 return self._read(raw.http_response.text)
         except openai.APIStatusError as error:
             return self._failed(error.status_code, error.response.headers, error.response.text)

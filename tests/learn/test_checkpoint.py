@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from knotgym.common.atomic_files import sha256
@@ -37,32 +36,25 @@ def refusal(folder: Path) -> str:
     return str(raised.value)
 
 
-def test_a_learner_comes_back_as_it_was_kept(learner: Path) -> None:
-    from knotgym.learn.checkpoint import load_reader
-
-    one, other = load_reader(str(learner)), load_reader(str(learner))
-    assert np.array_equal(one.starts, other.starts) and one.starts.shape == (3, 3)
-
-
-def test_another_format_version_is_refused(learner: Path, tmp_path: Path) -> None:
-    for k, version in enumerate((99, 2.0, "\x1b[2J")):
-        said = refusal(changed(learner, tmp_path / str(k), format_version=version))
-        assert f"format version {version!r}" in said and said.isprintable()
-
-
-def test_another_format_is_refused(learner: Path, tmp_path: Path) -> None:
-    assert "isn't of format knotgym-policy" in refusal(changed(learner, tmp_path, format="other"))
+@pytest.mark.parametrize(
+    ("card", "says"),
+    [
+        *(({"format_version": one}, f"format version {one!r}") for one in (99, 2.0, "\x1b[2J")),
+        ({"format": "other"}, "isn't of format knotgym-policy"),
+    ],
+)
+def test_cards_of_other_formats_are_refused(
+    learner: Path, tmp_path: Path, card: dict[str, object], says: str
+) -> None:
+    said = refusal(changed(learner, tmp_path, **card))
+    assert says in said and said.isprintable()
 
 
-def test_weights_cut_short_are_refused(learner: Path, tmp_path: Path) -> None:
-    copy = changed(learner, tmp_path)
-    path = copy / "weights.safetensors"
-    path.write_bytes(path.read_bytes()[:-100])
-    assert "changed or truncated" in refusal(copy)
-
-
-def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
+def test_missing_weights_and_weights_cut_short_are_refused(learner: Path, tmp_path: Path) -> None:
     assert "no learner at" in refusal(tmp_path)
+    path = changed(learner, tmp_path) / "weights.safetensors"
+    path.write_bytes(path.read_bytes()[:-100])
+    assert "changed or truncated" in refusal(path.parent)
 
 
 def forged(learner: Path, tmp_path: Path, name: str, change: Callable[[Any], Any]) -> Path:
@@ -79,20 +71,17 @@ def forged(learner: Path, tmp_path: Path, name: str, change: Callable[[Any], Any
     return copy
 
 
-def test_weights_that_are_not_finite_are_refused(learner: Path, tmp_path: Path) -> None:
-    def spoilt(tensor: Any) -> Any:
-        tensor[0] = float("nan")
-        return tensor
-
-    assert "places has numbers that aren't finite" in refusal(
-        forged(learner, tmp_path, "places", spoilt)
-    )
-
-
-def test_weights_of_another_type_are_refused(learner: Path, tmp_path: Path) -> None:
-    assert "places is float64 (3, 3), should be float32" in refusal(
-        forged(learner, tmp_path, "places", lambda tensor: tensor.double())
-    )
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda tensor: tensor * float("nan"), "places has numbers that aren't finite"),
+        (lambda tensor: tensor.double(), "places is float64 (3, 3), should be float32"),
+    ],
+)
+def test_other_weights_are_refused(
+    learner: Path, tmp_path: Path, change: Callable[[Any], Any], says: str
+) -> None:
+    assert says in refusal(forged(learner, tmp_path, "places", change))
 
 
 def test_a_pipe_is_not_waited_for(learner: Path, tmp_path: Path) -> None:

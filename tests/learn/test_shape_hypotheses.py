@@ -84,15 +84,6 @@ def test_motion_tells_a_rope_from_its_mirror_image(
     assert np.isclose(hypotheses.weights.sum(), 1.0)
 
 
-def test_similar_hypotheses_are_merged(tracked: tuple[ShapeHypotheses, TwoReadings]) -> None:
-    hypotheses, rope = tracked[0], tilted_loop()
-    ropes = np.stack([rope, rope + (0.0, 0.0, 0.001), rope * (1.0, 1.0, -1.0)])
-    hypotheses._keep(ropes, np.zeros_like(ropes), np.array([0.25, 0.3, 0.45]))
-    assert len(hypotheses.ropes) == 2
-    assert np.allclose(hypotheses.weights, (0.55, 0.45))
-    assert np.array_equal(hypotheses.ropes[0], ropes[1])
-
-
 def test_the_code_shown_is_not_the_goal_while_the_episode_continues() -> None:
     reader: Any = TwoReadings(tilted_loop())
     agent = Agent(reader, np.zeros((1, 3)))

@@ -1,5 +1,7 @@
 """The page in a real browser: pulled by mouse alone, attacked, and left."""
 
+import errno
+import os
 import signal
 import socket
 import subprocess
@@ -39,7 +41,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def until(condition: Any, seconds: float = 120) -> None:
+def until(condition: Any, seconds: float = 60) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "never true"
@@ -182,7 +184,7 @@ def test_no_tab_can_open_a_tunnel_to_a_public_host(
 
 def test_every_other_host_asks_for_a_token() -> None:
     with served(host="0.0.0.0") as guarded:
-        assert len(guarded.token) >= 16
+        assert len(guarded.token) >= 16 and "0.0.0.0" not in guarded.address
         clients: list[Any] = []
         guarded._server.on_client_connect(clients.append)
         Tab(port_of(guarded))
@@ -194,6 +196,25 @@ def test_every_other_host_asks_for_a_token() -> None:
         assert not guarded.players
         field.value = guarded.token
         until(lambda: guarded.players)
+
+
+def test_a_full_disk_is_told_and_the_tab_goes_on(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tab = Tab(port_of(page))
+    until(lambda: page.players)
+    player, told = page.players[0], list[Any]()
+    monkeypatch.setattr(player._client, "add_notification", lambda *said, **_: told.append(said))
+
+    def full() -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    player.wish = full
+    until(lambda: told)
+    assert "No space left" in told[0][1]
+    player.wish = lambda: player.session.pull(3, (1, 0, 0))
+    until(lambda: player.session.pulls)
+    tab.socket.close()
 
 
 def test_a_taken_port_is_one_line(page: Page) -> None:

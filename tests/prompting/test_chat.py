@@ -32,7 +32,7 @@ def asked(answer: Callable[[int, Any], Answer], **settings: Any) -> tuple[Any, C
     """Send one request to a server; return the reply or the error raised."""
     server = ChatServer(answer)
     with server.serving():
-        usual = {"model": "m", "timeout": 0.5, "attempts": 3, "backoff": 0.01}
+        usual = {"model": "m", "timeout": 1.0, "attempts": 3, "backoff": 0.01}
         chat = Chat(ChatConfig(**{**usual, "base_url": server.url, **settings}))
         try:
             return chat.ask([{"role": "user", "content": "?"}]), server
@@ -54,7 +54,7 @@ def body(message: Any, **more: Any) -> Answer:
         (("status", (500, {}, "oh")), "500"),
         (("status", (429, {"retry-after": "0.01"}, "{}")), "429"),
         (("cut", None), "connection"),
-        (("slow", 0.7), "timeout"),
+        (("slow", 1.5), "timeout"),
         (("body", "{not json"), "malformed"),
         (("body", '{"choices": []}'), "malformed"),
         (("body", '{"error": {"message": "overloaded"}}'), "error"),
@@ -151,10 +151,9 @@ def flood() -> Iterator[bytes]:
     ids=["body", "error body", "headers"],
 )
 def test_an_attempt_ends_in_time_however_slowly_bytes_drip(first: bytes) -> None:
-    began = time.monotonic()
     reply, _ = asked(lambda number, body: WORDS if number else ("raw", drip(first)))
+    # at the end of the drip it would be a lost connection
     assert reply.text == WORDS and reply.retries == {"timeout": 1}
-    assert time.monotonic() - began < 1.9  # 0.5 s are allowed; all that is sent takes 2 s
 
 
 def test_a_reply_without_end_is_hung_up_on() -> None:

@@ -229,6 +229,24 @@ def test_exact_ties_still_give_planar_codes(points: np.ndarray) -> None:
     assert is_planar(crossings.code)
 
 
+@given(st.sampled_from([1, 2, 4]).flatmap(grid_curves))
+def test_strands_that_run_along_each_other_cross_within_both_edges(points: np.ndarray) -> None:
+    crossings = find_crossings(points)
+    closed = np.vstack([points, points[:1]])
+    for places, heights in (
+        (crossings.over_place, crossings.over_z),
+        (crossings.under_place, crossings.under_z),
+    ):
+        edge = np.clip(np.floor(places).astype(int), 0, len(points) - 1)
+        assert ((places >= 0) & (places <= len(points))).all()
+        ends = np.stack([closed[edge], closed[edge + 1]])
+        assert (heights >= ends[..., 2].min(axis=0) - 1e-9).all()
+        assert (heights <= ends[..., 2].max(axis=0) + 1e-9).all()
+        # both strands are at the crossing: in the middle of what their edges share
+        at = ends[0] + (places - edge)[:, None] * (ends[1] - ends[0])
+        assert np.abs(at[:, :2] - crossings.position).max(initial=0.0) < 1e-9
+
+
 near = st.integers(-3, 3).map(lambda ulps: 0.1 + ulps * 2.0**-56)
 
 

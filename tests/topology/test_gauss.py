@@ -101,6 +101,11 @@ def test_malformed_text_is_refused(text: str) -> None:
     assert "\n" not in str(refusal.value) and repr(text) in str(refusal.value)
 
 
+def test_a_crossing_that_is_visited_once_is_named() -> None:
+    with pytest.raises(InvalidInput, match="crossing 2 is visited only once"):
+        GaussCode.parse("1+,2+,1-")
+
+
 def test_the_refusal_is_a_value_error_of_the_package() -> None:
     assert issubclass(InvalidInput, KnotgymError) and issubclass(InvalidInput, ValueError)
 

@@ -20,7 +20,6 @@ from collections import defaultdict
 from collections.abc import Iterator
 from functools import lru_cache
 from itertools import product
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -57,7 +56,8 @@ EXAMPLES = Schema(
     row="a macro-action that made a change of code",
 )  # fmt: skip
 
-DOUBT = 30.0  # failures added to those counted, so that two of three doesn't pass for likely
+# failures added to those counted, so that two of three doesn't pass for likely; not measured
+DOUBT = 30.0
 # macro-actions that R1 and R2 take that add crossings, either of them undone, and other moves
 KINK_COST, FINGER_COST, DOWN_COST, SIDEWAYS_COST = 54.0, 83.0, 21.0, 47.0
 _SPOTS = (0.2, 0.5, 0.8)  # fractions of an arc at which examples of single moves place their beads
@@ -274,12 +274,7 @@ class Proposals:
 @lru_cache(maxsize=4)
 def shipped_guide(strange: float = 30.0) -> Guide:
     """Return the guide by the table that ships."""
-    return load_guide(CHANGES, strange)
-
-
-def load_guide(path: Path, strange: float = 30.0) -> Guide:
-    """Read a guide from a file of moves with examples."""
-    moves, (table,) = Moves.load(path, EXAMPLES)
+    moves, (table,) = Moves.load(CHANGES, EXAMPLES)
     examples = defaultdict[tuple[Diagram, int], list[Example]](list)
     columns = (column.tolist() for column in table.values())
     for before, label, *example in zip(*columns, strict=True):

@@ -22,7 +22,7 @@ from knotgym.rope.macro_actions import LONGEST, MacroAction, Pass, WaypointFollo
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import GaussCode
 
-_WANDERING = 0.5  # share of noisy episodes that begin with a random pass
+_WANDERING = 0.5  # share of noisy episodes that begin with a random pass; not measured
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from knotgym.control.basic_policies import pull_task
 from knotgym.control.planning.batched_search import BatchedSearch, Search
-from knotgym.control.planning.changes import Guide, Proposals, shipped_guide
+from knotgym.control.planning.changes import shipped_guide
 from knotgym.control.planning.passes import (
     PassPlan,
     PassSearch,
@@ -49,7 +49,8 @@ Ids = NDArray[np.int64]
 SLOTS = 12  # most slots that a search of a policy of passes takes
 _FEW = 8  # lanes; fewer don't wait for each other
 _SPARE = 2  # ropes to search in, per rope of the batch
-_TOWING = 0.9  # share of the limit on towing that passes go to: engines differ a little
+# share of the limit on towing that passes go to, as engines differ a little; not measured
+_TOWING = 0.9
 
 
 class ChoosesPulls:
@@ -65,15 +66,13 @@ class PullPlanner(ChoosesPulls):
     """Leads ropes to their goals by plans of pulls.
 
     Each episode has a budget of simulated pulls for all its plans together. Once it is used up, the
-    policy goes on without looking ahead, with macro-actions chosen by guidance alone.
+    rope is left alone.
 
     Attributes:
         config: settings.
-        guide: gives distances; None for the one that ships.
     """
 
     config: PullPlannerConfig = PullPlannerConfig()
-    guide: Guide | None = None
     name: str = "planner"
 
     def player(self, batch: EpisodeBatch) -> PullPlayer:
@@ -189,12 +188,11 @@ class PullPlayer(Player):
 
     def __init__(self, policy: PullPlanner, batch: EpisodeBatch, desk: Desk) -> None:
         self._config, self._batch, self._desk = policy.config, batch, desk
-        self._guide = policy.guide or shipped_guide(policy.config.strange)
+        self._guide = shipped_guide(policy.config.strange)
         self._rngs: dict[int, np.random.Generator] = {}
         self._plans: dict[int, PullPlan] = {}
         # pulls taken of the plan; pulls simulated for all plans of the episode
         self._taken, self._spent = np.zeros((2, batch.count), np.int64)
-        self._follower = WaypointFollower(batch.count, policy.config.macro_actions)
         self.planned = desk.planned
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
@@ -203,7 +201,6 @@ class PullPlayer(Player):
         for index in ids.tolist():
             self._plans.pop(index, None)
         self._taken[ids] = self._spent[ids] = 0
-        self._follower.release(ids)
 
     def act(self, ids: Ids) -> Pulls:
         self.look(ids)
@@ -215,12 +212,10 @@ class PullPlayer(Player):
         """Begin searches where a plan is over and budget is left."""
         batch, config = self._batch, self._config
         for index in ids[~self._desk.thinking[ids]].tolist():
-            plan = self._plans.get(index)
-            if plan is not None and self._taken[index] < len(plan.beads):
+            used_up = self._spent[index] + config.batch_size > config.budget
+            if self._unfinished(index) or batch.shown[index] or used_up:
                 continue
             self._plans.pop(index, None)
-            if batch.shown[index] or self._spent[index] + config.batch_size > config.budget:
-                continue
             (goal,) = batch.goals_of(np.array([index]))
             search = PullSearch(
                 goal,
@@ -229,7 +224,6 @@ class PullPlayer(Player):
                 self._rngs[index],
                 int(batch.hold[index]),
                 batch.tow_bound(index),
-                hauling=True,
             )
             state = batch.simulation.states([index])[0]
             left = int(batch.task.horizon - batch.steps[index])
@@ -244,32 +238,17 @@ class PullPlayer(Player):
         self._spent[index] += plan.spent
 
     def pulls(self, ids: Ids) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """The next pulls of plans; those of macro-actions by guidance where there is no plan."""
-        blind = np.array([not self._unfinished(index) for index in ids.tolist()], dtype=bool)
-        beads, forces = self._go_blind(ids, blind & ~self._batch.shown[ids])
-        for row in np.flatnonzero(~blind).tolist():
-            plan, at = self._plans[int(ids[row])], self._taken[ids[row]]
-            beads[row], forces[row] = plan.beads[at], plan.forces[at]
+        """The next pulls of plans; no force where there is no plan."""
+        beads, forces = np.zeros(len(ids), np.int64), np.zeros((len(ids), 3), np.float32)
+        for row, index in enumerate(ids.tolist()):
+            if self._unfinished(index):
+                plan, at = self._plans[index], self._taken[index]
+                beads[row], forces[row] = plan.beads[at], plan.forces[at]
         self._taken[ids] += 1
         return beads, forces
 
     def _unfinished(self, index: int) -> bool:
         return index in self._plans and self._taken[index] < len(self._plans[index].beads)
-
-    def _go_blind(
-        self, ids: Ids, blind: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Pulls of macro-actions by guidance alone; without force where `blind` is False."""
-        points, config, follower = self._batch.simulation.points, self._config, self._follower
-        follower.release(ids[~blind])
-        idle = ids[blind][follower.arrive(points, ids[blind])]
-        codes, goals = self._batch.codes_of(idle), self._batch.goals_of(idle)
-        for index, code, goal in zip(idle.tolist(), codes, goals, strict=True):
-            proposals = Proposals(self._guide.to(goal, code).nearer(code))
-            move = proposals.draw(points[index], self._rngs[index], config)
-            follower.begin(np.array([index]), [move])
-        follower.arrive(points, idle)
-        return np.where(blind, follower.beads[ids], 0), follower.forces(points, ids)
 
     def _in_chain(self, check: Simulation) -> tuple[Array, Array]:
         states, points = self._desk.in_chain(check, np.zeros(1, np.int64))

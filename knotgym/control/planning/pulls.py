@@ -32,7 +32,8 @@ from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
 # Hauls, tried on the hard unknots of docs/drawing.md: without them none of 64 Culprits came undone.
-HARD_NX = 7  # they are allowed from so many crossings on, where guidance knows very little
+# Other values of these six numbers weren't measured.
+_HARD_NX = 7  # they are allowed from so many crossings on, where guidance knows very little
 _HAULED_NX = 3  # a hard rope is hauled only from states of at least this many crossings
 _HAULS = 0.6  # share of a hard rope's macro-actions that are hauls
 _FAILURES = 2  # plans from one state that may lead no nearer to the goal, until it begins again
@@ -160,7 +161,6 @@ class PullSearch:
         rng: source of all random choices.
         hold: number of consecutive states that must show the goal.
         bound: region in which the rope's centre must stay; None for no limit.
-        hauling: allow hauls if the rope has at least HARD_NX crossings, and more than the goal.
     """
 
     goal: GaussCode
@@ -169,7 +169,6 @@ class PullSearch:
     rng: np.random.Generator
     hold: int = 1
     bound: TowBound | None = None
-    hauling: bool = False
 
     def checked(
         self,
@@ -227,7 +226,7 @@ class PullSearch:
         far = self.guide.to(goal, root.code)
         # Hauls take crossings out. Where they are allowed few paths are known, and each crossing is
         # taken for a change of code to go.
-        hauling = self.hauling and root.code.nx >= HARD_NX and root.code.nx > goal.nx
+        hauling = root.code.nx >= _HARD_NX and root.code.nx > goal.nx
         pool, proposals = _Pool(far, config, hauling), dict[GaussCode, Proposals]()
         pool.add(root)
         # by slot: where its macro-action began, the code seen last

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from knotgym.control.planning import CHANGES, shipped_guide
+from knotgym.control.planning import shipped_guide
 from knotgym.control.planning.changes import Example, Guide, Proposals
 from knotgym.control.planning.moves import MoveRow, Moves
 from knotgym.control.planning.sights import Diagram
@@ -69,7 +69,3 @@ def test_proposals_imitate_what_made_a_change() -> None:
     config = PullPlannerConfig(guided=1.0, template_noise=0.0)
     moves = [Proposals(changes).draw(points, rng, config) for _ in range(40)]
     assert {(move.bead, move.target) for move in moves} == {(30, 50), (70, 50)}
-
-
-def test_the_table_that_ships_is_small() -> None:
-    assert CHANGES.stat().st_size < 400_000

@@ -1,9 +1,7 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from knotgym.control.planning import EVERY_CODE, PASSES, pass_values
+from knotgym.control.planning import pass_values
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.moves import Moves, pooled
 from knotgym.control.planning.passes import (
@@ -121,8 +119,3 @@ def test_splits_by_code_have_an_order_of_their_own() -> None:
     assert pass_values("test-code", every_code=True) is pass_values("test-code")
     one, other = (list(pass_values(split).order(GOAL, LOOP)) for split in ("train", "test-code"))
     assert one and other and one != other
-
-
-@pytest.mark.parametrize("path", [*PASSES.values(), EVERY_CODE], ids=lambda path: path.stem)
-def test_the_tables_that_ship_are_small(path: Path) -> None:
-    assert path.stat().st_size < 300_000

@@ -4,35 +4,14 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidPolicy
-from knotgym.control.planning import Mixed, Noisy, PassPlanner, Play, PullPlanner, Scripted
+from knotgym.control.planning import PassPlanner, Play, PullPlanner
 from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
 from knotgym.control.rollouts import Policy, rollouts
+from knotgym.datasets.episodes import differences
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 
 TASK = TaskConfig(task="tie", nx=2, observation="state", engine="chain")
-SHORT = PullPlannerConfig(budget=400)
-POLICIES: dict[str, Policy] = {
-    "scripted": Scripted(),
-    "expert": PassPlanner(),
-    "hopeless": PassPlanner(PassPlannerConfig(candidates=1, budget=1, last_resort=200)),
-    "planner": PullPlanner(SHORT),
-    "noisy": Noisy(noise=0.3),
-    "play": Play(),
-    "mixed": Mixed((Scripted(), Noisy(), PassPlanner(), PullPlanner(SHORT)), (1, 1, 1, 1)),
-}
-
-
-@pytest.mark.parametrize("name", POLICIES)
-def test_an_episode_depends_on_its_seed_alone(name: str) -> None:
-    task = replace(TASK, endless=name == "play", horizon=30)
-    together = rollouts(POLICIES[name], task, [3, 1, 2], lanes=3)
-    for number, seed in enumerate((3, 1, 2)):
-        alone = rollouts(POLICIES[name], task, [seed], lanes=1)
-        there = together.select([number])
-        for column in ("force", "bead"):
-            assert np.array_equal(alone.steps[column], there.steps[column])
-        assert alone.episodes["planned"] == there.episodes["planned"]
 
 
 def test_the_same_state_gets_the_same_pass() -> None:
@@ -68,8 +47,14 @@ def test_planners_reach_their_goals(policy: Policy) -> None:
 
 def test_where_no_pass_is_found_pulls_are_planned() -> None:
     hopeless = PassPlanner(PassPlannerConfig(candidates=1, budget=1))
-    found = rollouts(hopeless, TASK, range(4))
+    found, alone = (rollouts(hopeless, TASK, range(4), lanes=lanes) for lanes in (4, 1))
     assert found.episodes["success"].all() and found.episodes["planned"].mean() > 50
+    assert differences(found, alone) == []
+
+
+def test_a_rope_is_left_alone_when_the_budget_is_used_up() -> None:
+    found = rollouts(PullPlanner(PullPlannerConfig(budget=0)), TASK, range(2))
+    assert (found.episodes["planned"] == 0).all() and not found.steps["force"].any()
 
 
 @pytest.mark.parametrize("policy", [PassPlanner(), PullPlanner()], ids=lambda one: one.name)
@@ -94,11 +79,6 @@ def test_where_a_rope_lies_as_foreseen_nothing_is_searched_again() -> None:
     assert passes > 1 and len(planned) == 1
 
 
-def test_without_a_budget_pulls_are_guided_alone() -> None:
-    blind = rollouts(PullPlanner(PullPlannerConfig(budget=0)), TASK, range(2))
-    assert (blind.episodes["planned"] == 0).all() and (blind.steps["force"] != 0).any()
-
-
 def test_ropes_are_not_towed_out_of_bounds() -> None:
     found = rollouts(PassPlanner(), replace(TASK, tow_limit=0.2), range(4))
     assert found.episodes["success"].mean() >= 0.75
@@ -119,11 +99,6 @@ def test_play_goes_on_to_another_goal() -> None:
 def test_play_in_a_task_that_ends_at_the_goal_is_refused() -> None:
     with pytest.raises(InvalidPolicy, match="endless"):
         Play().compatible_task(TASK)
-
-
-def test_planners_choose_pulls_alone() -> None:
-    with pytest.raises(InvalidPolicy, match="pulls"):
-        PassPlanner().compatible_task(replace(TASK, action="macro"))
 
 
 def test_an_episode_that_begins_anew_forgets_its_search() -> None:
