@@ -21,7 +21,6 @@ from knotgym.common.atomic_files import require_no_links
 from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.common.tables import Table, digest, format_of, joined, read, write
 from knotgym.rope.engines import MUJOCO
-from knotgym.rope.model import Rope, rope_of
 from knotgym.states.near_duplicates import repeated
 from knotgym.states.schema import (
     ATTRIBUTES,
@@ -277,6 +276,8 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
 
 def write_vertices(path: str | os.PathLike[str], table: Table, **attributes: Any) -> None:
     """Write a state file by vertices atomically; `table` fits `schema.VERTICES`."""
+    from knotgym.rope.model import rope_of
+
     whole = {"rope": rope_of(table["points"].shape[1]).fingerprint, **attributes}
     write(path, [table], whole, format=VERTICES_FORMAT, pack=True)
 
@@ -286,6 +287,9 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
 
     Laying a rope needs + - * / and square roots alone, so that every processor computes the same.
     """
+    # imported here, because only this form needs the simulator
+    from knotgym.rope.model import Rope, rope_of
+
     rope = Rope(rope_of(table["points"].shape[1]))
     try:
         codes = [GaussCode.parse(text) for text in table["gauss_code_chiral"].tolist()]
