@@ -53,9 +53,10 @@ class TaskConfig:
         nx: number of crossings of the tangled side; convert starts at one less.
         split: split of the states: train, test, train-code or test-code. The last two are subsets
             of the others that share no code, even up to symmetry.
-        states: set of states: readable (default), random-walk or hard-unknots, which are included;
-            or a state file, or the folder of the run that made it, or the id of a Minari dataset
-            that contains one. If a file has no plain loops, they come from the readable set.
+        states: set of states: readable (default), bench, random-walk or hard-unknots, which are
+            included; or a state file, or the folder of the run that made it, or the id of a Minari
+            dataset that contains one. If a file has no plain loops, they come from the readable
+            set.
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
         beads: number of beads of the rope, each 13.3 mm long. The states must have as many; the
             sets that are included have 100.

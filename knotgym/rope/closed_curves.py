@@ -16,11 +16,12 @@ _SAME = 1e-9  # distance, relative to the size of a curve, at which two places a
 _JUMP = 10  # a chord so many times longer than the median one belongs to no curve
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # 0 / 0 is NaN instead of an exception
 def close_loops(along: Array) -> None:
     """Change the unit vectors of many chains (n, beads, 3) as little as possible, in place.
 
-    Those of each chain then sum to zero, so that equal chords in these directions are closed.
+    Those of each chain then sum to zero, so that equal chords in these directions are closed. A
+    chain that no small change closes ends as anything, NaN included.
     """
     # The unit vectors u_i with sum 0 that minimize sum |u_i - a_i|^2 are the normalized a_i - s,
     # where s is the Lagrange multiplier of the constraint. Newton's method on s:
@@ -56,7 +57,7 @@ def close_loops(along: Array) -> None:
                 along[chain, i, c] = unit[i, c]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _add_solution(m: Array, shift: Array) -> None:
     """Add the solution of three linear equations (3, 4) to `shift`; `m` is overwritten.
 

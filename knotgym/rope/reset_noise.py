@@ -20,6 +20,7 @@ from knotgym.topology.gauss import GaussCode
 # than FULL_DRAWS (0.75^20); SMALLER_DRAWS end at a millionth of the scale, where no code changes.
 FULL_DRAWS = 20  # draws at full scale
 SMALLER_DRAWS = 20  # further draws, each at half the scale of the one before
+_GAP = 1e-6  # metres; what is closed at all is closed within 1e-12
 
 
 def start_qpos(
@@ -65,9 +66,13 @@ def start_qpos(
             break
         reduced = scale * 0.5 ** max(0, draw - FULL_DRAWS + 1)
         moved = noised(writable[left], reduced, [rngs[row] for row in left])
+        # much noise may leave a rope that no small correction closes
+        gaps = np.linalg.norm(moved[:, 0] - moved[:, -1], axis=1) - rope.config.bead_length
+        closed = np.abs(gaps) < _GAP
+        moved[~closed] = writable[left][~closed]
         refused = []
-        for row, one, code in zip(left, moved, label_many(moved), strict=True):
-            if code == codes[row] and clearance(one, bound[row]) >= bound[row]:
+        for row, one, code, ok in zip(left, moved, label_many(moved), closed, strict=True):
+            if ok and code == codes[row] and clearance(one, bound[row]) >= bound[row]:
                 started[row] = rope.qpos(one)
             else:
                 refused.append(row)

@@ -118,23 +118,54 @@ def test_states_with_other_columns_or_the_same_rows_are_not_merged(states: State
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_states_have_every_column_and_attribute(name: str) -> None:
-    states = read_states(shipped(name))
-    drawn_again = {"source/actions"} if name == "random-walk" else set()
-    assert {*states.table} == {c.name for c in STATES.columns} - drawn_again
-    assert {*ATTRIBUTES} <= {*states.attributes} and DIGEST not in states.attributes
+    states = read_states(shipped(name), images=name != "bench")
+    assert DIGEST not in states.attributes
+    if name != "bench":  # it is stored by vertices
+        drawn_again = {"source/actions"} if name == "random-walk" else set()
+        assert {*states.table} == {c.name for c in STATES.columns} - drawn_again
+        assert {*ATTRIBUTES} <= {*states.attributes}
+
+
+def test_bench_has_as_many_states_of_each_kind_and_keeps_the_limits_of_readable() -> None:
+    states = read_states(shipped("bench"), images=False)
+    kinds = Counter(zip(states.nx.tolist(), states.split.tolist(), strict=True))
+    assert kinds == {(nx, split): 256 for nx in range(6) for split in ("train", "test")}
+    for row in range(0, len(states), 97):
+        code = GaussCode.parse(str(states.gauss_code_chiral[row]))
+        assert judge(states.points[row], [Limits()], code=code).faults == []
+
+
+def test_vertices_are_laid_the_same_on_processors_with_other_instructions(tmp_path: Path) -> None:
+    script = (
+        "from knotgym.states.state_file import *; import hashlib\n"
+        "states = read_states(shipped('bench'), images=False)\n"
+        "print(hashlib.sha256(states.qpos.tobytes() + states.points.tobytes()).hexdigest())"
+    )
+    wide = " ".join(
+        name
+        for name in ("AVX512F", "AVX512CD", "AVX512_SKX", "AVX512_CLX", "AVX512_ICL", "X86_V4")
+        if __cpu_features__.get(name)
+    )
+    told = [
+        subprocess.run([sys.executable, "-c", script], env=env, capture_output=True, check=True)
+        for env in (dict(os.environ), os.environ | {"NPY_DISABLE_CPU_FEATURES": wide})
+    ]
+    assert told[0].stdout == told[1].stdout != b""
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_states_are_without_fault_in_some_rows(name: str) -> None:
-    states = read_states(shipped(name))
-    few = states.taken(np.arange(0, len(states), 2 if name == "hard-unknots" else 59))
+    states = read_states(shipped(name), images=name != "bench")
+    apart = {"hard-unknots": 2, "bench": 997}.get(name, 59)
+    few = states.taken(np.arange(0, len(states), apart))
     assert len(few) >= 3 and list(state_faults(few)) == []
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_states_are_without_fault(name: str) -> None:
-    assert list(state_faults(read_states(shipped(name)))) == []
+    states = read_states(shipped(name), images=name != "bench")
+    assert list(state_faults(states)) == []
 
 
 @pytest.mark.parametrize(("name", "nx"), [(s, nx) for s in SHIPPED for nx in (2, 3, 4, 7)])

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from knotgym.rope.model import Rope
 from knotgym.rope.reset_noise import noised, start_qpos
-from knotgym.states.state_file import States
+from knotgym.states.state_file import States, read_states, shipped
 from knotgym.topology.crossings import label, label_many
+from knotgym.topology.gauss import GaussCode
 
 from ..conftest import trefoil
 from .test_rope import BEAD, ROPE, chords
@@ -99,3 +100,19 @@ def test_a_code_that_no_noise_keeps_leaves_the_row_as_it_is(states: States, rope
     rng = np.random.default_rng(0)
     qpos = start_qpos(rope, states.qpos[:1], states.points[:1], [other], 0.015, [rng])
     assert np.array_equal(qpos, states.qpos[:1])
+
+
+def test_noise_that_no_rope_can_be_closed_after_is_drawn_again() -> None:
+    states = read_states(shipped(), images=False)
+    rope, loops = Rope(), np.flatnonzero(states.nx == 0)
+    rows = np.repeat(loops, 24)
+    started = start_qpos(
+        rope,
+        states.qpos[rows],
+        states.points[rows],
+        [GaussCode.parse("")] * len(rows),
+        0.6,
+        [np.random.default_rng(seed) for seed in range(len(rows))],
+    )
+    points = rope.points(started)
+    assert np.isfinite(points).all() and all(code.nx == 0 for code in label_many(points))
