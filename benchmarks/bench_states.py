@@ -19,15 +19,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.streams import Stream
 from knotgym.common.tables import Table
+from knotgym.generate.states.generate_config import PlayConfig
+from knotgym.generate.states.rope_lives import Lives
 from knotgym.generate.states.state_filter import judge
 from knotgym.quality.limits import Limits
+from knotgym.rope.engines import CHAIN
 from knotgym.rope.model import Array, Rope
 from knotgym.states.near_duplicates import nearest, pairs_within
 from knotgym.states.schema import DRAWING, VERTICES
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import States, read_states, states_at, write_vertices
+from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
+
+LIVES = 8  # of each drawn rope, each with other pulls
+PULLS = PlayConfig(
+    settle=0, random=2, opening=0, rounds=1, scripted=0, spreading=8, first=4, every=2
+)
 
 
 def laid(states: States) -> tuple[Array, list[int]]:
@@ -42,6 +52,31 @@ def laid(states: States) -> tuple[Array, list[int]]:
     return points, kept
 
 
+def pulled(states: States) -> States:
+    """Pull drawn states about in the chain engine, and return what they show on the way.
+
+    Drawings of a diagram and of its mirror image are alike; after random pulls, and pulls that
+    spread the rope out again, their ropes lie differently. Longer lives make illegible ones.
+    """
+    drawn = np.flatnonzero(states.source["policy"] == DRAWING)
+    if not len(drawn):
+        return states
+    drawn = np.tile(drawn, LIVES)
+    keys = [(int(Stream.PLAYED_ROPE), 0, life, 0, 0) for life in range(len(drawn))]
+    lives = Lives(PULLS, keys, states.qpos[drawn]).play(CHAIN)
+    rows, found = [], []
+    for frame in lives.frames:
+        code = label(frame.points)
+        if code.nx in (4, 5):
+            rows.append(int(drawn[frame.rope]))
+            found.append((frame.points, code.chiral))
+    columns = dict(states.taken(rows).table)
+    columns["points"] = np.array([points for points, _ in found])
+    columns["gauss_code_chiral"] = np.array([code for _, code in found])
+    columns["source/trajectory"] = np.array(rows)
+    return States(Table(states.table.schema, columns), states.attributes)
+
+
 def distinct(points: Array, rows: list[int], others: list[Array]) -> list[int]:
     """Drop rows that are near an earlier one, or one of other sources, under any symmetry."""
     near = {rows[second] for _, second, _ in pairs_within(points[rows])}
@@ -50,13 +85,14 @@ def distinct(points: Array, rows: list[int], others: list[Array]) -> list[int]:
     return [row for row in rows if row not in near]
 
 
-def chosen(states: States, rows: list[int], count: int) -> list[int]:
+def chosen(codes: NDArray[np.str_], splits: NDArray[np.str_], count: int) -> list[int]:
     """Choose rows of each nx and split, code by code, as evenly as there are states."""
     of_code: Counter[tuple[str, str]] = Counter()
     turns = []
-    for row in rows:
-        kind = str(states.gauss_code[row]), str(states.split[row])
-        turns.append((int(states.nx[row]), kind[1], of_code[kind], kind[0], row))
+    for row, (text, split) in enumerate(zip(codes.tolist(), splits.tolist(), strict=True)):
+        code = GaussCode.parse(text)
+        kind = str(code), split
+        turns.append((code.nx, split, of_code[kind], kind[0], row))
         of_code[kind] += 1
     found, have = [], Counter[tuple[int, str]]()
     for nx, split, _, _, row in sorted(turns):
@@ -91,11 +127,10 @@ def main() -> None:
     given = parser.parse_args()
     parts, points = list[dict[str, NDArray[Any]]](), list[Array]()
     for source in given.sources:
-        states = read_states(states_at(source), images=False)
+        states = pulled(read_states(states_at(source), images=False))
         as_laid, kept = laid(states)
-        kept = distinct(as_laid, kept, points)
-        rows = chosen(states, kept, given.count)
-        print(f"{source}: of {len(states)}, {len(kept)} pass again and differ; {len(rows)} kept")
+        rows = distinct(as_laid, kept, points)
+        print(f"{source}: {len(rows)} of {len(states)} pass again and differ")
         drawn = states.source["policy"][rows] == DRAWING
         columns = {
             name: states.table[name][rows] for name in ("gauss_code_chiral", "knot", "split")
@@ -107,8 +142,9 @@ def main() -> None:
         parts.append(columns)
         points.append(as_laid[rows])
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    table, together = Table(VERTICES, whole), np.concatenate(points)
-    told(table, together)
+    rows = chosen(whole["gauss_code_chiral"], whole["split"], given.count)
+    table = Table(VERTICES, whole).take(rows)
+    told(table, np.concatenate(points)[rows])
     write_vertices(given.out, table)
     print(f"{given.out}: {given.out.stat().st_size / 1e6:.2f} MB")
 

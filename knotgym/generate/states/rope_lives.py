@@ -48,7 +48,7 @@ class _Frame(NamedTuple):
     points: Array
 
 
-class _Lives(Policy):
+class Lives(Policy):
     """The policy of some ropes' lives, and what was seen of them.
 
     Attributes:
@@ -75,7 +75,7 @@ class _Lives(Policy):
     def player(self, batch: EpisodeBatch) -> "_Living":
         return _Living(self, batch)
 
-    def play(self, engine: str) -> "_Lives":
+    def play(self, engine: str) -> "Lives":
         """Play the lives once, side by side."""
         schema = STARTS.sized(nq=self.start_qpos.shape[1])
         rows = schema.empty(len(self.keys))
@@ -95,7 +95,7 @@ def coil(rope: Rope) -> Array:
     return rope.from_curve(np.stack(curve, axis=1))
 
 
-def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> _Lives:
+def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> Lives:
     """Live the lives of ropes, side by side; each depends on its own key alone.
 
     Args:
@@ -110,15 +110,15 @@ def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> _L
         walk = PlayConfig(
             settle=0, random=config.settle, opening=0, rounds=0, first=config.settle, every=1
         )
-        for frame in _Lives(walk, keys, start.copy()).play(engine).frames:
+        for frame in Lives(walk, keys, start.copy()).play(engine).frames:
             start[frame.rope] = frame.qpos  # a rope that was lost on the way stays a coil
-    return _Lives(config, keys, start).play(engine)
+    return Lives(config, keys, start).play(engine)
 
 
 class _Living(Player):
     """Plays the phases of a life in each lane, one after the other."""
 
-    def __init__(self, life: _Lives, batch: EpisodeBatch) -> None:
+    def __init__(self, life: Lives, batch: EpisodeBatch) -> None:
         self.planned = np.zeros(batch.count, dtype=np.int64)
         self._life, self._batch = life, batch
         self._simulation, self._rngs = batch.simulation, dict[int, np.random.Generator]()
