@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_apart, require_output, sha256
-from knotgym.common.errors import InvalidInput
+from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.datasets.episode_dataset import (
     EpisodeDataset,
     open_episodes,
@@ -25,7 +25,7 @@ from knotgym.datasets.episode_dataset import (
 )
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.image_table import COLUMNS, arrow, parquet, points_of, read_table, shards
-from knotgym.datasets.located import locate_own, refuse_minaris_folder
+from knotgym.datasets.located import locate_own, refuse_minaris_folder, root_of
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.states.near_duplicates import families
 from knotgym.states.state_file import minari_root, read_states, ships, write_states
@@ -54,7 +54,7 @@ class Destination(NamedTuple):
 class StateRows:
     def __init__(self, path: Path) -> None:
         self.digested, self.states = path, read_states(path)
-        self.earlier: Selections = self.states.attributes.get("selection", [])
+        self.earlier = _selections(self.states.attributes.get("selection", []), path)
         self.ids = np.arange(len(self.states))
 
     @cached_property
@@ -82,7 +82,10 @@ class _PictureRows:
         ]
         self.table = read_table(path, columns=[*flat, "points"])
         stored = (self.table.schema.metadata or {}).get(b"selection", b"[]")
-        self.earlier: Selections = json.loads(stored)
+        try:
+            self.earlier = _selections(json.loads(stored), path)
+        except ValueError as error:
+            raise InvalidFile(f"{path}: its selection isn't JSON: {error}") from error
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -116,7 +119,7 @@ class EpisodeRows:
     def __init__(self, path: Path) -> None:
         self.dataset = open_episodes(path)
         self.digested = self.dataset.path
-        self.earlier: Selections = self.dataset.attributes.get("selection", [])
+        self.earlier = _selections(self.dataset.attributes.get("selection", []), path)
         self.ids = np.arange(self.dataset.episodes.episodes.rows)
 
     @cached_property
@@ -196,6 +199,12 @@ def publish_rows(
 ) -> Path:
     """Write episodes as a Minari dataset of another one's task, with the states it resets from."""
     states = None if ships(dataset.task.states) else dataset.states_path()
+    beside = states is None or states.parent == dataset.path.parent
+    if not beside and not Path(str(states)).is_relative_to(minari_root()):
+        raise InvalidFile(
+            f"{dataset.path} names states outside of it, {states}, which aren't copied into"
+            " another dataset; if they are yours, put them beside it as states.h5"
+        )
     return publish(
         parts,
         dataset.task,
@@ -229,7 +238,7 @@ def write_rows(
     """Write some rows, at least one, as a new dataset; return its path."""
     if not len(rows):
         raise InvalidInput(f"none of the {len(given.ids)} rows of {source} is left")
-    file = require_target(given, target, [given.digested])
+    file = require_target(given, target, [root_of(source)])
     counts = {"sha256": sha256(given.digested), "rows": len(given.ids), "kept": len(rows)}
     made = {"from": source, **counts, **how, "knotgym": knotgym.__version__}
     if isinstance(given, EpisodeRows) and target.dataset_id:
@@ -237,6 +246,13 @@ def write_rows(
     with atomic_write(file, overwrite=target.overwrite) as path:
         given.write(rows, [*given.earlier, made], path)
     return file
+
+
+def _selections(found: Any, path: Path) -> Selections:
+    """Return the selections that a file tells of, which may be a stranger's."""
+    if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
+        raise InvalidFile(f"{path}: its selection should be a list of objects, got {found!r:.80}")
+    return found
 
 
 def _sentence(made: Mapping[str, Any]) -> str:

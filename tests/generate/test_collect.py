@@ -215,30 +215,6 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
     assert ids[0] == "knotgym/tie-nx2/expert-v0" and len(set(ids)) == len(ids)
 
 
-def test_transcripts_are_no_policy_of_a_dataset() -> None:
-    with pytest.raises(InvalidInput, match="give knotgym evaluate --policy prompt:run"):
-        config(policy="prompt:run")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--policy", "genius"],
-        ["--task", "knit"],
-        ["--split", "dev"],
-        ["--id", "no version"],
-        ["--set", "task.views=top,below"],
-        ["--episodes", "0"],
-    ],
-)
-def test_a_mistake_is_one_line_and_status_2(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert knotgym("collect", "--out", tmp_path, *words) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_the_command_makes_a_dataset_of_every_crossing_number(tmp_path: Path) -> None:
     words = ("--set", "task.max_goals=2", "--set", "task.horizon=2", "--workers", 1, "--quiet")
     random = ("collect", "--policy", "random", "--episodes", 6, "--engine", "chain")

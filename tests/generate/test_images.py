@@ -215,28 +215,6 @@ def test_without_pyarrow_one_line_names_the_extra(
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--count", "0"],
-        ["--nx", "7"],
-        ["--nx", "x"],
-        ["--set", "test_nx=0"],
-        ["--vary", "hue"],
-        ["--size", "12"],
-        ["--set", "code_share=0.9"],
-    ],
-)
-def test_a_mistake_is_one_line_and_status_2(
-    arguments: list[str], tmp_path: Path, capsys: Any
-) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["images", "--out", str(tmp_path / "x"), "--quiet", *arguments])
-    said = capsys.readouterr().err
-    assert left.value.code == 2 and said.count("\n") == 1 and "Traceback" not in said
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
     ("words", "status", "said"),
     [
         (("show",), 0, "accepted"),
