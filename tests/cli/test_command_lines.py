@@ -176,7 +176,7 @@ REFUSED = [
     ("collect --nx 2,2", "--nx takes each number once, got '2,2'"),
     ("collect --nx 99", "nx must be from 1 to 11 on 100 beads, got 99"),
     ("collect --nx 2,2 --id knotgym/a-v0", "--nx takes each number once"),
-    ("collect --task plait", "task.task must be one of unknot, tie, convert or a list, got 'plait'"),
+    ("collect --task plait", "must be one of unknot, tie, convert or a list, got 'plait'"),
     ("collect --workers -1", "workers must be at least 0, got -1"),
     ("collect --resume --restart", "give only one of them"),
     ("collect --set task.hold=99", "hold 99 is longer than the horizon of 50 steps"),
