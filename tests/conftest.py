@@ -14,8 +14,7 @@ from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states.state_file import States, read_states, shipped, write_states
 from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import codes_of, knot_type
+from knotgym.topology.knots import codes_of
 
 from .small_job import WANTED, knotgym
 
@@ -137,20 +136,8 @@ def trefoils(rope: Rope) -> States:
     two with four.
     """
     codes = [*codes_of("3_1", 3), *codes_of("3_1", 4)[:2]]
-    points, shown = list[NDArray[np.float64]](), list[GaussCode]()
-    for number, code in enumerate([code for code in codes for _ in range(2)]):
-        points.append(drawn_curve(code, np.random.default_rng(number), rope))
-        shown.append(label(points[-1]))
-    return States.of(
-        {
-            "qpos": np.array([rope.qpos(one) for one in points]),
-            "points": np.array([rope.points(rope.qpos(one)) for one in points]),
-            "image": np.array([draw(one) for one in points]),
-            "gauss_code": np.array([str(code) for code in shown]),
-            "gauss_code_chiral": np.array([code.chiral for code in shown]),
-            "knot": np.array([knot_type(code) for code in shown]),
-            "nx": np.array([code.nx for code in shown]),
-            "split": np.array(["train", "test"] * len(codes)),
-        },
-        {"rope": rope.config.fingerprint},
-    )
+    drawn = [
+        drawn_curve(code, np.random.default_rng(number), rope)
+        for number, code in enumerate([code for code in codes for _ in range(2)])
+    ]
+    return States.from_points(np.array(drawn), ["train", "test"] * len(codes))

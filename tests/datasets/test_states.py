@@ -1,7 +1,9 @@
 """The state file gives back what was written, and refuses what it cannot read in one line."""
 
 from pathlib import Path
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -131,3 +133,28 @@ def test_loops_and_curls_are_in_both_splits_by_code() -> None:
     states = read_states(shipped(), images=False)
     for nx in (0, 1):
         assert np.array_equal(states.rows(nx, "test-code"), states.rows(nx, "test"))
+
+
+def test_an_environment_resets_to_states_made_of_the_points_that_another_showed(
+    tmp_path: Path,
+) -> None:
+    env = gym.make("knotgym/Tie-v0", nx=1, observation="state", engine="chain")
+    loop, curl = env.reset(seed=0)[0].reshape(2, 100, 3)
+    made = States.from_points([loop, curl, loop, curl], ["train", "train", "test", "test"])
+    assert made.nx.tolist() == [0, 1, 0, 1] and {*made.knot} == {"0_1"}
+    write_states(tmp_path / "own.h5", made)
+    own = gym.make("knotgym/Tie-v0", nx=1, states=str(tmp_path / "own.h5"), engine="chain")
+    assert own.reset(seed=0)[1]["goal_gauss_code"] == made.gauss_code[1]
+
+
+@pytest.mark.parametrize(
+    ("points", "split", "said"),
+    [
+        (np.zeros((100, 3)), "train", r"shape \(n, beads, 3\)"),
+        (np.zeros((1, 100, 3)), "train", "rope 0: a closed rope needs"),
+        (np.zeros((1, 100, 3)), "eval", "split must be train or test"),
+    ],
+)
+def test_points_that_are_no_states_are_refused(points: Any, split: str, said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        States.from_points(points, split)

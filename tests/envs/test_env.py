@@ -76,7 +76,7 @@ def blow_up(env: KnotEnv) -> None:
 def make(states_path: str) -> Make:
     """Create an unwrapped environment on the small state file."""
 
-    def made(task: str = "unknot", **settings: Any) -> KnotEnv:
+    def made(task: Any = "unknot", **settings: Any) -> KnotEnv:
         return KnotEnv(task, **{"states": states_path, "observation": "state", **settings})
 
     return made
@@ -318,12 +318,12 @@ def test_rows_that_cannot_be_had_are_refused_in_one_line(
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"nx": -1}, "nx must be at least 1, got -1"),
+        ({"nx": -1}, "nx must be at least 1 or a list, got -1"),
         ({"nx": 12}, "nx must be from 1 to 11 on 100 beads, got 12"),
-        ({"nx": 2.5}, "nx must be a whole number, got 2.5"),
-        ({"nx": True}, "nx must be a whole number, got True"),
+        ({"nx": 2.5}, "nx must be a whole number or a list, got 2.5"),
+        ({"nx": (2, 2)}, "nx must be a whole number or at least one, each once, got .2, 2."),
         ({"split": "validation"}, "split must be one of train, test, train-code, test-code, got"),
-        ({"task": "plait"}, "task must be one of unknot, tie, convert, got 'plait'"),
+        ({"task": "plait"}, "task must be one of unknot, tie, convert or a list, got 'plait'"),
         ({"observation": "depth"}, "observation must be one of pixels, state, both, symbolic, ma"),
         ({"layout": "above"}, "layout must be one of beside, stacked, got 'above'"),
         ({"max_goals": 0}, "max_goals must be at least 1, got 0"),
@@ -379,8 +379,8 @@ def test_plain_loops_that_the_file_lacks_are_those_that_ship(
     for info in (env.reset(seed=0)[1], env.step(IDLE)[4]):
         assert info["crossings"] == 0 and info["start"] in states.rows(0, "train")
         assert info["goal"] in range(6) and GaussCode.parse(info["goal_gauss_code"]).nx == 3
-    assert [side.origin for side in task_sides(env.config)] == ["shipped", "own"]
-    shipped = task_sides(replace(env.config, states=None))
+    assert [side.origin for side in task_sides(env.config)[0]] == ["shipped", "own"]
+    (shipped,) = task_sides(replace(env.config, states=None))
     assert [side.origin for side in shipped] == ["shipped", "shipped"]
 
 
@@ -407,7 +407,7 @@ def test_a_split_that_the_file_lacks_is_refused_plain_loops_too(
 
 def test_the_folder_of_a_run_names_its_states(make: Make, states_path: str, tmp_path: Path) -> None:
     (tmp_path / "states.h5").write_bytes(Path(states_path).read_bytes())
-    assert task_sides(make(states=str(tmp_path)).config)[0].origin == "own"
+    assert task_sides(make(states=str(tmp_path)).config)[0][0].origin == "own"
     (tmp_path / "empty").mkdir()
     with pytest.raises(MissingFile, match="no .* file at .*empty"):
         make(states=str(tmp_path / "empty"))
@@ -561,3 +561,25 @@ def test_a_goal_beyond_the_first_is_refused() -> None:
     assert env.reset(options={"goal": rows[1]})[1]["goal"] == rows[1]
     with pytest.raises(InvalidInput, match="of the train split, of the first 2: "):
         env.reset(options={"goal": max(rows) + 1})
+
+
+def test_an_environment_of_several_tasks_draws_one_at_each_reset(make: Make) -> None:
+    env = make(["tie", "convert"], nx=(2, 3), observation="state")
+    drawn = set()
+    for seed in range(40):
+        observation, info = env.reset(seed=seed)
+        drawn.add((info["crossings"], GaussCode.parse(info["goal_gauss_code"]).nx))
+        rows = {"start": info["start"], "goal": info["goal"]}
+        assert np.array_equal(env.reset(seed=seed, options=rows)[0], observation)
+    assert drawn == {(0, 2), (0, 3), (1, 2), (2, 3)}
+    with pytest.raises(InvalidInput, match="goal must be a row with nx = 2, 3 of the train split"):
+        env.reset(options={"goal": rows["start"] + 10**6})
+
+
+def test_a_file_without_loops_is_refused_where_only_some_tasks_need_them(
+    make: Make, states: States, tmp_path: Path
+) -> None:
+    write_states(tmp_path / "s.h5", states.taken(np.flatnonzero(states.nx > 0)))
+    make("tie", nx=(2, 3), states=str(tmp_path / "s.h5"))
+    with pytest.raises(InvalidInput, match="has no plain loops, which several tasks at once need"):
+        make(("tie", "convert"), nx=2, states=str(tmp_path / "s.h5"))

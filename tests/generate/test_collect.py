@@ -15,11 +15,18 @@ from knotgym.control.rollouts import episode_seed
 from knotgym.control.verification import verify
 from knotgym.datasets.episode_dataset import columns_of, open_episodes
 from knotgym.datasets.episodes import differences
+from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import metadata_of
+from knotgym.datasets.subsets import select
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import collect as collecting
 from knotgym.generate.episodes.blocks import blocks
-from knotgym.generate.episodes.collect import collect, distinct_id, run_facts
+from knotgym.generate.episodes.collect import (
+    collect,
+    distinct_id,
+    require_collectable,
+    run_facts,
+)
 from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.run_options import RunOptions
@@ -206,6 +213,34 @@ def test_the_command_makes_a_dataset_of_every_crossing_number(tmp_path: Path) ->
         entries = json.loads((folder / "data" / "metadata.json").read_text())
         assert json.loads(entries["env_spec"])["kwargs"]["max_goals"] == 2
         assert json.loads(entries["eval_env_spec"])["kwargs"]["max_goals"] is None
+
+
+def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    words = ("--episodes", 9, "--policy", "random", "--set", "task.horizon=2", "--engine", "chain")
+    several = ("collect", "--task", "tie,convert", "--nx", "2,3", *words, "--observation", "state")
+    assert knotgym(*several, "--quiet", "--id", "knotgym/one-v0") == 0
+    assert knotgym(*several, "--quiet") == 0
+    apart = sorted(f"{one.parent.name}/{one.name}" for one in tmp_path.glob("knotgym/*-nx*/*"))
+    assert [one.partition("/")[0] for one in apart] == [
+        *("convert-nx2", "convert-nx3", "tie-nx2", "tie-nx3")
+    ]
+    merge([f"knotgym/{one}" for one in apart], None, "knotgym/merged-v0")
+    for name in ("one", "merged"):
+        assert verify(f"knotgym/{name}-v0") == []
+    chosen = select("knotgym/merged-v0", where="task = 'tie' and nx = 3", dataset_id="knotgym/c-v0")
+    assert open_episodes(chosen).episodes.episodes.rows == 9
+
+
+def test_functions_of_one_module_get_datasets_of_their_own(tmp_path: Path) -> None:
+    names = [distinct_id(config(policy=f"mine:{one}")).split("/")[2] for one in ("act", "other")]
+    assert [name[: name.index("-chain")] for name in names] == ["mine-act", "mine-other"]
+    (tmp_path / distinct_id(config())).mkdir(parents=True)
+    (tmp_path / distinct_id(config()) / "data").write_text("in the way")
+    with pytest.raises(Occupied, match="--overwrite replaces it, .* or another --id"):
+        require_collectable(config(dataset_id=distinct_id(config())), tmp_path, QUIET)
 
 
 def _keywords(task: TaskConfig) -> dict[str, Any]:

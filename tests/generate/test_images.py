@@ -324,6 +324,7 @@ def test_an_unknown_kind_or_split_is_refused(folder: Path) -> None:
 def test_torch_reads_pictures_and_padded_labels(folder: Path, rows: list[dict[str, Any]]) -> None:
     from torch.utils.data import DataLoader, Subset
 
+    assert load(folder, "train").max_nx == load(folder, "test-nx").max_nx == 2
     data = load(folder, max_nx=4)
     assert len(data) == len(rows)
     for item, row in zip(data, rows, strict=True):
