@@ -1,8 +1,6 @@
 """What several test modules share: ropes of known shape and a small state file made of them."""
 
 import gc
-import os
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +16,7 @@ from knotgym.states.state_file import States, read_states, shipped, write_states
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import codes_of
 
-from .small_job import SECONDS, WANTED, begun, knotgym
+from .small_job import WANTED, knotgym
 
 # Compiling, or another process on the same cores, is no failure.
 settings.register_profile("unhurried", deadline=None, max_examples=20)
@@ -116,23 +114,6 @@ def curated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("curated") / "nx0-1"
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", folder, "--quiet") == 0
     return folder
-
-
-@pytest.fixture(scope="session")
-def killed_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Where the same run was killed after its first cycle, and what it and all that it had started
-    said on standard error; none of its workers lives on (they would hold its output open).
-    """
-    out = tmp_path_factory.mktemp("killed") / "nx0-1"
-    run = begun(out, "--workers", 2, saved=True)
-    os.kill(run.pid, signal.SIGKILL)
-    return out, run.communicate(timeout=SECONDS)[1]
-
-
-@pytest.fixture(scope="session")
-def killed(killed_run: tuple[Path, str]) -> Path:
-    """Where it was killed. Only ever read."""
-    return killed_run[0]
 
 
 def rough_play(row: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:

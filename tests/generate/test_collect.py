@@ -32,7 +32,6 @@ from knotgym.rope.model import RopeConfig
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import States, write_states
 
-from ..minari_list import check_minari
 from ..small_job import knotgym
 
 QUIET = RunOptions(workers=1, quiet=True)
@@ -132,20 +131,6 @@ def test_a_finished_dataset_is_not_replaced_unasked(tmp_path: Path) -> None:
     assert sha256(folder / "data/episodes.h5") == before
     collect(config(episodes=2), tmp_path, replace(QUIET, overwrite=True))
     assert sha256(folder / "data/episodes.h5") != before
-
-
-@pytest.mark.parametrize(
-    "observation", [pytest.param("pixels", marks=pytest.mark.slow), "both", "symbolic"]
-)
-def test_minari_does_with_a_dataset_all_that_it_does(
-    observation: str, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    task = TaskConfig(
-        task="tie", nx=1, states=states_path, observation=observation, horizon=3, image_size=32
-    )
-    name = "tests/scripted-v3"
-    collect(config(task=task, policy="scripted", episodes=3, dataset_id=name), tmp_path, QUIET)
-    check_minari(tmp_path, name, monkeypatch)
 
 
 @pytest.fixture

@@ -133,12 +133,11 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     ]
 
 
-@pytest.mark.parametrize("name", ["film.gif", "film.mp4"])
-def test_a_film_shows_the_episodes_of_every_setup(name: str, tmp_path: Path) -> None:
+def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
     import cv2
 
-    run(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / name)
-    reel, frames = cv2.VideoCapture(str(tmp_path / name)), []
+    run(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
+    reel, frames = cv2.VideoCapture(str(tmp_path / "film.gif")), []
     while (read := reel.read())[0]:
         frames.append(read[1])
     assert len(frames) >= 3 and np.ptp(frames[0]) > 0

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.rendering.camera import PictureConfig, bead_colours, project
-from knotgym.rendering.picture import _on_canvas, crossing_pixels, draw, draw_many
-from knotgym.rendering.rasterizer import polygons
+from knotgym.rendering.picture import crossing_pixels, draw, draw_many
 from knotgym.topology.crossings import find_crossings
 
-from .. import plain_polygons
 from ..scripts import ROOT
 
 Points = NDArray[np.float64]
@@ -28,33 +26,6 @@ Points = NDArray[np.float64]
 
 # which strand a picture shows on top; benchmarks/truth.py counts with it
 shown_strands: Any = runpy.run_path(str(ROOT / "benchmarks" / "picture_check.py"))["shown_strands"]
-
-COMPILED = [
-    PictureConfig(),
-    PictureConfig(camera="perspective"),
-    PictureConfig(turn=0.7, zoom=2.5, width=1.3, size=256),
-    PictureConfig(camera="perspective", camera_height=0.1, size=64, zoom=5.0),
-    PictureConfig(supersampling=1, size=512),
-]
-
-
-@pytest.mark.parametrize("config", COMPILED)
-def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: PictureConfig) -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(40):
-        waves = rng.normal(size=(3, 5)) / np.arange(1, 6)
-        at = 2 * np.pi * np.arange(100)[:, None] / 100 * np.arange(1, 6)
-        rope = (
-            0.1
-            * (np.cos(at + rng.uniform(0, 6, 5)) @ waves.T)
-            * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
-        )
-        pixels, heights, radii = (array[0] for array in _on_canvas(rope[None], config))
-        given = pixels, heights, radii, config.size * config.supersampling
-        made = polygons(*given), plain_polygons.polygons(*given)
-        for part in (0, 1, 2):
-            ours, plain = made[0][part], made[1][part]
-            assert ours.dtype == plain.dtype and np.array_equal(ours, plain)
 
 
 @pytest.fixture(scope="session")
