@@ -74,16 +74,13 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-def choice(*words: str | Collection[str]) -> AfterValidator:
-    """Make the annotation of a string that must be one of some words, or in a collection of them.
-
-    A collection may grow later.
-    """
+def choice(*known: str, growing: Collection[str] = ()) -> AfterValidator:
+    """Make the annotation of a string that must be one of `known`, or of words that may grow."""
 
     def checked(value: str) -> str:
-        known = [*words] if isinstance(words[0], str) else [*words[0]]
-        if value not in known:
-            raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in known)}")
+        words = *known, *growing
+        if value not in words:
+            raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in words)}")
         return value
 
     return AfterValidator(checked)

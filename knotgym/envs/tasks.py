@@ -59,7 +59,7 @@ def register_task(name: str, crossings: Callable[[int], tuple[int, int]]) -> Non
     knotgym.register_environment(name)
 
 
-TaskName = Annotated[str, choice(TASKS)]
+TaskName = Annotated[str, choice(growing=TASKS)]
 
 
 class UnknownKeyword(InvalidInput, TypeError):

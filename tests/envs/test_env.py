@@ -15,11 +15,11 @@ from gymnasium.utils.env_checker import check_env
 
 import knotgym
 from knotgym.common.errors import Failed, InvalidInput, MissingFile
+from knotgym.envs import tasks
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS, cut
 from knotgym.envs.task_states import task_sides
-from knotgym.envs.tasks import TASKS
 from knotgym.rendering.camera import PictureConfig
 from knotgym.rendering.picture import draw
 from knotgym.states.state_file import States, merge_states, write_states
@@ -596,4 +596,4 @@ def test_a_registered_task_is_played_as_its_crossings_say() -> None:
         info = made.reset(seed=0)[1]
         assert info["crossings"] == 3 and GaussCode.parse(info["goal_gauss_code"]).nx == 2
     finally:
-        del TASKS["simplify"], gym.registry["knotgym/Simplify-v0"]
+        del tasks.TASKS["simplify"], gym.registry["knotgym/Simplify-v0"]
