@@ -92,8 +92,6 @@ def test_both_splits_have_as_many_states_as_asked_for_of_as_many_codes_as_there_
         assert sorted(states.split[states.nx == nx].tolist()) == ["test"] * 2 + ["train"] * 2
 
 
-
-
 def test_no_two_states_are_near_duplicates(states: States) -> None:
     for nx in (0, 1):
         points = states.points[states.nx == nx]
