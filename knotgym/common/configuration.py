@@ -15,7 +15,7 @@ what no single field can tell in `__post_init__`, and raises the error itself.
 import dataclasses
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, dataclass_transform, get_args, get_type_hints
 
@@ -68,18 +68,19 @@ def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
-def _distinct(values: tuple[int, ...]) -> tuple[int, ...]:
+def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if not values or len(set(values)) < len(values):
         raise InvalidInput("must be at least one, each once")
     return values
 
 
-def choice(*known: str) -> AfterValidator:
-    """Make the annotation of a string that must be one of `known`."""
+def choice(*known: str, growing: Collection[str] = ()) -> AfterValidator:
+    """Make the annotation of a string that must be one of `known`, or of words that may grow."""
 
     def checked(value: str) -> str:
-        if value not in known:
-            raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in known)}")
+        words = *known, *growing
+        if value not in words:
+            raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in words)}")
         return value
 
     return AfterValidator(checked)
@@ -194,7 +195,7 @@ def _refuse(error: ValidationError, kind: type) -> NoReturn:
     given = given if len(given) <= _SHOWN else f"{given[: _SHOWN - 3]}..."
     # the members of a union each have a problem
     every = [one for one in problems if one["loc"][: len(path)] == first["loc"][: len(path)]]
-    problem = " or ".join(dict.fromkeys(map(_problem, every)))
+    problem = " or ".join(dict.fromkeys(map(_problem, every))).replace(" or must be ", " or ")
     raise InvalidInput(f"{where} {problem}, got {given}") from None
 
 

@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_apart, require_output, sha256
 from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
+from knotgym.datasets.episode_dataset import (
+    EpisodeDataset,
+    open_episodes,
+    single_of,
+    write_episodes,
+)
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.image_table import COLUMNS, arrow, parquet, points_of, read_table, shards
 from knotgym.datasets.located import locate_own, refuse_minaris_folder, root_of
@@ -130,16 +135,23 @@ class EpisodeRows:
                 "start_gauss_code": gauss_codes(steps["visits"][first]),
                 "final_gauss_code": gauss_codes(steps["visits"][last]),
             }
-        texts = {"task": task.task, "split": task.split}
-        return found | {name: np.full(own.rows, text) for name, text in texts.items()}
+        single, number = task.singles, single_of(self.dataset)
+        return found | {
+            "task": np.array([one.task for one in single])[number],
+            "nx": np.array([one.nx for one in single])[number],
+            "split": np.full(own.rows, task.split),
+        }
 
     def keys(self) -> list[list[Hashable]]:
-        own, untying = self.dataset.episodes.episodes, self.dataset.task.start_nx > 0
+        own, number = self.dataset.episodes.episodes, single_of(self.dataset)
+        untying = np.array([one.start_nx > 0 for one in self.dataset.task.singles])[number]
         tied = np.asarray(own["goal_visits"].any(axis=1))
         # states without crossings are shared by nearly all episodes
         return [
-            [row for row, crosses in ((start, untying), (goal, tying)) if crosses]
-            for start, goal, tying in zip(own["start"], own["goal"], tied, strict=True)
+            [row for row, crosses in ((start, tangled), (goal, tying)) if crosses]
+            for start, tangled, goal, tying in zip(
+                own["start"], untying, own["goal"], tied, strict=True
+            )
         ]
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
@@ -210,6 +222,7 @@ def require_target(given: Selectable, target: Destination, sources: Iterable[Pat
         if not isinstance(given, EpisodeRows):
             raise InvalidInput("an id is for episodes; give --out for states and pictures")
         folder = Path(target.out or minari_root()) / target.dataset_id
+        require_output(folder, folder=True, overwrite=target.overwrite)
         require_apart(folder, sources)
         return folder
     if target.out is None:

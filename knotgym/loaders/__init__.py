@@ -2,7 +2,7 @@
 
 Every loader takes a dataset as a Minari id, a folder, an episode file (compact or not), a
 `minari.MinariDataset`, or the output folder of `knotgym generate` (for its demonstrations of the
-train split). The other arguments are
+train split); or a list of them, which is read into memory as one. The other arguments are
 
     observation     "pixels", "state", "both" or "symbolic"; None for the observation of the
                     dataset's environment

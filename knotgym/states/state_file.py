@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import knotgym
 from knotgym.common.atomic_files import require_no_links
 from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.common.tables import Table, digest, format_of, joined, read, write
@@ -31,11 +32,14 @@ from knotgym.states.schema import (
     VERTICES_FORMAT,
     WITHOUT_IMAGES,
 )
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import UNKNOWN
 from knotgym.topology.notation import dt_text, pd_text
 from knotgym.topology.symmetry import diagram_form
 
 _ACTIONS = "source/actions"
+_OVERLAP = 0.003  # metres; strands that push against each other in the simulator overlap less
 
 
 def _column(name: str) -> Any:
@@ -96,6 +100,50 @@ class States:
                 full[name] = np.array(texts, dtype=np.str_)[rows]
         schema = STATES if "image" in full else WITHOUT_IMAGES
         return cls(Table(schema, full), attributes or {})
+
+    @classmethod
+    def from_points(cls, points: ArrayLike, split: ArrayLike = "train") -> States:
+        """Make states of closed ropes, with all that follows from their points.
+
+        Args:
+            points: (n, beads, 3), metres: vertices that an environment or a dataset has; or closed
+                curves of as many points, which `Rope.from_curve` turns into configurations.
+            split: "train" or "test", for all or for each, (n,).
+
+        Raises:
+            InvalidInput: a rope can't lie like this, its knot can't be certified, or there is no
+                such split.
+        """
+        import mujoco  # here, so that reading states needs no simulator
+
+        from knotgym.rope.model import Rope, rope_of
+        from knotgym.states.derivation import derived_row
+
+        curves, splits = np.asarray(points, dtype=np.float64), np.asarray(split, dtype=np.str_)
+        if curves.ndim != 3 or curves.shape[2] != 3 or not len(curves):
+            raise InvalidInput(f"points must have shape (n, beads, 3), got {curves.shape}")
+        if splits.shape not in ((), (len(curves),)) or not np.isin(splits, STATE_SPLITS).all():
+            raise InvalidInput(
+                f"split must be {' or '.join(STATE_SPLITS)}, one for all or one for each of"
+                f" {len(curves)} ropes, got {split!r}"
+            )
+        rope = Rope(rope_of(curves.shape[1]))
+        rows = list[dict[str, Any]]()
+        for number, curve in enumerate(curves):
+            try:
+                qpos = rope.qpos(rope.from_curve(curve, max_overlap=_OVERLAP))
+            except InvalidInput as error:
+                raise InvalidInput(f"rope {number}: {error}") from None
+            laid = rope.points(qpos)
+            rows.append({"qpos": qpos, "points": laid, **derived_row(laid)})
+            if rows[-1]["knot"] == UNKNOWN:
+                raise InvalidInput(f"rope {number}: its knot can't be certified")
+        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        made_by = {"knotgym": knotgym.__version__, "mujoco": mujoco.__version__}
+        return cls.of(
+            {**columns, "split": np.broadcast_to(splits, len(rows)).copy()},
+            {**made_by, "rope": rope.config.fingerprint, "config": {"made": "from points"}},
+        )
 
     def __post_init__(self) -> None:
         for values in self.table.values():

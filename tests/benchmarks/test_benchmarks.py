@@ -55,24 +55,12 @@ def test_every_benchmark_says_how_to_use_it(
     assert f"\n    python benchmarks/{script.name}" in script.read_text(encoding="utf-8")
 
 
-@pytest.mark.slow  # tests/topology/test_reference_labeller.py is its fast twin
-def test_both_labellers_agree_on_fourier_curves(tmp_path: Path) -> None:
-    written = figures("codes", tmp_path, "--curves", 16, "--ropes", 0)
-    curves = written["results"]["Fourier curves"]
-    assert curves["agreed"] == curves["curves"] == 16 and curves["disagreements"] == []
-
-
 @pytest.mark.thorough
 @pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
 def test_golden_runs_make_the_arrays_that_they_made(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         run_script(FOLDER / "golden.py", "--compare", ROOT / "tests/data/golden.json")
     assert ended.value.code == 0, capsys.readouterr().out
-
-
-def test_pictures_of_every_size_and_camera_are_drawn(tmp_path: Path) -> None:
-    rows = figures("picture", tmp_path, "--frames", 1, "--renderers", "opencv")["rows"]
-    assert len(rows) == 8 and all(row["opencv_ms"] > 0 for row in rows)
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "chain"])
@@ -176,7 +164,6 @@ def test_a_little_play_makes_a_table_of_moves(what: str, tmp_path: Path) -> None
     [
         ("speed", ("--ropes", 4, "--repeats", 1)),
         ("distance", ("--states", 1)),
-        ("play", ("--ropes", 2)),
     ],
 )
 def test_the_chain_engine_is_measured_beside_mujocos(

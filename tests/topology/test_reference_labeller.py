@@ -5,29 +5,20 @@ import pytest
 
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.crossings import find_crossings, label, visit_spacing
-from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 
 from .test_crossings import EIGHT, random_curve
 
 
-def assert_agreement(curves: int, seed: int) -> None:
+def test_both_labellers_agree() -> None:
+    """On 40 curves; `benchmarks/codes.py` compares as many as it is told to."""
     compared = 0
-    for index in range(curves):
-        points = random_curve(seed + index, modes=1 + index % 8)
+    for seed in range(40):
+        points = random_curve(seed, modes=1 + seed % 8)
         if visit_spacing(find_crossings(points), 100) > 1e-9:
-            assert label(points) == pyknotid_code(points), f"curve {index} of seed {seed}"
+            assert label(points) == pyknotid_code(points), seed
             compared += 1
-    assert compared > 0.99 * curves
-
-
-def test_both_labellers_agree_on_40_curves() -> None:
-    assert_agreement(40, seed=0)
-
-
-@pytest.mark.slow
-def test_both_labellers_agree_on_10000_curves() -> None:
-    assert_agreement(10_000, seed=1)
+    assert compared == 40
 
 
 @pytest.mark.parametrize("scale", [1e-6, 0.013, 1.0, 1e6])
@@ -40,10 +31,6 @@ def test_the_closing_edge_counts() -> None:
         assert pyknotid_code(np.roll(EIGHT, first, axis=0)).nx == 1
 
 
-def test_a_curve_without_crossings_has_the_empty_code() -> None:
-    assert pyknotid_code(np.eye(3)) == GaussCode()
-
-
 def test_numpy_gets_no_lasting_aliases() -> None:
     pyknotid_code(EIGHT)
     assert not {"float", "int", "complex"} & set(vars(np))
@@ -52,12 +39,6 @@ def test_numpy_gets_no_lasting_aliases() -> None:
 def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
     pyknotid_code(EIGHT)
     assert capfd.readouterr() == ("", "")
-
-
-def test_the_points_are_left_alone() -> None:
-    before = EIGHT.copy()
-    pyknotid_code(EIGHT)
-    assert (before == EIGHT).all()
 
 
 @pytest.mark.parametrize(
