@@ -231,8 +231,8 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> 
     run = begun(tmp_path / "a", "--workers", 1, saved=False)
     os.kill(run.pid, signal.SIGTERM)
     _, error = run.communicate(timeout=SECONDS)
-    assert run.returncode == 130 and error.startswith("knotgym: interrupted; no partial output is ")
-    assert len(error.splitlines()) == 1 and "--resume continues from the last" in error
+    assert run.returncode == 130 and error.startswith("knotgym: interrupted before all output ")
+    assert len(error.splitlines()) == 1 and "--resume continues, --restart deletes it" in error
     # without any work done, not even the staging folder is left
     assert {path.name for path in tmp_path.iterdir()} <= {".a.partial"}
 
