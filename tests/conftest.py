@@ -1,8 +1,6 @@
 """What several test modules share: ropes of known shape and a small state file made of them."""
 
 import gc
-import os
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +14,9 @@ from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states.state_file import States, read_states, shipped, write_states
 from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import codes_of, knot_type
+from knotgym.topology.knots import codes_of
 
-from .small_job import SECONDS, WANTED, begun, knotgym
+from .small_job import WANTED, knotgym
 
 # Compiling, or another process on the same cores, is no failure.
 settings.register_profile("unhurried", deadline=None, max_examples=20)
@@ -119,23 +116,6 @@ def curated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
-def killed_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Where the same run was killed after its first cycle, and what it and all that it had started
-    said on standard error; none of its workers lives on (they would hold its output open).
-    """
-    out = tmp_path_factory.mktemp("killed") / "nx0-1"
-    run = begun(out, "--workers", 2, saved=True)
-    os.kill(run.pid, signal.SIGKILL)
-    return out, run.communicate(timeout=SECONDS)[1]
-
-
-@pytest.fixture(scope="session")
-def killed(killed_run: tuple[Path, str]) -> Path:
-    """Where it was killed. Only ever read."""
-    return killed_run[0]
-
-
 def rough_play(row: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Where a rope is laid, float64 (nq,), and full pulls, float32 (T, 6); the last is eased.
 
@@ -156,20 +136,8 @@ def trefoils(rope: Rope) -> States:
     two with four.
     """
     codes = [*codes_of("3_1", 3), *codes_of("3_1", 4)[:2]]
-    points, shown = list[NDArray[np.float64]](), list[GaussCode]()
-    for number, code in enumerate([code for code in codes for _ in range(2)]):
-        points.append(drawn_curve(code, np.random.default_rng(number), rope))
-        shown.append(label(points[-1]))
-    return States.of(
-        {
-            "qpos": np.array([rope.qpos(one) for one in points]),
-            "points": np.array([rope.points(rope.qpos(one)) for one in points]),
-            "image": np.array([draw(one) for one in points]),
-            "gauss_code": np.array([str(code) for code in shown]),
-            "gauss_code_chiral": np.array([code.chiral for code in shown]),
-            "knot": np.array([knot_type(code) for code in shown]),
-            "nx": np.array([code.nx for code in shown]),
-            "split": np.array(["train", "test"] * len(codes)),
-        },
-        {"rope": rope.config.fingerprint},
-    )
+    drawn = [
+        drawn_curve(code, np.random.default_rng(number), rope)
+        for number, code in enumerate([code for code in codes for _ in range(2)])
+    ]
+    return States.from_points(np.array(drawn), ["train", "test"] * len(codes))

@@ -36,28 +36,6 @@ def typed(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "knotgym", *map(str, arguments)]
 
 
-def begun(out: Path, *arguments: object, saved: bool) -> subprocess.Popen[str]:
-    """A run in another process group, once it holds its folder, or has saved what it made."""
-    run = subprocess.Popen(
-        typed("generate", *WANTED, *arguments, "--out", out),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    partial, until = out.parent / f".{out.name}.partial", time.monotonic() + SECONDS
-
-    def is_there() -> bool:
-        journal = partial / "journal"
-        # beyond its first two lines, a journal holds results
-        return journal.is_file() and journal.read_bytes().count(b"\n") > (2 if saved else 0)
-
-    while not is_there() and run.poll() is None and time.monotonic() < until:
-        time.sleep(0.02)
-    assert run.poll() is None and is_there()
-    return run
-
-
 def wait_for_file(run: subprocess.Popen[str], folder: Path, pattern: str) -> None:
     """Wait until a file of that name is anywhere below a folder, or the process has ended."""
     until = time.monotonic() + SECONDS

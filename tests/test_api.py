@@ -124,7 +124,7 @@ def test_types_are_what_mypy_is_told() -> None:
     """Where mypy reads this file, it checks these too."""
     assert_type(knotgym.label(knotgym.Rope().loop()), knotgym.GaussCode)
     assert_type(knotgym.read_states(knotgym.shipped(), images=False), knotgym.States)
-    assert_type(knotgym.TaskConfig(task="tie").nx, int)
+    assert_type(knotgym.TaskConfig(task="tie").start_nx, int)
 
 
 def test_draw_and_label_take_a_rope_as_it_lies() -> None:

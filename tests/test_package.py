@@ -11,22 +11,13 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
 import knotgym
 from knotgym.common.errors import KnotgymError
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.camera import PictureConfig
-from knotgym.rope.model import Rope
-from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import with_chirality
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.reference_labeller import pyknotid_code
 
 from .fresh_interpreter import modules_after
 
@@ -132,27 +123,6 @@ def test_three_environments_are_registered() -> None:
 def test_every_error_pickles_with_its_message(error: type[KnotgymError]) -> None:
     again = pickle.loads(pickle.dumps(error.__new__(error, "what was wrong")))
     assert type(again) is error and str(again) == "what was wrong"
-
-
-@pytest.mark.parametrize(
-    "fault",
-    [
-        lambda: label(np.full((100, 3), np.nan)),
-        lambda: GaussCode.parse("1+,1+"),
-        lambda: GaussCode((1, -1)).writhe,
-        lambda: with_chirality(GaussCode.parse("1+,2-,1-,2+")),
-        lambda: pyknotid_code(np.zeros((2, 3))),
-        lambda: PictureConfig(size=-1),
-        lambda: Rope().from_curve(np.zeros((3, 3))),
-        lambda: TaskConfig(task="plait"),
-    ],
-    ids=["points", "code", "chirality", "planar", "oracle", "picture", "curve", "setting"],
-)
-def test_errors_raised_pickle_with_their_one_line(fault: Callable[[], object]) -> None:
-    with pytest.raises(KnotgymError) as caught:
-        fault()
-    again = pickle.loads(pickle.dumps(caught.value))
-    assert type(again) is caught.type and str(again) == str(caught.value) and "\n" not in str(again)
 
 
 @pytest.mark.slow

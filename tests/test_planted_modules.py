@@ -91,19 +91,3 @@ def test_a_foreign_file_is_tried_without_what_lies_beside_it(
     monkeypatch.chdir(planted)
     try_files([planted / "states.h5"])
     assert not (planted.parent / "mark").exists()
-
-
-def test_numba_s_cache_is_not_where_a_file_in_the_current_folder_says(tmp_path: Path) -> None:
-    (tmp_path / ".numba_config.yaml").write_text("cache_dir: planted\n")
-    script = (
-        "import sys, types\n"
-        "yaml = sys.modules['yaml'] = types.ModuleType('yaml')\n"  # it may not be installed
-        "yaml.safe_load = lambda *_, **__: {'cache_dir': 'planted'}\n"
-        "import knotgym, numba\n"
-        "print(repr(numba.config.CACHE_DIR))"
-    )
-    environment = {name: text for name, text in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    told = subprocess.run(
-        [sys.executable, "-P", "-c", script], cwd=tmp_path, env=environment, capture_output=True
-    )
-    assert told.stdout == b"''\n", told.stderr

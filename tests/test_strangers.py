@@ -5,18 +5,24 @@ Each test failed before the fault that it tells of was mended.
 
 from __future__ import annotations
 
+import fcntl
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import pytest
 from numpy.typing import NDArray
+from synthetic_episodes import TINY
 
 import knotgym
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
+from knotgym.states.state_file import read_states, write_states
 
 from .small_job import knotgym as typed
 
@@ -97,6 +103,58 @@ def test_swapped_starts_are_a_fault(collected: Path, tmp_path: Path) -> None:
 def forged(dataset: EpisodeDataset, path: Path, **tables: Any) -> None:
     """Write episodes with other tables, and digests that fit them."""
     write_episodes(path, [dataset.episodes._replace(**tables)], dataset.task, dataset.facts)
+
+
+@pytest.mark.parametrize("selection", ["x", 3, {"a": 1}, [1]])
+@pytest.mark.parametrize("kind", ["states", "episodes"])
+def test_a_selection_of_another_form_is_one_line(
+    kind: str, selection: Any, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "set.h5"
+    if kind == "states":
+        write_states(path, read_states(states_path).replaced({}, selection=selection))
+    else:
+        dataset = open_episodes(TINY["random"])
+        facts = {**dataset.facts, "selection": selection}
+        write_episodes(path, [dataset.episodes], dataset.task, facts)
+    for words in ("select --sample 1", "split --parts a=0.5,b=0.5", "delete --rows 0"):
+        assert typed("dataset", *words.split(), path, "--out", tmp_path / "out.h5") == 2
+        (line,) = capfd.readouterr().err.splitlines()
+        assert "its selection should be a list of objects" in line
+    assert [one.name for one in tmp_path.iterdir()] == ["set.h5"]
+
+
+@pytest.mark.parametrize("command", ["merge {0} --id a/b-v0", "select {0} --sample 1 --id a/b-v0"])
+def test_states_that_a_file_names_elsewhere_are_not_published(
+    command: str, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    dataset = open_episodes(TINY["random"])
+    task = replace(dataset.task, states=states_path)  # as if it were a private file of the user
+    write_episodes(tmp_path / "set.h5", [dataset.episodes], task)
+    words = command.format(tmp_path / "set.h5").split()
+    assert typed("dataset", *words, "--out", tmp_path / "out") == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "names states outside of it" in line and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["split {0} --parts a=0.5,b=0.5", "select {0} --sample 1"])
+def test_a_set_is_not_cut_into_its_own_folder(
+    command: str, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(states_path, tmp_path / "states.h5")
+    out = tmp_path / "part.h5"
+    assert typed("dataset", *command.format(tmp_path).split(), "--out", out, "--overwrite") == 2
+    assert "is, contains or is in its source" in capfd.readouterr().err
+    assert [one.name for one in tmp_path.iterdir()] == ["states.h5"]
+
+
+def test_a_file_that_a_writer_holds_is_read(tmp_path: Path) -> None:
+    shutil.copy(TINY["random"], tmp_path / "set.h5")
+    with open(tmp_path / "set.h5") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as HDF5's writers do
+        with pytest.raises(BlockingIOError):
+            h5py.File(tmp_path / "set.h5", "r")
+        assert knotgym.verify(tmp_path / "set.h5") == []
 
 
 def test_settings_of_numba_in_the_current_folder_are_not_read(tmp_path: Path) -> None:

@@ -1,9 +1,10 @@
 """The command `knotgym collect`."""
 
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 from knotgym.cli.options import RUN, Given, command, extra
-from knotgym.common.errors import InvalidInput
 from knotgym.generate.episodes.collect_config import CollectConfig
 
 MINARI_ROOT = extra("out", Path, help="Minari root to write to; Minari's own by default.")
@@ -11,25 +12,30 @@ MINARI_ROOT = extra("out", Path, help="Minari root to write to; Minari's own by 
 
 @command(
     {"": CollectConfig},
-    "task.task episodes policy.policy task.split keep_failed=--keep-failed/--drop-failed"
+    "episodes policy.policy task.split keep_failed=--keep-failed/--drop-failed"
     f" dataset_id=--id task.states task.observation task.engine {RUN}",
+    extra("task", tuple[str, ...], ("tie",)),
     extra("nx", tuple[int, ...], (2,)),
     MINARI_ROOT,
 )
 def collect(given: Given) -> None:
     """Roll out a policy and write its episodes as a Minari dataset.
 
-    Several values of --nx make one dataset each.
+    Several tasks or values of --nx make one dataset each; with --id they make a single one, whose
+    episodes each draw one of their combinations.
 
     Examples:
 
         knotgym collect --task tie --nx 3 --policy expert --episodes 200
+
+        knotgym collect --task tie,convert --nx 2-4 --id knotgym/several-v0 --episodes 2000
 
         knotgym collect --task unknot --nx 2-4 --policy mine:act
 
         knotgym collect --policy pretrained --set labels=expert
 
     Args:
+        task: Tasks, comma-separated: tie, unknot, convert.
         nx: Numbers of crossings: 3, 2,3 or 0-4.
     """
     from knotgym.datasets.minari_form import loading_lines
@@ -37,16 +43,17 @@ def collect(given: Given) -> None:
     from knotgym.generate.episodes.collect import named, require_collectable
 
     options, out = given.run, given["out"]
-    crossings = given["nx"] if "nx" in given.typed else [given.get("task.nx")]
-    if given.get("dataset_id") and len(crossings) > 1:
-        raise InvalidInput(
-            f"--id names one dataset, but --nx makes {len(crossings)}: leave out --id or give a"
-            " single --nx"
-        )
+    several = [
+        given[name] if name in given.typed else given.get(f"task.{name}") for name in ("task", "nx")
+    ]
+    if given.get("dataset_id"):
+        pairs = [tuple(one[0] if len(one) == 1 else one for one in map(_listed, several))]
+    else:
+        pairs = [*product(*map(_listed, several))]
     seen = "" if given.has("task.observation") else "state"
     configs = [
-        named(given.config(CollectConfig, {"task.nx": nx}, usual={"seen": seen}))
-        for nx in crossings
+        named(given.config(CollectConfig, {"task.task": task, "task.nx": nx}, usual={"seen": seen}))
+        for task, nx in pairs
     ]
     for config in configs:  # refuse any of them before playing the first
         require_collectable(config, out, options)
@@ -54,3 +61,7 @@ def collect(given: Given) -> None:
         run(config, out, options, progress=given.progress)
         if options.shard.is_whole:
             given.progress.say_how_to_load(loading_lines(config.dataset_id, out))
+
+
+def _listed(value: Any) -> tuple[Any, ...]:
+    return tuple(value) if isinstance(value, (list, tuple)) else (value,)

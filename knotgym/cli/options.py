@@ -78,7 +78,7 @@ class Option(NamedTuple):
         in_run = self.path.startswith("run.") or self.path in ("seed", "settings", "set")
         info = Parameter(
             name=name,
-            metavar=_METAVARS.get(self.kind, "TEXT"),
+            metavar=_METAVARS.get(_typed_kind(self.kind), "TEXT"),
             help=self.help,
             negative=negative,
             group=_RUN_GROUP if in_run else _GROUP,
@@ -331,10 +331,9 @@ def read_value(value: Any, hint: Any, name: str) -> Any:
     """
     if not isinstance(value, str):
         return value
-    if get_origin(hint) in (Union, types.UnionType):
-        if value == "none":
-            return None
-        (hint, *_) = (one for one in get_args(hint) if one is not type(None))
+    if value == "none" and type(None) in get_args(hint):
+        return None
+    hint = _typed_kind(hint)
     if get_origin(hint) is tuple:
         (kind, *_) = get_args(hint)
         if kind is int:
@@ -345,6 +344,13 @@ def read_value(value: Any, hint: Any, name: str) -> Any:
         return reader(value)
     except (KeyError, ValueError):
         raise InvalidInput(f"{name} takes {expected}, got {value!r}") from None
+
+
+def _typed_kind(hint: Any) -> Any:
+    """Return the first type of a union, which is what can be typed."""
+    if get_origin(hint) not in (Union, types.UnionType):
+        return hint
+    return next(one for one in get_args(hint) if one is not type(None))
 
 
 _READERS: dict[Any, tuple[Callable[[str], Any], str]] = {

@@ -68,7 +68,7 @@ def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
-def _distinct(values: tuple[int, ...]) -> tuple[int, ...]:
+def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if not values or len(set(values)) < len(values):
         raise InvalidInput("must be at least one, each once")
     return values
@@ -194,7 +194,7 @@ def _refuse(error: ValidationError, kind: type) -> NoReturn:
     given = given if len(given) <= _SHOWN else f"{given[: _SHOWN - 3]}..."
     # the members of a union each have a problem
     every = [one for one in problems if one["loc"][: len(path)] == first["loc"][: len(path)]]
-    problem = " or ".join(dict.fromkeys(map(_problem, every)))
+    problem = " or ".join(dict.fromkeys(map(_problem, every))).replace(" or must be ", " or ")
     raise InvalidInput(f"{where} {problem}, got {given}") from None
 
 

@@ -116,5 +116,6 @@ class PolicyConfig:
     @property
     def short(self) -> str:
         """A name for dataset ids: letters, digits and dashes."""
-        stem = Path(self.policy.partition(":")[0]).stem.split(".")[-1]
+        kind, _, name = self.policy.partition(":")
+        stem = f"{kind}-{Path(name).stem}" if name else Path(kind).stem
         return "".join(letter if letter.isalnum() else "-" for letter in stem)

@@ -19,7 +19,7 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -55,6 +55,11 @@ from knotgym.states.state_file import leads_out, minari_root, ships, states_file
 FORMAT = "knotgym-episodes"
 FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, PULLS)}
 FILE = "episodes.h5"
+# settings of the environment that loaders read; datasets that are loaded together share them
+_READ = {
+    *("beads", "observation", "action", "hold", "tow_limit", "success_reward"),
+    *("image_size", "views", "depth", "layout", "camera", "renderer"),
+}
 
 
 @dataclass(frozen=True)
@@ -67,8 +72,9 @@ class EpisodeDataset:
         task: the environment.
         attributes: attributes of the file.
         rows: int64 (n,), which of the file's episodes these are; None for all.
+        parts: the datasets that were joined to this one, which is in memory; none if it is a file.
 
-    Pickling one keeps the path alone: each process maps the file itself.
+    Pickling one keeps the paths alone: each process maps the files itself.
     """
 
     path: Path
@@ -76,9 +82,10 @@ class EpisodeDataset:
     task: TaskConfig
     attributes: Mapping[str, Any]
     rows: NDArray[np.int64] | None = None
+    parts: "tuple[EpisodeDataset, ...]" = ()
 
     def __reduce__(self) -> Any:
-        return _opened, (self.path, self.rows)
+        return _opened, (self.parts or self.path, self.rows)
 
     @property
     def metadata(self) -> dict[str, Any] | None:
@@ -161,17 +168,40 @@ def open_episodes(source: Any) -> EpisodeDataset:
     return opened if chosen is None else opened.select(chosen)
 
 
-def _opened(path: Path, rows: NDArray[np.int64] | None) -> EpisodeDataset:
-    opened = open_episodes(path)
+def _opened(source: Any, rows: NDArray[np.int64] | None) -> EpisodeDataset:
+    opened = columns_of(source) if isinstance(source, tuple) else open_episodes(source)
     return opened if rows is None else opened.select(rows)
+
+
+def single_of(dataset: EpisodeDataset) -> NDArray[np.int64]:
+    """Return which of `task.singles` each episode is of, by the crossings of its start and goal.
+
+    A recording doesn't hold the start's crossings, so there the first with the goal's is returned.
+    """
+    own, steps = dataset.episodes
+    goals = np.count_nonzero(own["goal_visits"], axis=1) // 2
+    first = dataset.episodes.offsets[:-1]
+    starts = steps["crossings"][first] if "crossings" in steps else np.full(len(first), -1)
+    unlike = [2 * (goals != one.goal_nx) + (starts != one.start_nx) for one in dataset.task.singles]
+    return np.argmin(unlike, axis=0)
 
 
 def columns_of(source: Any) -> EpisodeDataset:
     """Open a dataset as `open_episodes` does, and refuse a recording.
 
+    A list of datasets is read into memory as one, which has the first one's task. They may be of
+    different tasks, crossing numbers, splits, states and engines, but not of different ropes.
+
     Raises:
-        InvalidInput: it is a recording, whose states must be simulated first.
+        InvalidInput: it is a recording, whose states must be simulated first; or datasets of a list
+            can't be loaded together.
     """
+    if isinstance(source, (list, tuple)):
+        parts = tuple(columns_of(one) for one in source)
+        require_alike(parts, {*vars(parts[0].task)} - _READ if parts else set())
+        path = Path(" and ".join(str(one.path) for one in parts))
+        every = merged([one.episodes for one in parts])
+        return EpisodeDataset(path, every, parts[0].task, {}, parts=parts)
     opened = open_episodes(source)
     if opened.episodes.is_recording:
         raise InvalidInput(
@@ -179,6 +209,22 @@ def columns_of(source: Any) -> EpisodeDataset:
             " dataset export --to compact"
         )
     return opened
+
+
+def require_alike(datasets: Sequence[EpisodeDataset], free: Collection[str]) -> None:
+    """Refuse datasets whose environments differ in a setting, unless it is one of `free`.
+
+    Raises:
+        InvalidInput: they differ in another one.
+    """
+    for other in datasets[1:]:
+        for name, value in vars(datasets[0].task).items():
+            own = getattr(other.task, name)
+            if name not in free and value != own:
+                raise InvalidInput(
+                    f"these datasets must have one {name}: {datasets[0].path} has {value},"
+                    f" {other.path} has {own}"
+                )
 
 
 def write_episodes(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.datasets.episode_dataset import EpisodeDataset, write_episodes
+from knotgym.datasets.episode_dataset import EpisodeDataset, require_alike, write_episodes
 from knotgym.datasets.episodes import episode_digests
 from knotgym.datasets.located import locate
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of
@@ -21,6 +21,8 @@ from knotgym.datasets.selectable import (
     publish_rows,
     require_target,
 )
+from knotgym.envs.task_states import task_sides
+from knotgym.envs.tasks import TaskConfig
 from knotgym.states.state_file import merge_states, ships, write_states
 
 
@@ -37,7 +39,7 @@ def merge(
 
     Raises:
         MissingFile: one of them doesn't exist.
-        InvalidInput: they are of different kinds, tasks, ropes, splits or states, or share a row.
+        InvalidInput: they are of different kinds, ropes, splits or states, or share a row.
         Occupied: the output exists, and `overwrite` is False.
     """
     if not given:
@@ -56,22 +58,25 @@ def merge(
         with atomic_write(file, overwrite=overwrite) as temporary:
             write_states(temporary, merged)
         return f"{out}: {len(merged)} states"
-    _require_alike(datasets)
+    joint = replace(datasets[0], task=_joint_task(datasets))
     _require_distinct(datasets)
     parts = [one.episodes for one in datasets]
     count = f"{sum(one.episodes.rows for one in parts)} episodes"
     if dataset_id:
-        made = publish_rows(datasets[0], parts, _metadata(datasets, dataset_id), target, {})
+        made = publish_rows(joint, parts, _metadata(datasets, dataset_id), target, {})
         return f"{made}: {count}"
     with atomic_write(file, overwrite=overwrite) as temporary:
-        write_episodes(temporary, parts, datasets[0].task)
+        write_episodes(temporary, parts, joint.task)
     return f"{out}: {count}"
 
 
-def _require_alike(datasets: Sequence[EpisodeDataset]) -> None:
-    """Refuse datasets of several tasks; their state files may have different names."""
-    first = datasets[0]
-    wanted = _facts(first)
+def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
+    """Return the task that draws from those of all datasets; refuse what can't be joined.
+
+    Tasks and nx may differ, and state files may have different names.
+    """
+    require_alike(datasets, ("task", "nx", "states"))
+    first, wanted = datasets[0], _facts(datasets[0])
     for other in datasets[1:]:
         for name, value in _facts(other).items():
             if value != wanted[name]:
@@ -79,11 +84,20 @@ def _require_alike(datasets: Sequence[EpisodeDataset]) -> None:
                     f"datasets to merge must have one {name}; {first.path} has {wanted[name]},"
                     f" {other.path} has {value}"
                 )
+    tasks = {name: None for one in datasets for name in one.task.tasks}
+    crossings = sorted({nx for one in datasets for nx in one.task.crossings})
+    joint = replace(
+        first.task,
+        task=tuple(tasks) if len(tasks) > 1 else first.task.task,
+        nx=tuple(crossings) if len(crossings) > 1 else first.task.nx,
+    )
+    if joint != first.task:  # its environment can be made
+        task_sides(replace(joint, states=str(first.states_path())))
+    return joint
 
 
 def _facts(dataset: EpisodeDataset) -> dict[str, object]:
     return {
-        "task": replace(dataset.task, states=None),
         "rope model": dataset.attributes.get("rope"),
         "form": dataset.attributes["form"],
         "state file, by its SHA-256": _states_digest(dataset),

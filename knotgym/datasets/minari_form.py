@@ -236,7 +236,7 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
 
 def _environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
     """Return the environment's spec with every setting, so that later defaults don't matter."""
-    spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.task.capitalize()}-v0"))
+    spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.tasks[0].capitalize()}-v0"))
     spec.kwargs = as_json(task)
     return spec
 

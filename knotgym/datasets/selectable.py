@@ -16,11 +16,16 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_apart, require_output, sha256
-from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
+from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.datasets.episode_dataset import (
+    EpisodeDataset,
+    open_episodes,
+    single_of,
+    write_episodes,
+)
 from knotgym.datasets.episodes import Episodes, gauss_codes
 from knotgym.datasets.image_table import COLUMNS, arrow, parquet, points_of, read_table, shards
-from knotgym.datasets.located import locate_own, refuse_minaris_folder
+from knotgym.datasets.located import locate_own, refuse_minaris_folder, root_of
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.states.near_duplicates import families
 from knotgym.states.state_file import minari_root, read_states, ships, write_states
@@ -49,7 +54,7 @@ class Destination(NamedTuple):
 class StateRows:
     def __init__(self, path: Path) -> None:
         self.digested, self.states = path, read_states(path)
-        self.earlier: Selections = self.states.attributes.get("selection", [])
+        self.earlier = _selections(self.states.attributes.get("selection", []), path)
         self.ids = np.arange(len(self.states))
 
     @cached_property
@@ -77,7 +82,10 @@ class _PictureRows:
         ]
         self.table = read_table(path, columns=[*flat, "points"])
         stored = (self.table.schema.metadata or {}).get(b"selection", b"[]")
-        self.earlier: Selections = json.loads(stored)
+        try:
+            self.earlier = _selections(json.loads(stored), path)
+        except ValueError as error:
+            raise InvalidFile(f"{path}: its selection isn't JSON: {error}") from error
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -111,7 +119,7 @@ class EpisodeRows:
     def __init__(self, path: Path) -> None:
         self.dataset = open_episodes(path)
         self.digested = self.dataset.path
-        self.earlier: Selections = self.dataset.attributes.get("selection", [])
+        self.earlier = _selections(self.dataset.attributes.get("selection", []), path)
         self.ids = np.arange(self.dataset.episodes.episodes.rows)
 
     @cached_property
@@ -127,16 +135,23 @@ class EpisodeRows:
                 "start_gauss_code": gauss_codes(steps["visits"][first]),
                 "final_gauss_code": gauss_codes(steps["visits"][last]),
             }
-        texts = {"task": task.task, "split": task.split}
-        return found | {name: np.full(own.rows, text) for name, text in texts.items()}
+        single, number = task.singles, single_of(self.dataset)
+        return found | {
+            "task": np.array([one.task for one in single])[number],
+            "nx": np.array([one.nx for one in single])[number],
+            "split": np.full(own.rows, task.split),
+        }
 
     def keys(self) -> list[list[Hashable]]:
-        own, untying = self.dataset.episodes.episodes, self.dataset.task.start_nx > 0
+        own, number = self.dataset.episodes.episodes, single_of(self.dataset)
+        untying = np.array([one.start_nx > 0 for one in self.dataset.task.singles])[number]
         tied = np.asarray(own["goal_visits"].any(axis=1))
         # states without crossings are shared by nearly all episodes
         return [
-            [row for row, crosses in ((start, untying), (goal, tying)) if crosses]
-            for start, goal, tying in zip(own["start"], own["goal"], tied, strict=True)
+            [row for row, crosses in ((start, tangled), (goal, tying)) if crosses]
+            for start, tangled, goal, tying in zip(
+                own["start"], untying, own["goal"], tied, strict=True
+            )
         ]
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
@@ -184,6 +199,12 @@ def publish_rows(
 ) -> Path:
     """Write episodes as a Minari dataset of another one's task, with the states it resets from."""
     states = None if ships(dataset.task.states) else dataset.states_path()
+    beside = states is None or states.parent == dataset.path.parent
+    if not beside and not Path(str(states)).is_relative_to(minari_root()):
+        raise InvalidFile(
+            f"{dataset.path} names states outside of it, {states}, which aren't copied into"
+            " another dataset; if they are yours, put them beside it as states.h5"
+        )
     return publish(
         parts,
         dataset.task,
@@ -217,7 +238,7 @@ def write_rows(
     """Write some rows, at least one, as a new dataset; return its path."""
     if not len(rows):
         raise InvalidInput(f"none of the {len(given.ids)} rows of {source} is left")
-    file = require_target(given, target, [given.digested])
+    file = require_target(given, target, [root_of(source)])
     counts = {"sha256": sha256(given.digested), "rows": len(given.ids), "kept": len(rows)}
     made = {"from": source, **counts, **how, "knotgym": knotgym.__version__}
     if isinstance(given, EpisodeRows) and target.dataset_id:
@@ -225,6 +246,13 @@ def write_rows(
     with atomic_write(file, overwrite=target.overwrite) as path:
         given.write(rows, [*given.earlier, made], path)
     return file
+
+
+def _selections(found: Any, path: Path) -> Selections:
+    """Return the selections that a file tells of, which may be a stranger's."""
+    if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
+        raise InvalidFile(f"{path}: its selection should be a list of objects, got {found!r:.80}")
+    return found
 
 
 def _sentence(made: Mapping[str, Any]) -> str:

@@ -37,10 +37,7 @@ def split_faults(dataset: EpisodeDataset) -> list[str]:
         return [f"{dataset.path}: its split can't be checked: {error}"]
     own, task, rope = dataset.episodes.episodes, dataset.task, Rope(dataset.task.rope)
     faults: list[str] = []
-    for name, (states, nx) in sides.items():
-        allowed = states.rows(nx, task.split)
-        if name == "goal":
-            allowed = allowed[: task.max_goals]
+    for name, (states, allowed) in sides.items():
         for row, named in enumerate(own[name].tolist()):
             if not 0 <= named < len(states):
                 fault = f"its {name} is row {named}, of {len(states)} states"
@@ -105,8 +102,8 @@ def _start_fault(points: Array, named: int, states: States, dataset: EpisodeData
     )
 
 
-def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, int]]:
-    """Read the states, and their nx, that starts and goals are drawn from, as when resetting."""
+def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, NDArray[np.int64]]]:
+    """Read the states, and the rows of them, that starts and goals are drawn from, as a reset."""
     task = dataset.task
     files = [shipped()]
     if task.states is not None:
@@ -115,7 +112,11 @@ def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, int]]:
             return {}
         files.insert(0, own)
     read = [read_states(path, images=False) for path in files]
-    return {
-        name: (next((one for one in read if len(one.rows(nx, task.split))), read[0]), nx)
-        for name, nx in (("start", start_nx(task, read[0])), ("goal", task.goal_nx))
-    }
+    found: dict[str, tuple[States, NDArray[np.int64]]] = {}
+    for single in task.singles:
+        for name, nx in (("start", start_nx(single, read[0])), ("goal", single.goal_nx)):
+            states = next((one for one in read if len(one.rows(nx, task.split))), read[0])
+            rows = states.rows(nx, task.split)[: task.max_goals if name == "goal" else None]
+            _, others = found.get(name, (states, rows))
+            found[name] = states, np.union1d(others, rows)
+    return found

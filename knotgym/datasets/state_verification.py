@@ -65,7 +65,12 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     except InvalidInput as error:
         yield f"states.h5: {error}"
         return
-    missing = sorted(_REQUIRED - {*states.table})
+    required = {
+        name
+        for name in _REQUIRED
+        if "quality/" not in name or states.attributes.get("form") != "vertices"
+    }
+    missing = sorted(required - {*states.table})
     drawn = set(states.source.get("policy", ())) <= {RANDOM_WALK}
     if "source/actions" not in states.table and not drawn:
         missing.append("source/actions")

@@ -60,7 +60,12 @@ class KnotEnv(gym.Env[Any, NDArray[Any]]):
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
 
-    def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
+    def __init__(
+        self,
+        task: str | Sequence[str],
+        render_mode: str | None = "rgb_array",
+        **settings: Any,
+    ) -> None:
         self.config = task_config(task, settings)
         warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array", "human")
@@ -128,7 +133,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
     """Environment with many ropes; with seed s, rope i behaves as `KnotEnv` with seed s + i.
 
     Args:
-        task: "unknot", "tie" or "convert".
+        task: "unknot", "tie" or "convert", or a list of them.
         num_envs: number of ropes.
         threads: threads of the simulation, 0 for every core.
         autoreset_mode: "next_step", "same_step" or "disabled", or Gymnasium's constants.
@@ -144,7 +149,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
 
     def __init__(
         self,
-        task: str,
+        task: str | Sequence[str],
         num_envs: int = 1,
         threads: int = 0,
         autoreset_mode: str | AutoresetMode = "next_step",
@@ -265,7 +270,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         return infos
 
 
-def task_config(task: str, settings: dict[str, Any]) -> TaskConfig:
+def task_config(task: Any, settings: dict[str, Any]) -> TaskConfig:
     """Return the settings that keywords specify.
 
     Raises:

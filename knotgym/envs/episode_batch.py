@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.observations import SYMBOLS, cut, observe, picture_config, pixels
 from knotgym.envs.reward import Outcome, outcome
-from knotgym.envs.task_states import task_sides
+from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import draw
 from knotgym.rope.action_views import ActionView
@@ -70,11 +70,13 @@ class EpisodeBatch:
         self.simulation = simulation(task.engine, count, Rope(task.rope), threads)
         self.view = ActionView(task.action, self.simulation)
         self._picture = picture_config(task)
-        starts, goals = task_sides(task)
-        self.starts, self.goals = starts.states, goals.states
-        self.rows = {"start": starts.rows, "goal": goals.rows}
-        self._nx = {"start": starts.nx, "goal": goals.nx}
-        self._goal_rows: dict[str, NDArray[np.int64]] = {}
+        self._sides = task_sides(task)
+        self.starts, self.goals = (side.states for side in self._sides[0])
+        self.rows = {
+            name: np.unique(np.concatenate([side.rows for side in same]))
+            for name, same in zip(("start", "goal"), zip(*self._sides, strict=True), strict=True)
+        }
+        self._other_goals: dict[tuple[int, str], NDArray[np.int64]] = {}
         self._clearances: dict[int, float] = {}
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
         self.number, self.seed = np.full((2, count), -1, dtype=np.int64)
@@ -96,13 +98,18 @@ class EpisodeBatch:
 
         Goals that show the start's code already are left out.
         """
-        rows = self.rows["goal"]
-        if self._nx["start"] != self._nx["goal"]:
-            return rows
+        fitting = [goals for starts, goals in self._sides if start in starts.rows]
+        return np.unique(np.concatenate([self._goals_from(start, goals) for goals in fitting]))
+
+    def _goals_from(self, start: int, goals: TaskSide) -> NDArray[np.int64]:
+        """Return the goals of a single task for an episode that starts in row `start`."""
+        if self.starts.nx[start] != goals.nx:
+            return goals.rows
         code = str(self.starts.gauss_code[start])
-        if code not in self._goal_rows:
-            self._goal_rows[code] = rows[self.goals.gauss_code[rows] != code]
-        return self._goal_rows[code]
+        if (goals.nx, code) not in self._other_goals:
+            differs = self.goals.gauss_code[goals.rows] != code
+            self._other_goals[goals.nx, code] = goals.rows[differs]
+        return self._other_goals[goals.nx, code]
 
     def side_codes(self, side: str) -> list[GaussCode]:
         """Return the distinct codes of the "start" or "goal" states, without chirality, sorted."""
@@ -134,9 +141,22 @@ class EpisodeBatch:
             raise InvalidInput(f"no reset option {', '.join(map(repr, given))}; use start or goal")
         rngs = [np.random.default_rng(seed) for seed in seeds]
         rows = np.empty((2, len(ids)), dtype=np.int64)
+        sides = self._sides
+        if len(sides) > 1 and options:  # those that the given rows are of; if none, they're refused
+            sides = [
+                pair
+                for pair in sides
+                if own_start in (None, *pair[0].rows) and own_goal in (None, *pair[1].rows)
+            ] or sides
         for row, rng in enumerate(rngs):
-            start = self._choose(own_start, self.rows["start"], "start", rng)
-            rows[:, row] = start, self._choose(own_goal, self.goal_rows(start), "goal", rng)
+            # drawn among all, so that what follows doesn't depend on options
+            drawn = int(rng.integers(len(self._sides))) if len(self._sides) > 1 else 0
+            starts, goals = sides[drawn % len(sides)]
+            start = self._choose(own_start, starts.rows, "start", rng)
+            rows[:, row] = (
+                start,
+                self._choose(own_goal, self._goals_from(start, goals), "goal", rng),
+            )
         starts = rows[0]
         for row in set(starts.tolist()) - self._clearances.keys():
             points = np.require(self.starts.points[row], np.float64, ["C", "W"])
@@ -372,9 +392,11 @@ class EpisodeBatch:
         if given.dtype.kind not in "iu" or given.ndim or given not in rows:
             few = self.task.max_goals if name == "goal" else None
             first = "" if few is None else f", of the first {few}"
+            rows = self.rows[name] if len(self._sides) > 1 else rows
             shown = ", ".join(map(str, rows[:8])) + (", ..." if len(rows) > 8 else "")
+            crossings = ", ".join(map(str, sorted({one[name == "goal"].nx for one in self._sides})))
             raise InvalidInput(
-                f"{name} must be a row with nx = {self._nx[name]} of the {self.task.split}"
+                f"{name} must be a row with nx = {crossings} of the {self.task.split}"
                 f" split{first}: {shown}; got {row!r}"
             )
         return int(given)

@@ -41,15 +41,27 @@ class TaskSide(NamedTuple):
         return sorted(set(self.states.knot[self.rows].tolist()))
 
 
-def task_sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
-    """Return the states from which a task's starts and goals are sampled.
+def task_sides(task: TaskConfig) -> list[tuple[TaskSide, TaskSide]]:
+    """Return the states from which starts and goals are sampled, for each of `task.singles`.
 
     They come from the requested file. Only plain loops come from the set that ships, if the file
     has none in either split.
 
     Raises:
-        InvalidInput: there are none, or starts and goals are of different knot types.
+        InvalidInput: there are none, starts and goals are of different knot types, or some starts
+            or goals would come from another file than the others, so that rows are ambiguous.
     """
+    sides = [_sides(one) for one in task.singles]
+    if any(len({side.origin for side in same}) > 1 for same in zip(*sides, strict=True)):
+        raise InvalidInput(
+            f"{states_file(task.states)} has no plain loops, which several tasks at once need:"
+            " generate some beside the others, as with knotgym-generate --nx 0-4"
+        )
+    return sides
+
+
+def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
+    """Return the states of a task with one nx."""
     path = states_file(task.states)
     own = _of_our_rope(path, task.beads)
     starts, goals = (_side(task, path, own, nx) for nx in (start_nx(task, own), task.goal_nx))
@@ -75,7 +87,7 @@ def start_nx(task: TaskConfig, states: States) -> int:
     else the diagrams with the fewest crossings in the file.
     """
     knots = set(states.knot[states.nx == task.goal_nx].tolist())
-    if task.task != "tie" or not knots or UNKNOT in knots:
+    if task.tasks != ("tie",) or not knots or UNKNOT in knots:
         return task.start_nx
     return int(states.nx[np.isin(states.knot, sorted(knots))].min())
 

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from knotgym.common.configuration import Count, Int, Positive, Real, choice, configuration
+from knotgym.common.configuration import (
+    Count,
+    Distinct,
+    Int,
+    ListToo,
+    Positive,
+    Real,
+    choice,
+    configuration,
+)
 from knotgym.common.errors import InvalidInput
 from knotgym.quality.limits import RESET_NOISE
 from knotgym.rendering.views import Views, require_depth
@@ -30,6 +40,9 @@ TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
 }
 
 
+TaskName = Annotated[str, choice(*TASKS)]
+
+
 class UnknownKeyword(InvalidInput, TypeError):
     """An unknown keyword of an environment.
 
@@ -46,11 +59,12 @@ def max_nx(beads: int) -> int:
 class TaskConfig:
     """Settings of an environment.
 
-    Every field is JSON-serializable and a keyword of `gymnasium.make`.
+    Every field is JSON-serializable and a keyword of `gymnasium.make`. With several tasks or
+    crossing numbers every reset draws one of their combinations.
 
     Attributes:
-        task: task: tie, unknot or convert.
-        nx: number of crossings of the tangled side; convert starts at one less.
+        task: task: tie, unknot or convert. May be several.
+        nx: number of crossings of the tangled side; convert starts at one less. May be several.
         split: split of the states: train, test, train-code or test-code. The last two are subsets
             of the others that share no code, even up to symmetry.
         states: set of states: readable (default), random-walk or hard-unknots, which are included;
@@ -86,8 +100,8 @@ class TaskConfig:
         numeric_infos: whether `info` holds numbers instead of text, see `EpisodeBatch.info`.
     """
 
-    task: Annotated[str, choice(*TASKS)]
-    nx: Count = 2
+    task: TaskName | Annotated[tuple[TaskName, ...], ListToo, Distinct]
+    nx: Count | Annotated[tuple[Count, ...], ListToo, Distinct] = 2
     split: Annotated[str, choice(*STATE_SPLITS, *CODE_SPLITS)] = "train"
     states: str | None = None
     engine: EngineName = MUJOCO
@@ -114,11 +128,11 @@ class TaskConfig:
 
     def __post_init__(self) -> None:
         require_depth(self.depth, self.renderer)
-        if self.nx > max_nx(self.beads):
+        if max(self.crossings) > max_nx(self.beads):
             raise InvalidInput(
                 f"nx must be from 1 to {max_nx(self.beads)} on {self.beads} beads, got {self.nx}"
             )
-        if self.split in CODE_SPLITS and self.nx < 2:
+        if self.split in CODE_SPLITS and min(self.crossings) < 2:
             raise InvalidInput(
                 f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
                 " only one up to symmetry; use an nx of at least 2, or split 'train' or 'test'"
@@ -135,14 +149,38 @@ class TaskConfig:
             )
 
     @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks, one or several."""
+        return (self.task,) if isinstance(self.task, str) else self.task
+
+    @property
+    def crossings(self) -> tuple[int, ...]:
+        """The values of nx, one or several."""
+        return self.nx if isinstance(self.nx, tuple) else (self.nx,)
+
+    @property
+    def name(self) -> str:
+        """Tasks and crossings in a dataset's id, such as "tie-nx2" or "tie-convert-nx2-3"."""
+        return "-".join([*self.tasks, "nx" + "-".join(map(str, self.crossings))])
+
+    @property
+    def singles(self) -> tuple[TaskConfig, ...]:
+        """The combinations of one task and one nx, without those that are the same."""
+        found = {
+            TASKS[task](nx): replace(self, task=task, nx=nx)
+            for task, nx in product(reversed(self.tasks), reversed(self.crossings))
+        }
+        return tuple(reversed(found.values()))
+
+    @property
     def start_nx(self) -> int:
-        """Crossings at reset."""
-        return TASKS[self.task](self.nx)[0]
+        """Crossings at reset, in the first task."""
+        return TASKS[self.tasks[0]](self.crossings[0])[0]
 
     @property
     def goal_nx(self) -> int:
-        """Crossings of the goal."""
-        return TASKS[self.task](self.nx)[1]
+        """Crossings of the goal, in the first task."""
+        return TASKS[self.tasks[0]](self.crossings[0])[1]
 
     @property
     def rope(self) -> RopeConfig:

@@ -2,7 +2,7 @@
 
 Every loader takes a dataset as a Minari id, a folder, an episode file (compact or not), a
 `minari.MinariDataset`, or the output folder of `knotgym generate` (for its demonstrations of the
-train split). The other arguments are
+train split); or a list of them, which is read into memory as one. The other arguments are
 
     observation     "pixels", "state", "both" or "symbolic"; None for the observation of the
                     dataset's environment
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from knotgym.loaders.perception import images as images
     from knotgym.loaders.rows import arrays as arrays
     from knotgym.loaders.sequences import Sequences as Sequences
+    from knotgym.loaders.symmetries import Symmetries as Symmetries
+    from knotgym.loaders.symmetries import multiplied as multiplied
     from knotgym.loaders.transitions import Transitions as Transitions
     from knotgym.loaders.windows import GoalSampling as GoalSampling
     from knotgym.loaders.windows import Window as Window
@@ -50,10 +52,12 @@ else:
         {
             "GoalSampling": "knotgym.loaders.windows",
             "Sequences": "knotgym.loaders.sequences",
+            "Symmetries": "knotgym.loaders.symmetries",
             "Transitions": "knotgym.loaders.transitions",
             "Window": "knotgym.loaders.windows",
             "arrays": "knotgym.loaders.rows",
             "images": "knotgym.loaders.perception",
+            "multiplied": "knotgym.loaders.symmetries",
             "to_d3rlpy": "knotgym.loaders.converters",
             "to_tensordict": "knotgym.loaders.converters",
             "torch_dataset": "knotgym.loaders.converters",

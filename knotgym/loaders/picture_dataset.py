@@ -47,7 +47,8 @@ class PictureDataset(Dataset[dict[str, Any]]):
         """Read a table; see `knotgym.loaders.images`."""
         table = read_table(path, split, columns=_COLUMNS)
         nx = np.array(table["nx"].to_pylist(), dtype=np.int64)
-        most = int(nx.max(initial=0)) if max_nx is None else max_nx
+        whole = table if split is None else read_table(path, columns=["nx"])
+        most = max([0, *whole["nx"].to_pylist()]) if max_nx is None else max_nx
         if nx.max(initial=0) > most:
             raise InvalidFile(
                 f"max_nx must be at least {nx.max()}, the crossings of a picture here, got {most}"

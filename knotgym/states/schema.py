@@ -87,4 +87,18 @@ STATES = Schema(
     ),
     "a rope at rest",
 )
+# the form of large sets: the rope is laid from its vertices, and all else is computed from it
+VERTICES_FORMAT = "knotgym-vertices"
+VERTICES = Schema(
+    "",
+    (
+        Column("points", "float32", ("beads", 3), "m", "vertices, z up", finite=True),
+        Column("gauss_code_chiral", "text", (), "", "Gauss code with chirality"),
+        Column("knot", "text", (), "", "knot type, `0_1` for the unknot"),
+        Column("split", "text", (), "", "`train` or `test`"),
+        Column("source/policy", "text", (), "", "where it was met: `bench-play`, `bench-drawing`"),
+        Column("source/trajectory", "int64", (), "", "the rope, or the drawing"),
+    ),
+    "a rope at rest, by its vertices",
+)
 WITHOUT_IMAGES = STATES.only(*(column.name for column in STATES.columns if column.name != "image"))

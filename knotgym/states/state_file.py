@@ -17,17 +17,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import knotgym
 from knotgym.common.atomic_files import require_no_links
 from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.common.tables import Table, digest, joined, read, write
+from knotgym.common.tables import Table, digest, format_of, joined, read, write
 from knotgym.rope.engines import MUJOCO
 from knotgym.states.near_duplicates import repeated
-from knotgym.states.schema import ATTRIBUTES, DIGEST, FORMAT, STATES, WITHOUT_IMAGES
+from knotgym.states.schema import (
+    ATTRIBUTES,
+    DIGEST,
+    FORMAT,
+    STATES,
+    VERTICES,
+    VERTICES_FORMAT,
+    WITHOUT_IMAGES,
+)
+from knotgym.states.split_names import STATE_SPLITS
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import UNKNOWN
 from knotgym.topology.notation import dt_text, pd_text
 from knotgym.topology.symmetry import diagram_form
 
 _ACTIONS = "source/actions"
+_OVERLAP = 0.003  # metres; strands that push against each other in the simulator overlap less
 
 
 def _column(name: str) -> Any:
@@ -88,6 +100,50 @@ class States:
                 full[name] = np.array(texts, dtype=np.str_)[rows]
         schema = STATES if "image" in full else WITHOUT_IMAGES
         return cls(Table(schema, full), attributes or {})
+
+    @classmethod
+    def from_points(cls, points: ArrayLike, split: ArrayLike = "train") -> States:
+        """Make states of closed ropes, with all that follows from their points.
+
+        Args:
+            points: (n, beads, 3), metres: vertices that an environment or a dataset has; or closed
+                curves of as many points, which `Rope.from_curve` turns into configurations.
+            split: "train" or "test", for all or for each, (n,).
+
+        Raises:
+            InvalidInput: a rope can't lie like this, its knot can't be certified, or there is no
+                such split.
+        """
+        import mujoco  # here, so that reading states needs no simulator
+
+        from knotgym.rope.model import Rope, rope_of
+        from knotgym.states.derivation import derived_row
+
+        curves, splits = np.asarray(points, dtype=np.float64), np.asarray(split, dtype=np.str_)
+        if curves.ndim != 3 or curves.shape[2] != 3 or not len(curves):
+            raise InvalidInput(f"points must have shape (n, beads, 3), got {curves.shape}")
+        if splits.shape not in ((), (len(curves),)) or not np.isin(splits, STATE_SPLITS).all():
+            raise InvalidInput(
+                f"split must be {' or '.join(STATE_SPLITS)}, one for all or one for each of"
+                f" {len(curves)} ropes, got {split!r}"
+            )
+        rope = Rope(rope_of(curves.shape[1]))
+        rows = list[dict[str, Any]]()
+        for number, curve in enumerate(curves):
+            try:
+                qpos = rope.qpos(rope.from_curve(curve, max_overlap=_OVERLAP))
+            except InvalidInput as error:
+                raise InvalidInput(f"rope {number}: {error}") from None
+            laid = rope.points(qpos)
+            rows.append({"qpos": qpos, "points": laid, **derived_row(laid)})
+            if rows[-1]["knot"] == UNKNOWN:
+                raise InvalidInput(f"rope {number}: its knot can't be certified")
+        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        made_by = {"knotgym": knotgym.__version__, "mujoco": mujoco.__version__}
+        return cls.of(
+            {**columns, "split": np.broadcast_to(splits, len(rows)).copy()},
+            {**made_by, "rope": rope.config.fingerprint, "config": {"made": "from points"}},
+        )
 
     def __post_init__(self) -> None:
         for values in self.table.values():
@@ -155,6 +211,7 @@ SHIPPED = {  # name -> file
     "readable": "states.h5",
     "random-walk": "random-walk.h5",
     "hard-unknots": "hard-unknots.h5",
+    "bench": "bench.h5",
 }
 
 
@@ -165,7 +222,9 @@ def shipped(name: str = "readable") -> Path:
         name: "readable", curated so that the code can be read off the picture, or "random-walk", as
             random play reaches them without over-twisted ones, each with 17 loops and 40 states for
             each nx from 1 to 4; or "hard-unknots", unknots with 7, 10 and 11 crossings, of which
-            those with 10 and 11 have neither kinks nor bigons.
+            those with 10 and 11 have neither kinks nor bigons; or "bench", 256 train and 256 test
+            states of each nx from 0 to 5, legible as the readable ones, of ropes that the splits
+            don't share.
 
     Raises:
         InvalidFile: there is no set of that name.
@@ -252,12 +311,55 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         MissingFile: there is no such file.
         InvalidFile: the file is foreign, truncated or of an unknown format version.
     """
+    if format_of(path) == VERTICES_FORMAT:
+        (table,), attributes = read(path, VERTICES, format=VERTICES_FORMAT)
+        return _laid(table, attributes, images=images)
     (table,), attributes = read(path, STATES if images else WITHOUT_IMAGES, format=FORMAT)
     for name in (*ATTRIBUTES, DIGEST):
         kinds = (dict, list) if name == "config" else str
         if name in attributes and not isinstance(attributes[name], kinds):
             raise InvalidFile(f"{path}: attribute {name} is {attributes[name]!r}")
     return States(table, attributes, attributes.pop(DIGEST, ""))
+
+
+def write_vertices(path: str | os.PathLike[str], table: Table, **attributes: Any) -> None:
+    """Write a state file by vertices atomically; `table` fits `schema.VERTICES`."""
+    from knotgym.rope.model import rope_of
+
+    whole = {"rope": rope_of(table["points"].shape[1]).fingerprint, **attributes}
+    write(path, [table], whole, format=VERTICES_FORMAT, pack=True)
+
+
+def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> States:
+    """Compute all columns of states from their vertices.
+
+    Laying a rope needs + - * / and square roots alone, so that every processor computes the same.
+    """
+    # imported here, because only this form needs the simulator
+    from knotgym.rope.model import Rope, rope_of
+
+    rope = Rope(rope_of(table["points"].shape[1]))
+    try:
+        codes = [GaussCode.parse(text) for text in table["gauss_code_chiral"].tolist()]
+        qpos = np.stack([rope.qpos(one) for one in table["points"].astype(np.float64)])
+    except ValueError as error:
+        raise InvalidFile(f"a state can't be laid from its vertices: {error}") from error
+    count, points = table.rows, rope.points(qpos)
+    columns = {name: values for name, values in table.items()} | {
+        "qpos": qpos,
+        "points": points,
+        "gauss_code": np.array([str(code) for code in codes], dtype=np.str_),
+        "nx": np.array([code.nx for code in codes], dtype=np.int64),
+        "source/start_qpos": qpos,
+        "source/actions": np.zeros((count, 0, 6), dtype=np.float32),
+        "source/steps": np.zeros(count, dtype=np.int64),
+        "source/seed": table["source/trajectory"][:, None] * np.array([1, 0, 0, 0, 0]),
+    }
+    if images:
+        from knotgym.rendering.picture import draw
+
+        columns["image"] = np.stack([draw(one) for one in points])
+    return States.of(columns, {**attributes, "form": "vertices"})
 
 
 def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:

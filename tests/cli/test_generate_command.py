@@ -1,17 +1,13 @@
-"""`knotgym generate` from end to end: what it leaves, the same bytes however it was run, and
-nothing after a mistake or a kill.
+"""`knotgym generate` from end to end: what it leaves, and nothing after a mistake; that its bytes
+are the same however it was run is in tests/runs/test_run.py.
 """
 
-import contextlib
-import fcntl
 import json
 import os
 import re
 import shutil
 import signal
 import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,20 +21,14 @@ import knotgym as package
 from knotgym.cli import main as cli
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidFile
-from knotgym.control.verification import replay
-from knotgym.datasets.state_verification import folder_faults
 from knotgym.loaders import arrays
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
 from knotgym.states.near_duplicates import NEAR, distances
 from knotgym.states.state_file import States, read_states
-from knotgym.topology.crossings import label
-from knotgym.topology.knots import knot_type
 
-from ..small_job import SECONDS, WANTED, begun, knotgym
-
-INSTALLED = str(Path(sys.executable).with_name("knotgym-generate"))
+from ..small_job import SECONDS, WANTED, knotgym, typed, wait_for_file
 
 
 def bytes_of(folder: Path) -> dict[str, str]:
@@ -51,15 +41,6 @@ def bytes_of(folder: Path) -> dict[str, str]:
 def said(capfd: pytest.CaptureFixture[str]) -> list[str]:
     """Lines on standard error."""
     return capfd.readouterr().err.splitlines()
-
-
-@contextlib.contextmanager
-def held(partial: Path) -> Iterator[None]:
-    """Hold a partial folder as another run does."""
-    partial.mkdir()
-    with open(partial / "journal", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -217,18 +198,11 @@ def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
     assert capfd.readouterr() == ("", "")
 
 
-# The same bytes, whatever happens.
-
-
-@pytest.mark.slow  # a killed run of two workers, resumed, is compared below
-def test_two_workers_leave_the_same_bytes_as_one(curated: Path, tmp_path: Path) -> None:
-    assert knotgym("generate", *WANTED, "--workers", 2, "--out", tmp_path / "a", "--quiet") == 0
-    assert bytes_of(tmp_path / "a") == bytes_of(curated)
-
-
 @pytest.mark.thorough
 def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> None:
-    run = begun(tmp_path / "a", "--workers", 1, saved=False)
+    words = typed("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a")
+    run = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    wait_for_file(run, tmp_path, "journal")
     os.kill(run.pid, signal.SIGTERM)
     _, error = run.communicate(timeout=SECONDS)
     assert run.returncode == 130 and error.startswith("knotgym: interrupted before all output ")
@@ -237,58 +211,7 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> 
     assert {path.name for path in tmp_path.iterdir()} <= {".a.partial"}
 
 
-@pytest.mark.thorough
-def test_a_killed_run_leaves_nothing_under_the_final_name(killed: Path) -> None:
-    assert [path.name for path in killed.parent.iterdir()] == [".nx0-1.partial"]
-
-
-@pytest.mark.thorough
-def test_other_options_cannot_resume_it(killed: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    before = bytes_of(killed.parent)
-    for options in (
-        ("--nx", "0,1", "--count", 5),
-        (*WANTED, "--seed", 1),
-        ("--nx", 1, "--count", 4),
-        (*WANTED, "--set", "split_by=code"),
-    ):
-        assert knotgym("generate", *options, "--workers", 1, "--out", killed, "--resume") == 2
-        (line,) = said(capfd)
-        assert "belongs to a different run: config." in line
-    assert bytes_of(killed.parent) == before
-
-
-@pytest.mark.slow  # a collection stands for it in tests/runs/test_kills.py
-def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run_and_quiet_says_nothing(
-    killed: Path, curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".nx0-1.partial")
-    capfd.readouterr()
-    words = (*WANTED, "--workers", 1, "--out", tmp_path / "nx0-1", "--resume", "--quiet")
-    assert knotgym("generate", *words) == 0 and capfd.readouterr() == ("", "")
-    assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated)
-    assert [path.name for path in tmp_path.iterdir()] == ["nx0-1"]
-
-
-def test_a_finished_run_is_resumed_to_itself(curated: Path, tmp_path: Path) -> None:
-    shutil.copytree(curated, tmp_path / "a")
-    (tmp_path / ".a.partial").mkdir()  # as if killed right after the folder took its name
-    assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 0
-    assert bytes_of(tmp_path / "a") == bytes_of(curated)
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
-
-
 # What is refused.
-
-
-def test_a_second_run_into_the_same_folder_is_refused(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    with held(tmp_path / ".a.partial"):
-        for more in ((), ("--resume",)):
-            assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", *more) == 2
-            (line,) = said(capfd)
-            assert line.startswith("knotgym: another run is writing to ")
-        assert [path.name for path in tmp_path.rglob("*")] == [".a.partial", "journal"]
 
 
 @pytest.mark.parametrize(
@@ -330,21 +253,3 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     (line,) = said(capfd)
     assert line.startswith("knotgym: missing states: 1 with nx = 0; give --resume")
     assert [path.name for path in out.parent.iterdir()] == [".a.partial"]
-
-
-# The whole job, as large as a user's.
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("words", ["--nx 0-1 --count 4 --workers 2", "--knot 3_1 --nx 3 --count 2"])
-def test_the_command_as_installed_makes_a_folder_without_a_fault(
-    tmp_path: Path, words: str
-) -> None:
-    line = [INSTALLED, *words.split(), "--out", str(tmp_path / "a")]
-    run = subprocess.run(line, capture_output=True, text=True)
-    assert run.returncode == 0 and run.stderr == ""
-    assert list(folder_faults(tmp_path / "a", replay)) == []
-    if "3_1" in words:
-        states = read_states(tmp_path / "a" / "states.h5")
-        assert len(states) == 2 and set(states.knot) == {"3_1"} and set(states.nx) == {3}
-        assert {knot_type(label(points)) for points in states.points} == {"3_1"}

@@ -172,12 +172,6 @@ def test_stored_actions_lead_the_environment_through_the_same_states(action: str
             assert (reward, terminated, truncated) == tuple(outcome)
 
 
-def test_mujoco_plays_through_the_same_loop() -> None:
-    task = dataclasses.replace(TASK, engine="mujoco", horizon=3)
-    one, two = (rollouts(RandomPolicy(), task, SEEDS[:5], lanes=lanes) for lanes in (2, 5))
-    assert differences(one, two) == []
-
-
 def test_kept_columns_are_those_asked_for() -> None:
     assert set(rollouts(RandomPolicy(), TASK, SEEDS[:2], keep=PULLS).steps) == {"bead", "force"}
     outcomes = rollouts(RandomPolicy(), TASK, SEEDS[:2], keep=None)
@@ -222,12 +216,6 @@ def test_a_mixed_policy_with_one_share_is_that_policy() -> None:
 def test_functions_objects_and_policies_of_the_user_act(name: str, pull: float) -> None:
     made = played(f"own:{name}", SEEDS[:2], 2)
     assert (made.steps["force"][made.offsets[:-1], 0] == np.float32(pull)).all()
-
-
-def test_every_episode_has_an_object_of_its_own() -> None:
-    made = played("own:made", SEEDS[:3], 2)
-    for first, last in zip(made.offsets[:-1], made.last(), strict=True):
-        assert np.allclose(made.steps["force"][first:last, 0], np.arange(1, last - first + 1) / 20)
 
 
 @pytest.mark.parametrize(

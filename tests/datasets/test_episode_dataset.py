@@ -52,11 +52,6 @@ def test_a_recording_is_read_as_one_and_has_the_same_digest(tmp_path: Path, file
         columns_of(tmp_path / "r.h5")
 
 
-def test_columns_are_mapped_not_copied(file: Path) -> None:
-    column = open_episodes(file).episodes.steps["observation"]
-    assert not column.flags.owndata and not column.flags.writeable
-
-
 def test_a_pickled_dataset_keeps_its_selection_and_no_data(file: Path) -> None:
     chosen = open_episodes(file).select([2, 0]).select([1])
     stored = pickle.dumps(chosen)
@@ -132,9 +127,3 @@ def test_a_harmed_file_is_one_line(file: Path, tmp_path: Path, harm: object) -> 
     with pytest.raises(InvalidFile) as caught:
         open_episodes(copy)
     assert "\n" not in str(caught.value) and str(copy) in str(caught.value)
-
-
-def test_a_torn_file_is_one_line(file: Path, tmp_path: Path) -> None:
-    (tmp_path / "torn.h5").write_bytes(file.read_bytes()[:5000])
-    with pytest.raises(InvalidFile):
-        open_episodes(tmp_path / "torn.h5")

@@ -22,6 +22,8 @@ from knotgym.datasets.minari_form import (
     publish,
 )
 
+from ..minari_list import check_minari
+
 ID = "knotgym/tie-nx2/tiny-v0"
 METADATA = MinariMetadata(
     dataset_id=ID,
@@ -48,45 +50,23 @@ def loaded(root: Path, monkeypatch: pytest.MonkeyPatch) -> minari.MinariDataset:
     return minari.load_dataset(ID)
 
 
-def test_minari_loads_every_array_of_the_columns(loaded: minari.MinariDataset) -> None:
-    dataset = open_episodes(TINY["expert"])
-    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
-    assert loaded.total_episodes == 3 and loaded.total_steps == own["length"].sum()
-    for k, one in enumerate(loaded.iterate_episodes()):
-        states, pulls = slice(offsets[k], offsets[k + 1]), slice(offsets[k], offsets[k + 1] - 1)
-        np.testing.assert_array_equal(one.actions, steps["action"][pulls])
-        np.testing.assert_array_equal(one.rewards, steps["reward"][pulls])
-        np.testing.assert_array_equal(one.terminations, steps["terminated"][pulls])
-        np.testing.assert_array_equal(one.truncations, steps["truncated"][pulls])
-        rope = one.observations["state"][:, :300].reshape(-1, 100, 3)
-        np.testing.assert_array_equal(rope, steps["observation"][states])
-        assert one.observations["pixels"].shape == (own["length"][k] + 1, 32, 64, 3)
-        codes = [code.decode() for code in one.infos["gauss_code"]]
-        assert codes == gauss_codes(steps["visits"][states]).tolist()
-        assert one.infos["is_success"].tolist() == [False] * own["length"][k] + [True]
-        assert one.infos["bead"].tolist() == [-1, *steps["bead"][pulls].tolist()]
-
-
-def test_minari_has_seeds_options_scores_and_the_environment(
-    loaded: minari.MinariDataset,
+def test_minari_does_with_it_all_that_it_does(
+    root: Path, loaded: minari.MinariDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    own = open_episodes(TINY["expert"]).episodes.episodes
-    found = [*loaded.storage.get_episode_metadata(range(3))]
-    assert [one["seed"] for one in found] == own["seed"].tolist()
-    assert [one["options"]["goal"] for one in found] == own["goal"].tolist()
+    check_minari(root, ID, monkeypatch)
+    (_, steps), offsets = (made := open_episodes(TINY["expert"]).episodes), made.offsets
+    for one, first, last in zip(loaded.iterate_episodes(), offsets, made.last(), strict=False):
+        codes = [code.decode() for code in one.infos["gauss_code"]]
+        assert codes == gauss_codes(steps["visits"][first : last + 1]).tolist()
+        assert one.infos["is_success"].tolist() == [False] * (last - first) + [True]
+        assert one.infos["bead"].tolist() == [-1, *steps["bead"][first:last].tolist()]
     assert minari.get_normalized_score(loaded, np.array([0.0])) == 0.5
-    environment = loaded.recover_environment()
-    assert environment.spec is not None and environment.spec.kwargs["nx"] == 2
 
 
 def test_metadata_comes_back(root: Path) -> None:
     dataset = open_episodes(root / ID)
     assert metadata_of(dataset) == METADATA and dataset.facts["run"] == {"seed": 3}
     assert metadata_of(open_episodes(root / ID)) == replace(METADATA, author=("A", "B"))
-
-
-def test_what_is_published_has_no_faults(root: Path) -> None:
-    assert [*minari_faults(open_episodes(root / ID))] == []
 
 
 @pytest.mark.parametrize(

@@ -80,18 +80,18 @@ def test_measures_may_differ_by_rounding(pair: States) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "set_", "fault"),
+    ("name", "row", "set_", "fault"),
     [
-        ("hard-unknots", 43, "is not a key of the stream DRAWING"),
-        ("hard-unknots", 40, "its start differs from the drawing of its seed by"),
-        ("random-walk", 7, "is not a key of the stream RANDOM_WALK"),
-        ("random-walk", 30, ENDS_ELSEWHERE),
+        ("hard-unknots", 0, 43, "is not a key of the stream DRAWING"),
+        ("hard-unknots", 0, 40, "its start differs from the drawing of its seed by"),
+        ("random-walk", 27, 7, "is not a key of the stream RANDOM_WALK"),
+        ("random-walk", 27, 30, ENDS_ELSEWHERE),  # one of the shortest walks
     ],
 )
 def test_another_seed_than_that_of_a_drawing_or_a_walk_is_found(
-    name: str, set_: int, fault: str
+    name: str, row: int, set_: int, fault: str
 ) -> None:
-    states = read_states(shipped(name), images=False).taken([1])
+    states = read_states(shipped(name), images=False).taken([row])
     changed = altered(altered(states, "source/seed", (0, 0), set_), "source/seed", (0, 4), 9)
     assert any(fault in line for line in state_faults(changed))
 

@@ -221,11 +221,11 @@ def test_equal_episodes_and_other_tasks_are_not_merged(tmp_path: Path) -> None:
     from dataclasses import replace
 
     one = str(written(tmp_path / "a.h5", episodes([2])))
-    two = str(written(tmp_path / "b.h5", episodes([2], seed=1), replace(TASK, nx=3)))
+    two = str(written(tmp_path / "b.h5", episodes([2], seed=1), replace(TASK, horizon=3)))
     three = str(written(tmp_path / "c.h5", episodes([2], seed=1).recording()))
     for given, says in (
         ([one, one], "are the same"),
-        ([one, two], "one task"),
+        ([one, two], "one horizon"),
         ([one, three], "one form"),
     ):
         with pytest.raises(InvalidInput, match=says):

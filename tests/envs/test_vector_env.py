@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import SyncVectorEnv
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
@@ -87,46 +86,26 @@ def test_make_vec_gives_one_batched_simulation(states_path: str, observation: st
     assert rewards.shape == terminated.shape == truncated.shape == (4,)
 
 
-def test_views_and_depth_are_those_of_single_environments(
-    make: MakeVec, synced: Callable[..., SyncVectorEnv]
-) -> None:
-    settings: dict[str, Any] = {
-        "observation": "both",
-        "views": ["left", "top", "front"],
-        "depth": True,
-        "image_size": 16,
-        "num_envs": 2,
-    }
-    envs, singles = make(**settings), synced(**settings)
-    assert envs.observation_space == singles.observation_space
-    first = envs.reset(seed=7)
-    assert same(first, singles.reset(seed=7))
-    assert first[0]["pixels"].shape == (2, 48, 32, 4) and first[0] in envs.observation_space
-    for each in actions(2, 2):
-        assert same(envs.step(each), singles.step(each))
-    pictures = envs.render()
-    assert pictures is not None and [picture.shape for picture in pictures] == [(48, 32, 3)] * 2
-
-
 @both_modes
 @pytest.mark.parametrize(
-    ("task", "observation"), [("tie", "state"), ("convert", "both"), ("unknot", "pixels")]
+    ("task", "settings"),
+    [
+        ("tie", {"observation": "state"}),
+        ("convert", {"observation": "both", "views": ["left", "top", "front"], "depth": True}),
+        ("unknot", {"observation": "pixels"}),
+    ],
+    ids=["tie", "convert", "unknot"],
 )
 def test_steps_and_autoresets_are_those_of_single_environments(
     make: MakeVec,
     synced: Callable[..., SyncVectorEnv],
     mode: str,
     task: str,
-    observation: str,
+    settings: dict[str, Any],
 ) -> None:
-    settings: dict[str, Any] = {
-        "nx": 1,
-        "observation": observation,
-        "horizon": 2,
-        "autoreset_mode": mode,
-        "image_size": 32,
-    }
+    settings = {"nx": 1, "horizon": 2, "autoreset_mode": mode, "image_size": 16, **settings}
     envs, singles = make(task, **settings), synced(task, **settings)
+    assert envs.observation_space == singles.observation_space
     assert same(envs.reset(seed=7), singles.reset(seed=7))
     ended = 0
     for each in actions(3, 6):
@@ -169,14 +148,6 @@ def test_ropes_without_a_seed_start_differently(make: MakeVec) -> None:
     assert len({one.tobytes() for one in make().reset()[0]}) == 3
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_threads_change_nothing(make: MakeVec, threads: int) -> None:
-    envs, others = make(threads=threads), make(threads=0)
-    assert same(envs.reset(seed=0), others.reset(seed=0))
-    for each in actions(3, 3):
-        assert same(envs.step(each), others.step(each))
-
-
 def test_without_autoreset_an_ended_rope_cannot_be_stepped(make: MakeVec) -> None:
     envs = make(horizon=1, autoreset_mode="disabled")
     envs.reset(seed=0)
@@ -206,40 +177,6 @@ def test_without_autoreset_masked_resets_are_those_of_single_environments(
             )
             masked += 1
     assert masked >= 2
-
-
-def test_a_masked_reset_leaves_the_other_ropes(make: MakeVec) -> None:
-    envs = make()
-    envs.reset(seed=0)
-    before = envs.step(actions(3, 1)[0])[0]
-    options = {"reset_mask": np.array([False, True, False])}
-    after, infos = envs.reset(seed=9, options=options)
-    assert np.array_equal(after[[0, 2]], before[[0, 2]]) and not np.array_equal(after[1], before[1])
-    assert infos["_gauss_code"].tolist() == [False, True, False]
-    assert list(options) == ["reset_mask"]
-
-
-@pytest.mark.parametrize("mask", [np.array([True]), np.array([1, 0, 1]), "all"], ids=repr)
-def test_a_mask_of_another_shape_is_refused(make: MakeVec, mask: Any) -> None:
-    with pytest.raises(InvalidInput, match="reset_mask must be 3 booleans"):
-        make().reset(options={"reset_mask": mask})
-
-
-def test_options_pick_rows_for_every_rope(make: MakeVec, states_path: str) -> None:
-    envs = make("convert", nx=2)
-    infos = envs.reset(seed=0, options={"start": 6, "goal": 14})[1]
-    assert infos["start"].tolist() == [6] * 3 and infos["goal"].tolist() == [14] * 3
-
-
-def test_a_wrong_number_of_seeds_is_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidInput, match="one for each of 3 ropes, got 2"):
-        make().reset(seed=[1, 2])
-
-
-@pytest.mark.parametrize("count", [0, -1])
-def test_no_ropes_are_refused(make: MakeVec, count: int) -> None:
-    with pytest.raises(InvalidInput, match=f"num_envs must be at least 1, got {count}"):
-        make(num_envs=count)
 
 
 @pytest.mark.parametrize(
@@ -281,30 +218,6 @@ def test_a_blown_up_rope_ends_alone_and_starts_over(make: MakeVec) -> None:
     ours, theirs = envs.step(each[1]), others.step(each[1])
     assert ours[4]["simulation_failed"].tolist() == [False] * 3 and ours[4]["bead"][1] == -1
     assert np.array_equal(ours[0][[0, 2]], theirs[0][[0, 2]])
-
-
-@both_modes
-def test_episode_statistics_are_right(make: MakeVec, mode: str) -> None:
-    envs = RecordEpisodeStatistics(make(horizon=3, autoreset_mode=mode))
-    envs.reset(seed=0)
-    seen: list[tuple[int, float, int]] = []
-    for step, each in enumerate(actions(3, 12)):
-        if step == 1:  # rope 2 succeeds with its second action
-            core: Any = envs.unwrapped
-            episodes = core.episodes
-            goal_is_shown(episodes, 2)
-            each[2] = 0.0
-        infos = envs.step(each)[4]
-        if "episode" in infos:
-            seen += [
-                (i, float(infos["episode"]["r"][i]), int(infos["episode"]["l"][i]))
-                for i in np.flatnonzero(infos["_episode"]).tolist()
-            ]
-    assert seen[0] == (2, 5.0, 2)
-    assert set(seen[1:]) <= {(i, -5.0, 3) for i in range(3)} | {
-        (i, 5.0, length) for i in range(3) for length in (1, 2, 3)
-    }
-    assert len(seen) == (9 if mode == "NextStep" else 12)
 
 
 def test_a_step_needs_every_rope_to_have_been_reset(make: MakeVec) -> None:
@@ -357,6 +270,22 @@ def test_gymnasium_1_0_which_has_no_such_class_is_enough(
     assert envs.metadata["autoreset_mode"] == "NextStep" and envs.reset(seed=0)[0].shape == (1, 600)
 
 
-def test_an_unknown_autoreset_mode_is_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidInput, match="no autoreset_mode 'never'; there is next_step, same"):
-        make(autoreset_mode="never")
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"num_envs": 0}, "num_envs must be at least 1, got 0"),
+        ({"autoreset_mode": "never"}, "no autoreset_mode 'never'; there is next_step, same"),
+        ({"seed": [1, 2]}, "one for each of 3 ropes, got 2"),
+        *(
+            ({"options": {"reset_mask": mask}}, "reset_mask must be 3 booleans")
+            for mask in (np.array([True]), np.array([1, 0, 1]), "all")
+        ),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_had_is_refused(make: MakeVec, asked: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        if asked.keys() & {"seed", "options"}:
+            make().reset(**asked)
+        else:
+            make(**asked)

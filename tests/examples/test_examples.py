@@ -2,9 +2,8 @@
 
 import importlib.util
 import json
-import sys
+import re
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -52,57 +51,20 @@ def test_no_example_is_left_out() -> None:
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_every_example_says_how_to_use_it(
-    script: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_every_example_says_how_to_use_it_or_what_it_needs(
+    script: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    torch = mock.MagicMock(pi=np.pi)  # takes seconds to import, and need not be installed
-    torch.nn.Module = object
-    torch.tensor = np.array
-    for name, module in (
-        ("torch", torch),
-        ("torch.nn", torch.nn),
-        ("torch.distributions", torch.distributions),
-    ):
-        monkeypatch.setitem(sys.modules, name, module)
-    encoders = mock.MagicMock(EncoderFactory=object)
-    safetensors = mock.MagicMock(SafetensorError=OSError)
-    for name, module in (
-        ("safetensors", safetensors),
-        ("safetensors.numpy", safetensors.numpy),
-        ("safetensors.torch", safetensors.torch),
-    ):
-        monkeypatch.setitem(sys.modules, name, module)
-    lerobot = ("lerobot", "lerobot.datasets", "lerobot.datasets.lerobot_dataset")
-    for name in ("d3rlpy", "d3rlpy.dataset", "d3rlpy.models", "structlog", *lerobot):
-        monkeypatch.setitem(sys.modules, name, mock.MagicMock())
-    monkeypatch.setitem(sys.modules, "d3rlpy.models.encoders", encoders)
-    known = set(sys.modules)
-    with pytest.raises(SystemExit) as ended:
-        run_script(script, "--help")
-    for name in set(sys.modules) - known:
-        if name.startswith("knotgym.learn."):  # has a mock for torch, so it is imported anew
-            parent, _, own = name.rpartition(".")
-            delattr(sys.modules[parent], own)
-            del sys.modules[name]
-    assert ended.value.code == 0 and f"usage: {script.name}" in capsys.readouterr().out
     usage = f"\n    python {script.relative_to(ROOT).as_posix()}"
     assert usage in script.read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("script", "library", "told"),
-    [
-        ("perception/read.py", "torch", "needs torch: pip install '.[torch,huggingface]'"),
-        ("learners/offline_rl.py", "d3rlpy", "needs d3rlpy: pip install d3rlpy"),
-    ],
-)
-def test_an_example_without_its_library_is_one_line(
-    script: str, library: str, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, library, None)  # as if it weren't installed
-    with pytest.raises(SystemExit) as ended:
-        run_script(FOLDER / script, "--help")
-    assert ended.value.code == f"{Path(script).name} {told}"
+    try:
+        with pytest.raises(SystemExit) as ended:
+            run_script(script, "--help")
+    except ModuleNotFoundError as missing:
+        pytest.skip(f"{missing.name} isn't installed")
+    if ended.value.code:
+        assert re.match(rf"{script.name} needs \w+: pip install", str(ended.value.code))
+    else:
+        assert f"usage: {script.name}" in capsys.readouterr().out
 
 
 @with_arrow

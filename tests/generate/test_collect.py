@@ -15,17 +15,23 @@ from knotgym.control.rollouts import episode_seed
 from knotgym.control.verification import verify
 from knotgym.datasets.episode_dataset import columns_of, open_episodes
 from knotgym.datasets.episodes import differences
+from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import metadata_of
+from knotgym.datasets.subsets import select
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import collect as collecting
 from knotgym.generate.episodes.blocks import blocks
-from knotgym.generate.episodes.collect import collect, distinct_id, run_facts
+from knotgym.generate.episodes.collect import (
+    collect,
+    distinct_id,
+    require_collectable,
+    run_facts,
+)
 from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import States, write_states
 
-from ..minari_list import check_minari
 from ..small_job import knotgym
 
 QUIET = RunOptions(workers=1, quiet=True)
@@ -127,20 +133,6 @@ def test_a_finished_dataset_is_not_replaced_unasked(tmp_path: Path) -> None:
     assert sha256(folder / "data/episodes.h5") != before
 
 
-@pytest.mark.parametrize(
-    "observation", [pytest.param("pixels", marks=pytest.mark.slow), "both", "symbolic"]
-)
-def test_minari_does_with_a_dataset_all_that_it_does(
-    observation: str, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    task = TaskConfig(
-        task="tie", nx=1, states=states_path, observation=observation, horizon=3, image_size=32
-    )
-    name = "tests/scripted-v3"
-    collect(config(task=task, policy="scripted", episodes=3, dataset_id=name), tmp_path, QUIET)
-    check_minari(tmp_path, name, monkeypatch)
-
-
 @pytest.fixture
 def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, states: States) -> CollectConfig:
     """A collection by a module in the current folder, on states beside it."""
@@ -208,30 +200,6 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
     assert ids[0] == "knotgym/tie-nx2/expert-v0" and len(set(ids)) == len(ids)
 
 
-def test_transcripts_are_no_policy_of_a_dataset() -> None:
-    with pytest.raises(InvalidInput, match="give knotgym evaluate --policy prompt:run"):
-        config(policy="prompt:run")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--policy", "genius"],
-        ["--task", "knit"],
-        ["--split", "dev"],
-        ["--id", "no version"],
-        ["--set", "task.views=top,below"],
-        ["--episodes", "0"],
-    ],
-)
-def test_a_mistake_is_one_line_and_status_2(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert knotgym("collect", "--out", tmp_path, *words) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_the_command_makes_a_dataset_of_every_crossing_number(tmp_path: Path) -> None:
     words = ("--set", "task.max_goals=2", "--set", "task.horizon=2", "--workers", 1, "--quiet")
     random = ("collect", "--policy", "random", "--episodes", 6, "--engine", "chain")
@@ -245,6 +213,34 @@ def test_the_command_makes_a_dataset_of_every_crossing_number(tmp_path: Path) ->
         entries = json.loads((folder / "data" / "metadata.json").read_text())
         assert json.loads(entries["env_spec"])["kwargs"]["max_goals"] == 2
         assert json.loads(entries["eval_env_spec"])["kwargs"]["max_goals"] is None
+
+
+def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    words = ("--episodes", 9, "--policy", "random", "--set", "task.horizon=2", "--engine", "chain")
+    several = ("collect", "--task", "tie,convert", "--nx", "2,3", *words, "--observation", "state")
+    assert knotgym(*several, "--quiet", "--id", "knotgym/one-v0") == 0
+    assert knotgym(*several, "--quiet") == 0
+    apart = sorted(f"{one.parent.name}/{one.name}" for one in tmp_path.glob("knotgym/*-nx*/*"))
+    assert [one.partition("/")[0] for one in apart] == [
+        *("convert-nx2", "convert-nx3", "tie-nx2", "tie-nx3")
+    ]
+    merge([f"knotgym/{one}" for one in apart], None, "knotgym/merged-v0")
+    for name in ("one", "merged"):
+        assert verify(f"knotgym/{name}-v0") == []
+    chosen = select("knotgym/merged-v0", where="task = 'tie' and nx = 3", dataset_id="knotgym/c-v0")
+    assert open_episodes(chosen).episodes.episodes.rows == 9
+
+
+def test_functions_of_one_module_get_datasets_of_their_own(tmp_path: Path) -> None:
+    names = [distinct_id(config(policy=f"mine:{one}")).split("/")[2] for one in ("act", "other")]
+    assert [name[: name.index("-chain")] for name in names] == ["mine-act", "mine-other"]
+    (tmp_path / distinct_id(config())).mkdir(parents=True)
+    (tmp_path / distinct_id(config()) / "data").write_text("in the way")
+    with pytest.raises(Occupied, match="--overwrite replaces it, .* or another --id"):
+        require_collectable(config(dataset_id=distinct_id(config())), tmp_path, QUIET)
 
 
 def _keywords(task: TaskConfig) -> dict[str, Any]:

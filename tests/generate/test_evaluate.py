@@ -133,12 +133,11 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     ]
 
 
-@pytest.mark.parametrize("name", ["film.gif", "film.mp4"])
-def test_a_film_shows_the_episodes_of_every_setup(name: str, tmp_path: Path) -> None:
+def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
     import cv2
 
-    run(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / name)
-    reel, frames = cv2.VideoCapture(str(tmp_path / name)), []
+    run(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
+    reel, frames = cv2.VideoCapture(str(tmp_path / "film.gif")), []
     while (read := reel.read())[0]:
         frames.append(read[1])
     assert len(frames) >= 3 and np.ptp(frames[0]) > 0
@@ -178,29 +177,7 @@ def test_a_file_swapped_while_episodes_are_played_is_refused(
     assert not (tmp_path / "r.json").exists()
 
 
-@pytest.mark.parametrize("settings", [{"episodes": 0}, {"nx": ()}, {"policies": ()}])
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(InvalidInput):
-        config(**settings)
-
-
 def test_the_command_prints_the_matrix(capsys: pytest.CaptureFixture[str]) -> None:
     words = ("--nx", "1,2", "--split", "train,test", "--episodes", 1, "--engine", "chain")
     assert knotgym("evaluate", *words, "--set", "task.horizon=2", "--workers", 1) == 0
     assert "success, %" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--nx", "9"],
-        ["--policy", "x.onnx"],
-        ["--video", "film.avi"],
-        ["--task", "tie,knit"],
-    ],
-)
-def test_a_mistake_is_one_line_and_status_2(
-    words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert knotgym("evaluate", *words) == 2
-    assert capsys.readouterr().err.count("\n") == 1

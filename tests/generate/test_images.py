@@ -215,28 +215,6 @@ def test_without_pyarrow_one_line_names_the_extra(
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--count", "0"],
-        ["--nx", "7"],
-        ["--nx", "x"],
-        ["--set", "test_nx=0"],
-        ["--vary", "hue"],
-        ["--size", "12"],
-        ["--set", "code_share=0.9"],
-    ],
-)
-def test_a_mistake_is_one_line_and_status_2(
-    arguments: list[str], tmp_path: Path, capsys: Any
-) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["images", "--out", str(tmp_path / "x"), "--quiet", *arguments])
-    said = capsys.readouterr().err
-    assert left.value.code == 2 and said.count("\n") == 1 and "Traceback" not in said
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
     ("words", "status", "said"),
     [
         (("show",), 0, "accepted"),
@@ -346,6 +324,7 @@ def test_an_unknown_kind_or_split_is_refused(folder: Path) -> None:
 def test_torch_reads_pictures_and_padded_labels(folder: Path, rows: list[dict[str, Any]]) -> None:
     from torch.utils.data import DataLoader, Subset
 
+    assert load(folder, "train").max_nx == load(folder, "test-nx").max_nx == 2
     data = load(folder, max_nx=4)
     assert len(data) == len(rows)
     for item, row in zip(data, rows, strict=True):

@@ -17,7 +17,7 @@ from knotgym.common.errors import InvalidInput
 from knotgym.control.verification import verify
 from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.generate.states.imported_curves import import_curves, shown_code
-from knotgym.rope.curve_files import read_curves, write_curves
+from knotgym.rope.curve_files import read_curves
 from knotgym.rope.model import Rope, rope_of
 from knotgym.states.state_file import read_states, shipped, write_states
 from knotgym.topology.crossings import label
@@ -357,13 +357,6 @@ def test_a_knotted_curve_is_laid_with_its_code_and_knot(tmp_path: Path) -> None:
     assert states.gauss_code_chiral[0] == label(trefoil()).chiral
     write_states(tmp_path / "states.h5", states)
     assert verify(tmp_path / "states.h5") == []
-
-
-def test_the_exported_curve_of_a_state_is_laid_again(tmp_path: Path) -> None:
-    states = read_states(shipped("hard-unknots"), images=False)
-    write_curves(tmp_path / "one.npz", ["one"], states.points[:1])
-    again, _ = import_curves([tmp_path / "one.npz"])
-    assert again.gauss_code_chiral[0] == states.gauss_code_chiral[0]
 
 
 def test_refused_curves_and_files_are_named_and_the_others_imported(

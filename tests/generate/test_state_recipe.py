@@ -5,12 +5,11 @@ import json
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from knotgym.common.errors import Failed, InvalidInput
+from knotgym.common.errors import Failed
 from knotgym.control.verification import replay
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.state_verification import folder_faults
@@ -192,25 +191,3 @@ def test_the_coil_is_as_small_as_the_published_one(rope: Rope) -> None:
     points = coil(rope)
     radius = np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
     assert label(points).nx == 1 and 0.10 < radius < 0.12
-
-
-@pytest.mark.parametrize(
-    ("wrong", "named"),
-    [
-        ({"nx": (12,)}, "nx takes numbers of crossings from 0 to 11"),
-        ({"nx": ()}, "at least one, each once"),
-        ({"source": "drawn"}, "source must be 'drawing', 'play' or 'random-walk'"),
-        ({"source": "play", "knot": "3_1"}, "--knot needs --source drawing, not play"),
-        ({"source": "random-walk", "nx": (7,)}, "takes nx up to 6"),
-        ({"nx": (7,)}, "demonstrations are limited to 6 crossings"),
-        ({"nx": (2,), "knot": "3_1"}, "no diagram of 3_1 has 2 crossings; it has at least 3"),
-        ({"knot": "3_9"}, "3_9"),
-        ({"beads": 60}, "demonstrations are for a rope of 100 beads"),
-        ({"codes": ("1+,2-,1-,2+",), "nx": (2,)}, "closed curve"),
-        ({"codes": ("1+,1-",), "nx": (2,)}, "nx must include the crossings of all codes"),
-        ({"every_code": 1, "nx": (7,), "demonstrations": False}, "give a count"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(wrong: dict[str, Any], named: str) -> None:
-    with pytest.raises(InvalidInput, match=named):
-        GenerateConfig(**wrong)

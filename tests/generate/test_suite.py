@@ -20,8 +20,6 @@ from knotgym.generate.episodes.suite_config import POLICIES, SPLITS, STATES, Sui
 from knotgym.generate.episodes.suite_facts import describe_set
 from knotgym.runs.run_options import RunOptions
 
-from ..small_job import knotgym
-
 ID = "knotgym/unknot-nx2/{}-v0"
 QUIET = RunOptions(workers=1, quiet=True)
 RESUME = replace(QUIET, resume=True)
@@ -56,10 +54,6 @@ def test_the_whole_is_nine_setups_by_policies_splits_and_sets_of_states() -> Non
     for one in sets:
         assert ("train-code" in one.dataset_id) == (one.task.split == "train-code")
         assert (one.task.tow_limit == 0.04) == (one.task.task == "unknot")
-
-
-def test_no_episode_begins_as_one_of_an_evaluation_on_the_train_split() -> None:
-    assert SuiteConfig().seed != 0
 
 
 def test_a_set_is_rebuilt_by_stepping_alone_and_the_card_describes_it(made: Path) -> None:
@@ -117,30 +111,3 @@ def test_a_machine_that_simulates_otherwise_says_so(
     assert (tmp_path / ID.format("random")).is_dir()
     with pytest.raises(InvalidFile, match="nothing of this is recorded"):
         make_suite(replace(PART, nx=(4,), policies=("expert",)), tmp_path, QUIET)
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (("--task", "trefoil"), "tasks must be one of unknot, tie, convert, got 'trefoil'"),
-        (("--nx", "5"), "nx must be at most 4, got 5"),
-        (("--states", "mine.h5"), "states must be one of readable, random-walk, got"),
-        (("--policy", "mixed"), "policies must be one of random, noisy"),
-        (("--split", "test"), "splits must be one of train, train-code, got 'test'"),
-        (("--episodes", "expert:3"), "--episodes takes a number, or one per policy"),
-        (
-            ("--episodes", "dreamer=3"),
-            "episodes must be one of random, noisy, expert, play, got 'dreamer'",
-        ),
-    ],
-)
-def test_what_the_suite_does_not_have_is_one_line(
-    words: tuple[str, ...],
-    complaint: str,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    assert knotgym("suite", *words, "--quiet", "--out", tmp_path / "out") == 2
-    said = capfd.readouterr().err
-    assert complaint in said and said.count("\n") == 1
-    assert not (tmp_path / "out").exists()

@@ -81,6 +81,7 @@ def test_the_same_episodes_twice_are_refused(tmp_path: Path) -> None:
         (("versions", "mujoco"), "0"),
         (("config", "policies", 0, "planner", "budget"), 7),
         (("config", "task", "horizon"), 20),
+        (("config", "task", "engine"), "chain"),
     ],
 )
 def test_what_was_played_otherwise_is_never_in_one_row(

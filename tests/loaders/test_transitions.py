@@ -6,12 +6,13 @@ import importlib.util
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from synthetic_episodes import BEADS, TINY, episodes, written
+from synthetic_episodes import BEADS, TASK, TINY, episodes, written
 
 from knotgym.common.errors import InvalidFile, InvalidInput, MissingExtra
 from knotgym.common.tables import Table
@@ -328,3 +329,18 @@ def test_d3rlpy_pictures_are_channels_first() -> None:
         to_d3rlpy(TINY["expert"], action="bead")
     with pytest.raises(InvalidInput, match="windows of its own"):
         to_d3rlpy(TINY["expert"], window=Window())
+
+
+def test_several_datasets_load_as_one(tmp_path: Path) -> None:
+    task = replace(TASK, nx=3, engine="mujoco", horizon=9)
+    two = written(tmp_path / "one.h5", episodes([2, 1])), tmp_path / "two.h5"
+    written(two[1], episodes([3], seed=1), task)
+    both = pickle.loads(pickle.dumps(Transitions([*two], observation="symbolic")))
+    for name, column in both.batch(range(6)).items():
+        apart = [arrays(one, observation="symbolic")[name] for one in two]
+        np.testing.assert_array_equal(column, np.concatenate(apart))
+    written(tmp_path / "hold.h5", episodes([3]), replace(TASK, hold=2))
+    with pytest.raises(InvalidInput, match=r"must have one hold: .*one.h5 has 1, .*hold.h5 has 2"):
+        arrays([two[0], tmp_path / "hold.h5"])
+    with pytest.raises(InvalidInput, match="give at least one"):
+        arrays([])

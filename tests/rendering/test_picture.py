@@ -8,19 +8,17 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput, KnotgymError
+from knotgym.common.errors import InvalidInput
 from knotgym.rendering.camera import PictureConfig, bead_colours, project
-from knotgym.rendering.picture import _on_canvas, crossing_pixels, draw, draw_many
-from knotgym.rendering.rasterizer import polygons
+from knotgym.rendering.picture import crossing_pixels, draw, draw_many
 from knotgym.topology.crossings import find_crossings
 
-from .. import plain_polygons
 from ..scripts import ROOT
 
 Points = NDArray[np.float64]
@@ -28,33 +26,6 @@ Points = NDArray[np.float64]
 
 # which strand a picture shows on top; benchmarks/truth.py counts with it
 shown_strands: Any = runpy.run_path(str(ROOT / "benchmarks" / "picture_check.py"))["shown_strands"]
-
-COMPILED = [
-    PictureConfig(),
-    PictureConfig(camera="perspective"),
-    PictureConfig(turn=0.7, zoom=2.5, width=1.3, size=256),
-    PictureConfig(camera="perspective", camera_height=0.1, size=64, zoom=5.0),
-    PictureConfig(supersampling=1, size=512),
-]
-
-
-@pytest.mark.parametrize("config", COMPILED)
-def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: PictureConfig) -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(40):
-        waves = rng.normal(size=(3, 5)) / np.arange(1, 6)
-        at = 2 * np.pi * np.arange(100)[:, None] / 100 * np.arange(1, 6)
-        rope = (
-            0.1
-            * (np.cos(at + rng.uniform(0, 6, 5)) @ waves.T)
-            * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
-        )
-        pixels, heights, radii = (array[0] for array in _on_canvas(rope[None], config))
-        given = pixels, heights, radii, config.size * config.supersampling
-        made = polygons(*given), plain_polygons.polygons(*given)
-        for part in (0, 1, 2):
-            ours, plain = made[0][part], made[1][part]
-            assert ours.dtype == plain.dtype and np.array_equal(ours, plain)
 
 
 @pytest.fixture(scope="session")
@@ -187,19 +158,7 @@ def test_the_base_bead_is_white_and_the_rope_runs_towards_red() -> None:
     assert np.all(np.diff(colours[1:26, 0].astype(int)) >= 0) and colours[25, 0] == 255
 
 
-def test_given_colours_replace_those_of_the_config() -> None:
-    image = draw(ring(), colours=np.full((100, 3), (0, 0, 200), dtype=np.uint8))
-    assert image[..., :2].max() == 0 and image[..., 2].max() == 200
-
-
 # Camera
-
-
-def test_the_centre_of_mass_is_the_middle_of_the_picture() -> None:
-    for config in (PictureConfig(), PictureConfig(camera="perspective")):
-        assert project(ring() + [3.0, -2.0, 1.0], config).mean(axis=0) == pytest.approx(
-            [64.0, 64.0], abs=1e-9
-        )
 
 
 def test_image_right_is_world_x_and_image_up_is_world_y() -> None:
@@ -239,12 +198,6 @@ def test_a_straight_rope_is_as_wide_as_it_should_be() -> None:
             assert across == pytest.approx(
                 2.0 * config.drawn_radius * config.pixels_per_metre, rel=0.07, abs=0.03
             )
-
-
-def test_turning_the_camera_turns_the_rope_the_other_way() -> None:
-    points = curves()[1]
-    quarter = draw(points, PictureConfig(turn=np.pi / 2)).astype(int)
-    assert np.abs(quarter - np.rot90(draw(points), -1)).mean() < 0.2
 
 
 def test_the_perspective_camera_is_the_published_one() -> None:
@@ -376,24 +329,6 @@ def test_at_every_crossing_the_over_strand_is_shown() -> None:
     assert not np.any(upside_down == "over") and np.sum(upside_down == "under") > 10
 
 
-def test_a_strand_hidden_below_a_third_is_ambiguous() -> None:
-    strands = [
-        [(-0.1, 0.0, 0.0), (0.1, 0.0, 0.0)],
-        [(0.0, 0.1, 0.02), (0.0, -0.1, 0.02)],
-        [(-0.1, -0.1, 0.04), (0.1, 0.1, 0.04)],
-    ]
-    corners = np.array([end for strand in strands for end in strand])
-    steps = np.linspace(0.0, 1.0, 12, endpoint=False)[:, None]
-    points = (corners[:, None] + steps * (np.roll(corners, -1, axis=0) - corners)[:, None]).reshape(
-        -1, 3
-    )
-    points[:, :2] += 1e-4 * np.sin(np.arange(len(points)))[:, None]
-    crossings = find_crossings(points)
-    lowest = np.flatnonzero((np.hypot(*crossings.position.T) < 0.003) & (crossings.over_z < 0.03))
-    assert len(lowest) == 1
-    assert shown_strands(draw(points), crossings, points)[lowest[0]] == "ambiguous"
-
-
 def test_crossing_pixels_lie_on_both_strands() -> None:
     points = curves()[5]
     crossings = find_crossings(points)
@@ -407,22 +342,6 @@ def test_crossing_pixels_lie_on_both_strands() -> None:
 
 
 # Settings and errors
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"size": 8},
-        {"view": float("nan")},
-        {"camera": "fisheye"},
-        {"background": (0, 0, 256)},
-        {"supersampling": 0},
-    ],
-)
-def test_nonsense_is_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(InvalidInput) as caught:
-        PictureConfig(**wrong)
-    assert isinstance(caught.value, KnotgymError) and len(str(caught.value).splitlines()) == 1
 
 
 def test_points_that_are_no_rope_are_refused() -> None:
@@ -473,12 +392,16 @@ def test_no_opengl_is_one_clear_line() -> None:
 
 
 @gl
-@pytest.mark.parametrize("camera", ["orthographic", "perspective"])
-@pytest.mark.parametrize(("size", "mean_limit"), [(64, 6.0), (128, 4.0), (256, 3.0)])
-def test_both_renderers_draw_the_same_picture(
-    camera: Literal["orthographic", "perspective"], size: int, mean_limit: float
-) -> None:
-    config = PictureConfig(camera=camera, size=size)
+@pytest.mark.parametrize(
+    ("config", "mean_limit"),
+    [
+        (PictureConfig(size=64), 6.0),
+        (PictureConfig(camera="perspective"), 4.0),
+        (PictureConfig(size=256), 3.0),
+        (PictureConfig(views=("top", "left", "front")), 4.0),
+    ],
+)
+def test_both_renderers_draw_the_same_picture(config: PictureConfig, mean_limit: float) -> None:
     opencv = draw_many(curves(), config)
     mujoco = draw_many(curves(), dataclasses.replace(config, renderer="mujoco"))
     mean, far, wrong, overlap = differences(opencv, mujoco)
@@ -504,21 +427,6 @@ def test_both_renderers_obey_every_setting() -> None:
 @gl
 def test_mujoco_shows_the_over_strand_too() -> None:
     assert not np.any(shown(curves()[:15], PictureConfig(renderer="mujoco")) == "under")
-
-
-@gl
-def test_both_renderers_draw_the_same_views() -> None:
-    config = PictureConfig(views=("top", "left", "front"))
-    opencv = draw_many(curves()[:8], config)
-    mujoco = draw_many(curves()[:8], dataclasses.replace(config, renderer="mujoco"))
-    mean, far, wrong, overlap = differences(opencv, mujoco)
-    assert mean < 4.0 and far < 0.01 and wrong < 0.002 and overlap > 0.95
-
-
-@gl
-def test_mujoco_draws_long_ropes() -> None:
-    config = PictureConfig(renderer="mujoco")
-    assert np.abs(draw(ring(600), config).astype(int) - draw(ring(600))).mean() < 1.0
 
 
 @gl

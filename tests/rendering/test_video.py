@@ -12,7 +12,6 @@ from knotgym.common.errors import InvalidInput
 from knotgym.rendering.video import (
     FRAMES_PER_SECOND,
     OUTCOMES,
-    _captioned,
     film_frame,
     film_frames,
     write_film,
@@ -91,18 +90,3 @@ def test_a_film_keeps_its_scale_while_the_rope_shrinks() -> None:
         for frame in (frames[0], film_frame(loop / 2, loop, "1"))
     ]
     assert 1.8 < wide[0] / wide[1] < 2.2
-
-
-@pytest.mark.parametrize("name", ["a.avi", "a", "a.gif.txt"])
-def test_another_kind_of_film_is_refused_and_not_written(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InvalidInput, match="a video must end in .gif, .mp4 or .webm"):
-        write_film(tmp_path / name, FRAMES)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_captions_stand_below_the_picture() -> None:
-    frame = np.arange(30 * 120 * 3).reshape(30, 120, 3).astype(np.uint8)
-    for lines in (["one", "two"], ["1+c,2-a,3+a," * 3]):  # a long line is written smaller
-        out = _captioned(frame, lines)
-        assert np.array_equal(out[:30], frame) and out[30:].any() and out.shape[0] % 2 == 0
-        assert out.shape[1] == 120 and not out[:, -4:][30:].any()

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
 from knotgym.rendering.camera import PictureConfig
 from knotgym.rendering.picture import crossing_pixels, draw, draw_many
 from knotgym.topology.crossings import find_crossings
@@ -29,20 +28,6 @@ def spread(beads: int = 100) -> NDArray[np.float64]:
     """Return a rope that extends as far in z as in x and y."""
     at = 2 * np.pi * np.arange(beads) / beads
     return 0.12 * np.stack([np.cos(at), np.sin(2 * at), np.sin(at + 0.5)], axis=1)
-
-
-@pytest.mark.parametrize("view", ALL)
-def test_a_bead_appears_where_the_view_s_axes_say(view: str) -> None:
-    points, config = spread(), PictureConfig(views=(view,))
-    for bead in (10, 35, 60, 85):
-        colours = np.zeros((100, 3), dtype=np.uint8)
-        colours[bead] = 255
-        light = draw(points, config, colours=colours)[..., 0].astype(float)
-        row, column = (np.indices(light.shape) * light).sum(axis=(1, 2)) / light.sum() + 0.5
-        middle = points[[bead, bead + 1]].mean(axis=0) - points.mean(axis=0)
-        x, y = (config.pixels_per_metre * np.dot(middle, axis) for axis in SEEN[view][:2])
-        # a pixel off where something nearer hides a part of it
-        assert (column, row) == pytest.approx((64 + x, 64 - y), abs=1.0)
 
 
 @pytest.mark.parametrize("camera", ["orthographic", "perspective"])
@@ -106,31 +91,3 @@ def test_what_is_farther_off_than_the_levels_reach_has_the_last(
     config = PictureConfig(camera=camera, view=0.1, zoom=0.2, depth=True)
     depth = draw(spread(), config)[..., 3]
     assert depth.max() == 255 and depth[depth > 0].min() == 1
-
-
-def test_the_strand_shown_is_read_off_the_top_view() -> None:
-    points = curves()[2]
-    crossings, plain = find_crossings(points), PictureConfig()
-    right = shown_strands(draw(points, plain), crossings, points, plain)
-    config = PictureConfig(views=("left", "top"), depth=True)
-    assert np.array_equal(shown_strands(draw(points, config), crossings, points, config), right)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"views": ()}, "views must be a list of top, left, front"),
-        ({"views": "top"}, "got 'top'"),
-        ({"views": ("top", "below")}, "'below'"),
-        ({"views": ["left", "left"]}, "each at most once"),
-        ({"depth": 1}, "depth must be true or false, got 1"),
-        ({"depth": True, "renderer": "mujoco"}, "depth needs renderer 'opencv'"),
-    ],
-    ids=str,
-)
-def test_views_that_cannot_be_had_are_refused_in_one_line(
-    wrong: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(InvalidInput, match=message) as caught:
-        PictureConfig(**wrong)
-    assert "\n" not in str(caught.value)

@@ -5,7 +5,6 @@ import sys
 
 import pytest
 
-from knotgym.common.errors import KnotgymError
 from knotgym.rope.engines import ENGINES, simulation, simulation_of
 from knotgym.rope.model import RopeConfig
 
@@ -15,11 +14,6 @@ def test_a_simulation_is_of_the_engine_that_was_named(engine: str) -> None:
     made = simulation(engine, 2)
     assert made.engine == engine and made.count == 2
     assert made.applied_shares.tolist() == [1, 1] and set(made.applied_shares) <= set(made.shares)
-
-
-def test_an_unknown_engine_is_refused() -> None:
-    with pytest.raises(KnotgymError, match="no engine 'bullet'; there is mujoco, chain"):
-        simulation("bullet")
 
 
 def test_the_same_engine_size_and_rope_are_the_same_simulation() -> None:

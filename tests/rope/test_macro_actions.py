@@ -65,12 +65,6 @@ def test_a_pass_ends_beyond_the_strand(rope: Rope) -> None:
         assert led > np.linalg.norm(points[30, :2] - points[10, :2])
 
 
-def test_proposing_leaves_the_rope_alone(rope: Rope) -> None:
-    points = rope.loop()
-    propose(points, np.random.default_rng(0), CONFIG)
-    assert np.array_equal(points, rope.loop())
-
-
 def test_a_new_follower_is_idle_and_uses_no_force(rope: Rope) -> None:
     follower, points = WaypointFollower(3, CONFIG), np.repeat(rope.loop()[None], 3, axis=0)
     assert follower.idle.all() and not follower.forces(points, np.arange(3)).any()

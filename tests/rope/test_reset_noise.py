@@ -59,12 +59,6 @@ def test_noise_moves_every_bead_by_about_its_scale() -> None:
     assert 0.001 < far.min() and far.max() < 0.1
 
 
-def test_noise_leaves_its_input_alone() -> None:
-    points = ROPE.loop()
-    moved_by(points, 0.1, 0)
-    assert np.array_equal(points, ROPE.loop())
-
-
 @pytest.mark.parametrize("scale", [0.005, 0.015, 0.1, 0.9])
 def test_a_start_shows_the_code_of_its_row(states: States, rope: Rope, scale: float) -> None:
     rows = np.arange(0, len(states), 6)

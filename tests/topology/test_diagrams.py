@@ -61,19 +61,6 @@ def test_planarity_knows_no_base_direction_or_height(code: GaussCode, k: int) ->
     )
 
 
-def test_abstract_codes_that_no_curve_shows_are_refused() -> None:
-    assert not is_planar(GaussCode.parse("1+,2+,1-,2-"))
-    assert chiralities(GaussCode.parse("1+,2+,1-,2-")) == ()
-
-
-def test_a_word_that_is_even_but_not_planar_is_refused() -> None:
-    assert not is_planar(GaussCode.parse("1+,2+,3+,4+,5+,3-,4-,1-,2-,5-"))
-
-
-def test_a_trefoil_with_one_letter_wrong_is_not_planar() -> None:
-    assert is_planar(TREFOIL) and not is_planar(GaussCode(TREFOIL.visits, "cca"))
-
-
 def test_drawing_keeps_a_chirality_that_is_there() -> None:
     assert with_chirality(TREFOIL) is TREFOIL
     assert with_chirality(TREFOIL.plain).chirality == "aaa"
@@ -89,10 +76,19 @@ def test_a_code_of_many_parts_is_drawn_without_listing_its_chiralities() -> None
     assert is_planar(with_chirality(kinks))  # of 2 ** 60
 
 
-@pytest.mark.parametrize("text", ["1+,2+,1-,2-", "1+c,2-c,3+a,1-c,2+c,3-a"])
-def test_what_cannot_be_drawn_is_named(text: str) -> None:
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1+,2+,1-,2-",
+        "1+,2+,3+,4+,5+,3-,4-,1-,2-,5-",  # even, but not planar
+        "1+c,2-c,3+a,1-c,2+c,3-a",  # a trefoil with one letter wrong
+    ],
+)
+def test_a_code_that_no_curve_shows_is_not_planar_and_named(text: str) -> None:
+    code = GaussCode.parse(text)
+    assert not is_planar(code) and (code.chirality or chiralities(code) == ())
     with pytest.raises(InvalidInput) as refusal:
-        with_chirality(GaussCode.parse(text))
+        with_chirality(code)
     assert repr(text) in str(refusal.value)
 
 

@@ -77,34 +77,32 @@ def test_dt_loses_the_handedness_of_each_summand() -> None:
     assert knot_type(switched) == knot_type(square) and pd_code(switched) != pd_code(granny)
 
 
+LEFT = TREFOIL.mirrored().plain  # a DT code has one sign for each number, and no handedness
+
+
 @pytest.mark.parametrize(
-    "text",
+    ("text", "code"),
     [
-        "1-c,2+c,3-c,1+c,2-c,3+c",
-        "[[1,5,2,4],[3,1,4,6],[5,3,6,2]]",
-        "PD[X[1, 5, 2, 4], X[3, 1, 4, 6], X[5, 3, 6, 2]]",
-        " [(0, 4, 1, 3), (2, 0, 3, 5), (4, 2, 5, 1)] ",
-        "X[1,5,2,4] X[3,1,4,6] X[5,3,6,2]",
+        *(
+            (text, TREFOIL)
+            for text in (
+                "1-c,2+c,3-c,1+c,2-c,3+c",
+                "[[1,5,2,4],[3,1,4,6],[5,3,6,2]]",
+                "PD[X[1, 5, 2, 4], X[3, 1, 4, 6], X[5, 3, 6, 2]]",
+                " [(0, 4, 1, 3), (2, 0, 3, 5), (4, 2, 5, 1)] ",
+                "X[1,5,2,4] X[3,1,4,6] X[5,3,6,2]",
+            )
+        ),
+        *((text, LEFT) for text in ("[4, 6, 2]", "4 6 2", "4,6,2", "DT: [(4,6,2)]")),
+        *((text, LEFT) for text in ("DT[cacbca]", "DTCode[4, 6, 2]")),
+        *((text, GaussCode()) for text in ("", "[]", "PD[]", "PD[Loop[1]]", "DT: []")),
+        # four numbers are a DT code unless an edge repeats
+        ("[(4,6,8,2)]", from_dt([4, 6, 8, 2])),
+        ("[[1,1,2,2]]", GaussCode.parse(KINKS[3])),
     ],
 )
-def test_pd_codes_are_read_as_others_write_them(text: str) -> None:
-    assert parse_code(text) == TREFOIL
-
-
-@pytest.mark.parametrize(
-    "text", ["[4, 6, 2]", "4 6 2", "4,6,2", "DT: [(4,6,2)]", "DT[cacbca]", "DTCode[4, 6, 2]"]
-)
-def test_dt_codes_are_read_as_others_write_them(text: str) -> None:
-    assert parse_code(text) == TREFOIL.mirrored().plain
-
-
-def test_four_numbers_are_a_dt_code_unless_an_edge_repeats() -> None:
-    assert parse_code("[(4,6,8,2)]").nx == 4 and parse_code("[[1,1,2,2]]").nx == 1
-
-
-@pytest.mark.parametrize("text", ["", "[]", "PD[]", "PD[Loop[1]]", "DT: []"])
-def test_the_plain_loop_is_read(text: str) -> None:
-    assert parse_code(text) == GaussCode()
+def test_codes_are_read_as_others_write_them(text: str, code: GaussCode) -> None:
+    assert parse_code(text) == code
 
 
 @pytest.mark.parametrize(
@@ -125,6 +123,12 @@ def test_the_plain_loop_is_read(text: str) -> None:
         (" ".join(str(2 * k) for k in range(1, MOST_CROSSINGS + 2)), "too large"),
         ("1+,1", "cannot read the visit"),
         ("__import__('os')", "cannot read the visit"),
+        ("O1+U1-", "crossing 1 has two signs"),
+        ("O1+U2O2+U1", "only some visits have a sign"),
+        ("O1xU1", "it can't be read"),
+        ("O1", "crossing 1 is visited only once"),
+        ("KnotInfo:{1,2}", "crossing 1 is visited only once"),
+        ("1 -1 ++", "it has 1 crossings and 2 signs"),
     ],
 )
 def test_a_bad_code_is_refused_in_one_short_line(text: str, problem: str) -> None:
@@ -310,12 +314,3 @@ def test_knotinfo_is_read_by_its_name_because_its_plus_is_under() -> None:
     assert parse_code("KnotInfo:{-1,2,-3,1,-2,3}") == parse_code("1 -2 3 -1 2 -3")
     with pytest.raises(InvalidInput, match="KnotInfo:"):
         parse_code("{-1,2,-3,1,-2,3}")
-
-
-@pytest.mark.parametrize(
-    "text", ["O1+U1-", "O1+U2O2+U1", "O1xU1", "O1", "KnotInfo:{1,2}", "1 -1 ++"]
-)
-def test_a_malformed_code_of_others_is_one_line(text: str) -> None:
-    with pytest.raises(InvalidInput) as caught:
-        parse_code(text)
-    assert "\n" not in str(caught.value)

@@ -5,7 +5,6 @@ import pytest
 
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.crossings import find_crossings, label, visit_spacing
-from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 
 from .test_crossings import EIGHT, random_curve
@@ -40,10 +39,6 @@ def test_the_closing_edge_counts() -> None:
         assert pyknotid_code(np.roll(EIGHT, first, axis=0)).nx == 1
 
 
-def test_a_curve_without_crossings_has_the_empty_code() -> None:
-    assert pyknotid_code(np.eye(3)) == GaussCode()
-
-
 def test_numpy_gets_no_lasting_aliases() -> None:
     pyknotid_code(EIGHT)
     assert not {"float", "int", "complex"} & set(vars(np))
@@ -52,12 +47,6 @@ def test_numpy_gets_no_lasting_aliases() -> None:
 def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
     pyknotid_code(EIGHT)
     assert capfd.readouterr() == ("", "")
-
-
-def test_the_points_are_left_alone() -> None:
-    before = EIGHT.copy()
-    pyknotid_code(EIGHT)
-    assert (before == EIGHT).all()
 
 
 @pytest.mark.parametrize(

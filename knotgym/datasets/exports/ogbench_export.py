@@ -89,4 +89,4 @@ def _name(dataset: EpisodeDataset) -> str:
     task, policies = dataset.task, dataset.episodes.episodes["policy"]
     dataset_id = dataset.name if dataset.metadata else f"{policies[0]}-v0"
     policy, _, version = dataset_id.rpartition("/")[2].rpartition("-")
-    return f"{task.task}-nx{task.nx}-{re.sub(r'[^0-9A-Za-z_]', '_', policy)}-{version}"
+    return f"{task.name}-{re.sub(r'[^0-9A-Za-z_]', '_', policy)}-{version}"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import require_output, sha256
 from knotgym.common.configuration import as_json, differences
-from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
 from knotgym.common.tables import Table
 from knotgym.control.policies import compile_planning, make_policy
 from knotgym.control.policy_config import PolicyConfig
@@ -146,7 +146,10 @@ def require_collectable(config: CollectConfig, out: Path | None, options: RunOpt
     """
     folder = _dataset_folder(config, out)
     if not options.resume and options.shard.is_whole:
-        require_output(folder, folder=True, overwrite=options.overwrite)
+        try:
+            require_output(folder, folder=True, overwrite=options.overwrite)
+        except Occupied as error:
+            raise Occupied(f"{error}, or another --id") from None
     require_no_interrupted_run(folder, options, options.shard)
 
 
@@ -272,13 +275,14 @@ def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata
     """Return Minari's metadata; reference scores are those of random and expert policies."""
     task, policy = config.task, config.policy
     measured = task.engine == MUJOCO and task.rope == RopeConfig() and not task.endless
-    scores = reference_scores().get(f"{task.task}-nx{task.nx}", {}) if measured else {}
+    scores = reference_scores().get(task.name, {}) if measured else {}
     tried = f", the best of {config.attempts} attempts each" * (config.attempts > 1)
     labels = " At every state stands what an expert would do there (infos/expert_action)."
     planned = total["planned"] / max(total["played"], 1)
     planning = f" Planning took {planned:.0f} simulated pulls an episode."
     text = (
-        f"KnotGym, task {task.task} with {task.nx} crossings, {task.split} split, engine"
+        f"KnotGym, task {' or '.join(task.tasks)} with"
+        f" {' or '.join(map(str, task.crossings))} crossings, {task.split} split, engine"
         f" {task.engine}: {total['kept']} episodes of policy {policy.policy}{tried}, seed"
         f" {config.seed}. {total['succeeded']} of {total['played']} episodes played reached the"
         f" goal within {task.horizon} steps; failed ones are"

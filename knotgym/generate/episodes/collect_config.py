@@ -19,7 +19,7 @@ class CollectConfig:
     Attributes:
         task: the environment; its `observation` is stored in Minari's form.
         policy: the acting policy.
-        episodes: episodes to play for each --nx.
+        episodes: episodes to play for each dataset.
         seed: random seed; the same seed gives the same bytes. Episode i has
             `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
@@ -65,4 +65,4 @@ def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
     split = "" if task.split == "train" else task.split
     engine = "" if task.engine == MUJOCO else task.engine
     name = "-".join([policy.short, *filter(None, (engine, split, *marks))])
-    return f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
+    return f"knotgym/{task.name}/{name}-v0"

@@ -261,11 +261,11 @@ def result_of(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
     named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
     listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
     low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
-    starts, goals = task_sides(task)
+    (starts, goals), *_ = task_sides(task)
     return Result(
         policy=policy.policy,
-        task=task.task,
-        nx=task.nx,
+        task=task.tasks[0],
+        nx=task.crossings[0],
         split=task.split,
         action=make_policy(policy).compatible_task(task).action,
         episodes=played.rows,

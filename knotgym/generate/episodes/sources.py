@@ -4,6 +4,7 @@ Only runs with equal digests are resumed or pooled.
 """
 
 from collections.abc import Iterable
+from itertools import chain
 from typing import Any
 
 from knotgym.common.atomic_files import sha256
@@ -23,7 +24,7 @@ def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> di
     """
     files = {}
     for task in tasks:
-        for side in task_sides(task):
+        for side in chain.from_iterable(task_sides(task)):
             # a state file without plain loops borrows the included ones
             borrowed = side.origin == SHIPPED and not ships(task.states)
             files[side.origin] = shipped() if borrowed else states_file(task.states)

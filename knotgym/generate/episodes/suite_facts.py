@@ -72,7 +72,7 @@ def _goal_overlap(task: TaskConfig) -> dict[str, int]:
     """
     sides = []
     for split in (task.split, task.split.replace("train", "test")):
-        goals = task_sides(replace(task, split=split))[1]
+        goals = task_sides(replace(task, split=split))[0][1]
         codes = goals.states.gauss_code[goals.rows].tolist()
         sides.append({GaussCode.parse(text) for text in codes})
     classes = [{first_goal(code)[0] for code in codes} for codes in sides]

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidPolicy
 from knotgym.control.planning import PassPlanner, Play, PullPlanner
 from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
 from knotgym.control.rollouts import Policy, rollouts
@@ -63,27 +62,6 @@ def test_plans_hold_in_the_engine_of_the_episode(policy: Policy) -> None:
     assert found.episodes["success"].all()
 
 
-def test_where_a_rope_lies_as_foreseen_nothing_is_searched_again() -> None:
-    batch, ids = EpisodeBatch(replace(TASK, nx=3)), np.arange(1)
-    player = PassPlanner().player(batch)
-    batch.begin(ids, [5])
-    player.begin(ids, [np.random.default_rng(0)])
-    planned, passes = set[int](), 0
-    while not batch.shown[0]:
-        pulls = player.act(ids)
-        if len(pulls.ids):
-            assert pulls.macros is not None
-            planned.add(int(player.planned[0]))
-            passes += int(pulls.macros[0, 0])
-            batch.pull(ids, pulls.beads, pulls.forces)
-    assert passes > 1 and len(planned) == 1
-
-
-def test_ropes_are_not_towed_out_of_bounds() -> None:
-    found = rollouts(PassPlanner(), replace(TASK, tow_limit=0.2), range(4))
-    assert found.episodes["success"].mean() >= 0.75
-
-
 def test_a_goal_is_held_by_lying_still() -> None:
     found = rollouts(PassPlanner(), replace(TASK, hold=3), range(3))
     assert found.episodes["success"].all()
@@ -94,11 +72,6 @@ def test_play_goes_on_to_another_goal() -> None:
     found = rollouts(Play(), task, range(3))
     codes = {tuple(row) for row in found.steps["visits"].tolist()}
     assert found.episodes["length"].tolist() == [80] * 3 and len(codes) > 4
-
-
-def test_play_in_a_task_that_ends_at_the_goal_is_refused() -> None:
-    with pytest.raises(InvalidPolicy, match="endless"):
-        Play().compatible_task(TASK)
 
 
 def test_an_episode_that_begins_anew_forgets_its_search() -> None:

@@ -2,11 +2,6 @@
 itself to the bit.
 """
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numba import njit
@@ -210,25 +205,3 @@ def test_edges_are_as_far_apart_as_numpy_says() -> None:
 @njit
 def write_distance(x: Array, i: int, j: int, out: Array) -> None:
     put(out, (0,), closest(x, i, j)[0])
-
-
-@pytest.mark.slow  # compiles for half a minute
-def test_a_fresh_compilation_moves_ropes_as_a_cached_one_does(tmp_path: Path) -> None:
-    code = (
-        "import hashlib, numpy as np\n"
-        "from knotgym.rope.chain.chain_simulation import ChainSimulation\n"
-        "chain, rng = ChainSimulation(6), np.random.default_rng(0)\n"
-        "for _ in range(5): chain.act(rng.uniform(-1, 1, (6, 6)))\n"
-        "print(hashlib.sha256(chain.states().tobytes()).hexdigest())\n"
-    )
-    told = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for _ in range(2)
-    ]
-    assert told[0] == told[1] and any(tmp_path.rglob("*.nbc"))

@@ -1,0 +1,117 @@
+"""Make the set of states that ships as "bench" from two generated sets.
+
+    P="knotgym generate --engine chain --no-demonstrations --seed 2026 --count 512"
+    $P --source play --nx 0-3 --out play
+    $P --source drawing --nx 4,5 --out drawn
+    python benchmarks/bench_states.py play drawn --out knotgym/states/curated/bench.h5
+
+A state is its vertices in float32. It is judged again as it is laid from them: its code must stay,
+the limits of readable states hold, and it must differ from all others under every symmetry. Of each
+number of crossings and split --count are kept, codes as evenly as there are states; printed is what
+train and test share.
+"""
+
+import argparse
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.tables import Table
+from knotgym.generate.states.state_filter import judge
+from knotgym.quality.limits import Limits
+from knotgym.rope.model import Array, Rope
+from knotgym.states.near_duplicates import nearest, pairs_within
+from knotgym.states.schema import DRAWING, VERTICES
+from knotgym.states.split_names import STATE_SPLITS
+from knotgym.states.state_file import States, read_states, states_at, write_vertices
+from knotgym.topology.gauss import GaussCode
+
+
+def laid(states: States) -> tuple[Array, list[int]]:
+    """Return states as they are laid from float32 vertices, and the rows that pass again."""
+    rope, kept = Rope(), []
+    points = states.points.astype(np.float32).astype(np.float64)
+    for row, one in enumerate(points):
+        points[row] = rope.points(rope.qpos(one)[None])[0]
+        code = GaussCode.parse(str(states.gauss_code_chiral[row]))
+        if not judge(points[row], [Limits()], code=code).faults:
+            kept.append(row)
+    return points, kept
+
+
+def distinct(points: Array, rows: list[int], others: list[Array]) -> list[int]:
+    """Drop rows that are near an earlier one, or one of other sources, under any symmetry."""
+    near = {rows[second] for _, second, _ in pairs_within(points[rows])}
+    for other in others:
+        near |= {rows[row] for row, *_ in pairs_within(points[rows], other)}
+    return [row for row in rows if row not in near]
+
+
+def chosen(states: States, rows: list[int], count: int) -> list[int]:
+    """Choose rows of each nx and split, code by code, as evenly as there are states."""
+    of_code: Counter[tuple[str, str]] = Counter()
+    turns = []
+    for row in rows:
+        kind = str(states.gauss_code[row]), str(states.split[row])
+        turns.append((int(states.nx[row]), kind[1], of_code[kind], kind[0], row))
+        of_code[kind] += 1
+    found, have = [], Counter[tuple[int, str]]()
+    for nx, split, _, _, row in sorted(turns):
+        have[nx, split] += 1
+        if have[nx, split] <= count:
+            found.append(row)
+    return found
+
+
+def told(table: Table, points: Array) -> None:
+    """Print what train and test share."""
+    codes = [GaussCode.parse(text) for text in table["gauss_code_chiral"].tolist()]
+    nx, plain = np.array([code.nx for code in codes]), np.array([str(code) for code in codes])
+    for one in sorted({*nx.tolist()}):
+        own = [np.flatnonzero((nx == one) & (table["split"] == split)) for split in STATE_SPLITS]
+        shown = [{*plain[rows].tolist()} for rows in own]
+        apart = 1000 * nearest(points[own[1]], points[own[0]])[0]
+        print(
+            f"nx {one}: {len(own[0])} train, {len(own[1])} test; codes {len(shown[0])} and"
+            f" {len(shown[1])}, of test not in train {len(shown[1] - shown[0])}; nearest"
+            f" {apart.min():.0f} mm, median {np.median(apart):.0f}"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sources", nargs="+", type=Path)
+    parser.add_argument("--count", type=int, default=256)
+    parser.add_argument("--out", type=Path, default=Path("bench.h5"))
+    given = parser.parse_args()
+    parts, points = list[dict[str, NDArray[Any]]](), list[Array]()
+    for source in given.sources:
+        states = read_states(states_at(source), images=False)
+        as_laid, kept = laid(states)
+        kept = distinct(as_laid, kept, points)
+        rows = chosen(states, kept, given.count)
+        print(f"{source}: of {len(states)}, {len(kept)} pass again and differ; {len(rows)} kept")
+        drawn = states.source["policy"][rows] == DRAWING
+        columns = {
+            name: states.table[name][rows] for name in ("gauss_code_chiral", "knot", "split")
+        }
+        columns["points"] = states.points[rows].astype(np.float32)
+        columns["source/policy"] = np.where(drawn, "bench-drawing", "bench-play")
+        own = states.source["trajectory"][rows]  # ropes of two sources have different numbers
+        columns["source/trajectory"] = np.where(own < 0, rows, own) + 1_000_000 * len(parts)
+        parts.append(columns)
+        points.append(as_laid[rows])
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    table, together = Table(VERTICES, whole), np.concatenate(points)
+    told(table, together)
+    write_vertices(given.out, table)
+    print(f"{given.out}: {given.out.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""Tests of the symmetries of batches: what an image says is what the moved rope does."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from synthetic_episodes import TINY
+
+from knotgym.common.errors import InvalidInput
+from knotgym.loaders import arrays
+from knotgym.loaders.symmetries import Symmetries, multiplied
+from knotgym.rope.engines import CHAIN, MUJOCO
+from knotgym.rope.engines import simulation as simulation_of
+from knotgym.rope.kinematics import backward
+from knotgym.rope.model import Rope
+from knotgym.states.state_file import read_states, shipped
+from knotgym.topology.crossings import label_many
+
+Array = NDArray[np.float64]
+COUNT = 64
+VIEWS = ("pull", "bead", "macro")
+
+
+def orientations(rope: Rope, qpos: Array) -> Array:
+    """World orientations of the beads of a rope, as matrices: float64 (beads, 3, 3)."""
+    model, data = rope.model, mujoco.MjData(rope.model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return np.asarray(data.xmat[rope.bodies].reshape(-1, 3, 3))
+
+
+def image_of(rope: Rope, qpos: Array, drawn: Symmetries) -> Array:
+    """The generalized positions of a rope's image, with the beads' rolls about their own axes."""
+    (axes,) = drawn.vectors(np.eye(3)[None]).swapaxes(1, 2)
+    world = axes @ orientations(rope, qpos)
+    if np.linalg.det(axes) < 0:  # an orientation isn't mirrored: its own y axis is, instead
+        world = world @ np.diag([1.0, -1.0, 1.0])
+    if drawn.reverse[0]:
+        world = world[::-1] @ np.diag([-1.0, 1.0, -1.0])
+    quaternions = np.empty((len(world), 4))
+    for quaternion, matrix in zip(quaternions, world.reshape(-1, 9), strict=True):
+        mujoco.mju_mat2Quat(quaternion, matrix)
+    points, made = drawn.vertices(rope.points(qpos[None])), np.empty((1, rope.nq))
+    tree = rope._order, rope._parent, rope._qpos_at, rope._rest
+    backward(points, quaternions[None], *tree, made)
+    return made[0]
+
+
+@pytest.mark.parametrize(
+    ("engine", "exact", "reversed_mm"), [(CHAIN, 1e-11, 3.0), (MUJOCO, 1e-5, 3.0)]
+)
+def test_an_image_of_a_step_is_the_step_of_the_image(
+    engine: str, exact: float, reversed_mm: float
+) -> None:
+    states = read_states(shipped(), images=False)
+    rng, rope = np.random.default_rng(0), Rope()
+    qpos = states.qpos[rng.choice(np.flatnonzero(states.nx > 0), COUNT)]
+    beads, force = rng.integers(100, size=COUNT), rng.uniform(-0.5, 0.5, (COUNT, 3))
+    drawn = Symmetries.drawn(COUNT, rng)
+    each = [drawn.taken(slice(k, k + 1)) for k in range(COUNT)]
+    images = np.array([image_of(rope, *one) for one in zip(qpos, each, strict=True)])
+    ends = []
+    for start, bead, pull in (
+        (qpos, beads, force),
+        (images, drawn.beads(beads), drawn.vectors(force)),
+    ):
+        ropes = simulation_of(engine, COUNT, rope)
+        ropes.lay(start)
+        ropes.step(bead, pull * ropes.max_force)
+        ends.append(ropes.points.copy())
+    off = np.abs(drawn.vertices(ends[0]) - ends[1]).max(axis=(1, 2))  # metres
+    assert off[~drawn.reverse].max() < exact
+    assert off[drawn.reverse].max() < reversed_mm / 1000
+
+
+def test_a_code_s_image_is_what_the_moved_rope_shows() -> None:
+    states = read_states(shipped(), images=False)
+    drawn = Symmetries.drawn(len(states), np.random.default_rng(1))
+    visits = np.zeros((len(states), 64), dtype=np.int16)
+    moved = visits.copy()
+    for rows, points in ((visits, states.points), (moved, drawn.vertices(states.points))):
+        for row, code in zip(rows, label_many(points), strict=True):
+            row[: len(code.visits)] = code.visits
+    np.testing.assert_array_equal(drawn.visits(visits), moved)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_symmetries_of_a_batch_change_state_goal_and_action_alike(view: str) -> None:
+    batch = arrays(TINY["expert"], observation="state", action=view)
+    count = len(batch["actions"])
+    still = Symmetries(np.zeros(count), *np.zeros((3, count), dtype=bool))
+    for name, values in still.applied(batch).items():
+        np.testing.assert_array_equal(values, batch[name])
+    drawn = Symmetries.drawn(count, np.random.default_rng(2), of_pictures=view == "bead")
+    made = drawn.applied(batch)
+    assert len({len(values) for values in made.values()}) == 1
+    before, after = (one["observations"].reshape(-1, 2, 100, 3) for one in (batch, made))
+    apart = [np.linalg.norm(np.diff(one, axis=2), axis=3).sum() for one in (before, after)]
+    if len(before) == len(after):
+        assert apart[0] == pytest.approx(apart[1], rel=1e-2)
+
+
+def test_pictures_turn_with_the_rope(rope: Rope) -> None:
+    from knotgym.rendering.picture import draw
+
+    points = read_states(shipped(), images=False).points[:6]
+    drawn = Symmetries.drawn(6, np.random.default_rng(3), of_pictures=True)
+    seen = np.stack([np.concatenate([draw(one)] * 2, axis=1) for one in points])
+    moved = np.stack([np.concatenate([draw(one)] * 2, axis=1) for one in drawn.vertices(points)])
+    off = np.abs(drawn.pictures(seen).astype(int) - moved).mean(axis=(1, 2, 3))
+    wrong = np.abs(seen.astype(int) - moved).mean(axis=(1, 2, 3))
+    turned = drawn.mirror | (drawn.turn > 0)
+    assert off.max() < 2 and wrong[turned].min() > 5  # levels of 255; edges fall on other pixels
+
+
+def test_a_set_is_multiplied_and_strong_pulls_are_dropped() -> None:
+    batch = arrays(TINY["random"], observation="symbolic")
+    batch["actions"][:, 3:] = (1, 0.3, 0)
+    larger = multiplied(batch, 40, np.random.default_rng(4))
+    count = len(batch["actions"])
+    assert 0 < len(larger["actions"]) < 40 * count and np.abs(larger["actions"]).max() <= 1 + 1e-6
+    same = multiplied(batch, 3, np.random.default_rng(5), of_pictures=True)
+    assert len(same["actions"]) == 3 * count
+
+
+def without(name: str) -> dict[str, Any]:
+    batch = arrays(TINY["random"], observation="state")
+    del batch[name]
+    return batch
+
+
+@pytest.mark.parametrize(
+    ("batch", "says"),
+    [
+        (lambda: without("actions"), "a batch to transform has actions"),
+        (lambda: without("observations"), "a batch to transform has observations"),
+        (lambda: without("rewards") | {"mine": np.zeros(3)}, "no symmetry is known for 'mine'"),
+        (lambda: arrays(TINY["random"], observation="marked"), "marked ones are alike"),
+        (lambda: arrays(TINY["random"], observation="pixels"), "of_pictures=True"),
+        (lambda: arrays(TINY["random"], observation="state", action="bead"), "of_pictures=True"),
+    ],
+)
+def test_what_has_no_images_is_one_line(batch: Any, says: str) -> None:
+    made = batch()
+    count = len(made.get("actions", made.get("observations")))
+    drawn = Symmetries.drawn(count, np.random.default_rng(6))
+    with pytest.raises(InvalidInput, match=says):
+        drawn.applied(made)

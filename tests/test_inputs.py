@@ -1,0 +1,46 @@
+"""What a function is given it leaves as it was, and what it returns is its own."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.quality.measures import measure
+from knotgym.rendering.diagram import draw_diagram
+from knotgym.rendering.picture import draw
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import propose
+from knotgym.rope.model import Rope
+from knotgym.rope.reset_noise import noised
+from knotgym.topology.crossings import find_crossings, label
+from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.topology.symmetry import Symmetry
+
+from .conftest import curled
+
+Points = NDArray[np.float64]
+ALL = Symmetry(reflect=True, switch=True, turn=1.0, reverse=True, base_shift=3)
+FUNCTIONS: dict[str, Callable[[Points], Any]] = {
+    "code": label,
+    "crossings": find_crossings,
+    "reference": pyknotid_code,
+    "measures": measure,
+    "picture": draw,
+    "diagram": draw_diagram,
+    "curve": Rope().from_curve,
+    "qpos": Rope().qpos,
+    "symmetry": ALL.configuration,
+    "noise": lambda points: noised(points[None], 0.1, [np.random.default_rng(0)]),
+    "proposal": lambda points: propose(points, np.random.default_rng(0), MacroActionConfig()),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_points_are_left_alone(name: str) -> None:
+    points = Rope().from_curve(curled(2))
+    kept = points.copy()
+    made = FUNCTIONS[name](points)
+    assert np.array_equal(points, kept)
+    assert not (isinstance(made, np.ndarray) and np.shares_memory(made, points))
