@@ -172,7 +172,7 @@ def select(given: Given) -> None:
 
         knotgym dataset select runs/nx3 --where "split = 'train'" --out train.h5
 
-        knotgym dataset select knotgym/a-v0 --where "length < 9" --id knotgym/short-v0
+        knotgym dataset select knotgym/a-v0 --where "length < 9" --id knotgym/b-v0
 
     Args:
         where: Condition on the columns in SQL, such as "success and length < 30 and policy in

@@ -227,7 +227,7 @@ REFUSED = [
     ("prompt --model m --mode read", "takes a folder of pictures"),
     ("play --port 80808", "port must be at most 65535, got 80808"),
     ("play --port x", "--port takes a whole number, got 'x'"),
-    ("play --policy expert --task plait", "must be one of unknot, tie, convert, got 'plait'"),
+    ("play --policy expert --task plait", "must be one of unknot, tie, convert"),
     ("collect --states {absent}", "no knotgym-states file at {absent}"),
     ("collect --states {text}", "text"),
     ("evaluate --states {absent} --policy random", "no knotgym-states file at {absent}"),
