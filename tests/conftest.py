@@ -12,6 +12,7 @@ from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
+from knotgym.rope.simulation import Simulation
 from knotgym.states.state_file import States, read_states, shipped, write_states
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import codes_of
@@ -114,6 +115,13 @@ def curated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("curated") / "nx0-1"
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", folder, "--quiet") == 0
     return folder
+
+
+def blow_up(simulation: Simulation, rope: int = 0, velocity: float = 1e8) -> None:
+    """Give a rope of MuJoCo's velocities at which every integrator fails."""
+    states, model = simulation.states([rope]), simulation.rope.model
+    states[:, 1 + model.nq : 1 + model.nq + model.nv] = velocity  # after time and qpos
+    simulation.restore(states, [rope])
 
 
 def rough_play(row: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:

@@ -55,13 +55,6 @@ def test_every_benchmark_says_how_to_use_it(
     assert f"\n    python benchmarks/{script.name}" in script.read_text(encoding="utf-8")
 
 
-@pytest.mark.slow  # tests/topology/test_reference_labeller.py is its fast twin
-def test_both_labellers_agree_on_fourier_curves(tmp_path: Path) -> None:
-    written = figures("codes", tmp_path, "--curves", 16, "--ropes", 0)
-    curves = written["results"]["Fourier curves"]
-    assert curves["agreed"] == curves["curves"] == 16 and curves["disagreements"] == []
-
-
 @pytest.mark.thorough
 @pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
 def test_golden_runs_make_the_arrays_that_they_made(capsys: pytest.CaptureFixture[str]) -> None:

@@ -175,17 +175,6 @@ def test_one_dataset_has_the_transitions_of_every_view(played: Path) -> None:
     assert (macro["terminals"] | macro["timeouts"]).sum() == 4
 
 
-def test_a_batch_of_macro_actions_is_rows_of_the_whole(played: Path, tmp_path: Path) -> None:
-    whole, rows = arrays(played, action="macro"), [5, 0, 3]
-    batch = Transitions(played, action="macro").batch(rows)
-    for name, values in batch.items():
-        assert np.array_equal(values, whole[name][rows]), name
-    seen: dict[str, Any] = {"action": "macro", "observation": "pixels"}
-    cached = Transitions(played, cache=tmp_path, **seen).batch(rows)
-    drawn = Transitions(played, **seen).batch(rows)
-    assert all(np.array_equal(cached[name], drawn[name]) for name in drawn)
-
-
 def test_hindsight_cuts_macro_actions_where_the_goal_is_reached(played: Path) -> None:
     macro, pull = (Transitions(played, action=view, relabel="all") for view in ("macro", "pull"))
     assert macro.segments == pull.segments > 0

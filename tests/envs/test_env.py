@@ -24,6 +24,8 @@ from knotgym.states.state_file import States, merge_states, write_states
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
+from ..conftest import blow_up
+
 TASKS = ("unknot", "tie", "convert")
 MODES = ("pixels", "state", "both", "symbolic", "marked")
 IDLE = np.zeros(6, dtype=np.float32)
@@ -62,14 +64,6 @@ def goal_is_shown(episodes: EpisodeBatch, index: int) -> None:
     """Make the code that a rope shows its goal."""
     ids = np.array([index])
     episodes.seek(ids, episodes.codes_of(ids))
-
-
-def blow_up(env: KnotEnv) -> None:
-    """Give the rope velocities at which every integrator fails."""
-    simulation = env.episodes.simulation
-    states, model = simulation.states(), simulation.rope.model
-    states[:, 1 + model.nq : 1 + model.nq + model.nv] = 1e8  # after time and qpos
-    simulation.restore(states)
 
 
 @pytest.fixture
@@ -202,7 +196,7 @@ def test_the_last_step_succeeds_or_truncates_with_the_rewards_of_the_task(
     if shown:
         goal_is_shown(env.episodes, 0)
     if fails:
-        blow_up(env)
+        blow_up(env.episodes.simulation)
     *_, info = step = env.step(IDLE)
     assert (*step[1:4], info["is_success"]) == right
 
@@ -239,7 +233,7 @@ def test_chirality_does_not_count(make: Make) -> None:
 def test_info_has_the_same_keys_and_types_at_every_step(make: Make) -> None:
     env = make("tie", horizon=3)
     infos = [result[-1] for result in rollout(env, 0, steps=3)]
-    blow_up(env)
+    blow_up(env.episodes.simulation)
     infos.append(env.step(IDLE)[-1])
     for info in infos:
         assert info.keys() == INFO
@@ -457,7 +451,7 @@ def test_a_blown_up_simulation_ends_the_episode_and_is_never_seen(
 ) -> None:
     env = make("tie", observation=observation)
     seen = env.reset(seed=0)[0]
-    blow_up(env)
+    blow_up(env.episodes.simulation)
     result, reward, terminated, truncated, info = env.step(np.full(6, 0.5, dtype=np.float32))
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert info["simulation_failed"] and not info["is_success"]

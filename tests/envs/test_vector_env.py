@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 
+from ..conftest import blow_up
 from .test_env import goal_is_shown, same
 
 AutoresetMode: Any = getattr(gym.vector, "AutoresetMode", None)  # Gymnasium 1.0 has none
@@ -28,14 +29,6 @@ MakeVec = Callable[..., KnotVectorEnv]
 
 def actions(count: int, steps: int, seed: int = 0) -> NDArray[np.float32]:
     return np.random.default_rng(seed).uniform(-1, 1, (steps, count, 6)).astype(np.float32)
-
-
-def blow_up(envs: KnotVectorEnv, rope: int) -> None:
-    """Give one rope velocities at which every integrator fails."""
-    simulation = envs.episodes.simulation
-    states, model = simulation.states([rope]), simulation.rope.model
-    states[:, 1 + model.nq : 1 + model.nq + model.nv] = 1e8  # after time and qpos
-    simulation.restore(states, [rope])
 
 
 @pytest.fixture
@@ -205,7 +198,7 @@ def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec, bad: NDArray[A
 def test_a_blown_up_rope_ends_alone_and_starts_over(make: MakeVec) -> None:
     envs, others = make(), make()
     envs.reset(seed=0), others.reset(seed=0)
-    blow_up(envs, 1)
+    blow_up(envs.episodes.simulation, 1)
     each = actions(3, 2)
     ours, theirs = envs.step(each[0]), others.step(each[0])
     assert (

@@ -64,13 +64,6 @@ def test_a_polygon_whose_spline_has_another_code_is_drawn_straight() -> None:
     assert 0 < straight < 60
 
 
-def test_the_same_points_give_the_same_bytes_and_are_left_alone() -> None:
-    points = rope("readable", 0)
-    kept = points.copy()
-    assert draw_diagram(points).tobytes() == draw_diagram(points).tobytes()
-    assert np.array_equal(points, kept)
-
-
 def test_a_pull_is_an_arrow_as_long_as_the_force() -> None:
     points = rope("readable", 0)
     plain = draw_diagram(points)

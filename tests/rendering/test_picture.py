@@ -359,16 +359,6 @@ def test_points_that_are_no_rope_are_refused() -> None:
         draw(ring(), colours=np.zeros((99, 3), dtype=np.uint8))
 
 
-@pytest.mark.thorough
-def test_the_picture_needs_neither_mujoco_nor_opengl() -> None:
-    code = (
-        "import sys, numpy as np; from knotgym.rendering.picture import draw; draw(np.eye(3) *"
-        " 0.1);print('OpenGL' in sys.modules, 'knotgym.rendering.mujoco_renderer' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "False"]
-
-
 def test_no_opengl_is_one_clear_line() -> None:
     code = (
         "import numpy as np; from knotgym.common.errors import KnotgymError; from"

@@ -8,23 +8,8 @@ from numpy.typing import NDArray
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 
-from ..conftest import curled, rough_play
-
-
-def moved(simulation: MujocoSimulation, steps: int, seed: int = 0) -> NDArray[np.float64]:
-    """Return states after random actions, the same for rope i in a batch of any size."""
-    rngs = [np.random.default_rng([seed, i]) for i in range(simulation.count)]
-    for _ in range(steps):
-        simulation.act(np.array([rng.uniform(-1, 1, 6) for rng in rngs]))
-    return simulation.states()
-
-
-def blown_up(simulation: MujocoSimulation, rope: int, velocity: float = 1e8) -> None:
-    """Give a rope velocities at which every integrator fails."""
-    states = simulation.states([rope])
-    model = simulation.rope.model
-    states[:, 1 + model.nq : 1 + model.nq + model.nv] = velocity  # after time and qpos
-    simulation.restore(states, [rope])
+from ..conftest import blow_up, curled, rough_play
+from .test_simulations import moved
 
 
 def test_one_batched_rope_is_mujocos_own_loop(rope: Rope) -> None:
@@ -51,7 +36,7 @@ def test_a_call_refused_by_mujoco_leaves_no_force_behind(rope: Rope) -> None:
 def test_a_blown_up_rope_is_told_and_stands_where_it_stood(rope: Rope, velocity: float) -> None:
     simulation = MujocoSimulation(3, rope)
     moved(simulation, 2)
-    blown_up(simulation, 1, velocity)
+    blow_up(simulation, 1, velocity)
     before, points = simulation.states(), simulation.points.copy()
     good = simulation.act(np.full((3, 6), 0.3))
     assert good.tolist() == [True, False, True]
@@ -92,7 +77,7 @@ def test_an_eased_step_says_which_share_of_the_force_it_applied(row: int, share:
 
 def test_a_rope_that_blows_up_had_no_force_applied(rope: Rope) -> None:
     simulation = MujocoSimulation(2, rope)
-    blown_up(simulation, 0, np.nan)
+    blow_up(simulation, 0, np.nan)
     assert simulation.act(np.zeros((2, 6))).tolist() == [False, True]
     assert simulation.applied_shares.tolist() == [0.0, 1.0]
 

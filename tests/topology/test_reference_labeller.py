@@ -10,23 +10,15 @@ from knotgym.topology.reference_labeller import pyknotid_code
 from .test_crossings import EIGHT, random_curve
 
 
-def assert_agreement(curves: int, seed: int) -> None:
+def test_both_labellers_agree() -> None:
+    """On 40 curves; `benchmarks/codes.py` compares as many as it is told to."""
     compared = 0
-    for index in range(curves):
-        points = random_curve(seed + index, modes=1 + index % 8)
+    for seed in range(40):
+        points = random_curve(seed, modes=1 + seed % 8)
         if visit_spacing(find_crossings(points), 100) > 1e-9:
-            assert label(points) == pyknotid_code(points), f"curve {index} of seed {seed}"
+            assert label(points) == pyknotid_code(points), seed
             compared += 1
-    assert compared > 0.99 * curves
-
-
-def test_both_labellers_agree_on_40_curves() -> None:
-    assert_agreement(40, seed=0)
-
-
-@pytest.mark.slow
-def test_both_labellers_agree_on_10000_curves() -> None:
-    assert_agreement(10_000, seed=1)
+    assert compared == 40
 
 
 @pytest.mark.parametrize("scale", [1e-6, 0.013, 1.0, 1e6])
