@@ -2,19 +2,16 @@
 
     python benchmarks/chain.py speed [--out chain.json]
 
-Commands: speed, distance, sequences, frontier, converge, play, policy.
+Commands: speed, distance, sequences, policy.
 
 `speed`: CPU milliseconds an action of either engine on one pinned core, the same ropes and pulls,
 in turn. `distance`: how far beads end from where MuJoCo puts them after 1, 2 and 4 random actions
 of full force, from shipped states of 0 to 4 crossings, mean over beads and states; and how often
 both show the same Gauss code. `sequences`: how often the pulls of the expert's recorded episodes
-end in the same code on either engine. `frontier`: speed and distance for other schedules of
-substeps. `converge`: the distance with ever more substeps, from MuJoCo as it is and from MuJoCo
-with 16 times the steps and stiff closures. `play`: crossings and radius of gyration after random
-actions on either engine. `policy`: success of random actions in the nine set-ups of both state
-sets, test split, with the same starts and goals on either engine, and Newcombe's 95 % interval of
-the difference on these states. Parts that --out holds are not played again. `long_play.py` is about
-safety.
+end in the same code on either engine. `policy`: success of random actions in the nine set-ups of
+both state sets, test split, with the same starts and goals on either engine, and Newcombe's 95 %
+interval of the difference on these states. Parts that --out holds are not played again.
+`long_play.py` is about safety.
 """
 
 import argparse
@@ -37,7 +34,6 @@ from knotgym.generate.episodes.evaluate import evaluate
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.recordings import recordings
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.chain.solver import SCHEDULE
 from knotgym.rope.engines import CHAIN, MUJOCO
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
@@ -51,14 +47,6 @@ SETS = ("readable", "random-walk")
 TASKS = ("unknot", "tie", "convert")
 PART = 256  # episodes of one seed
 FORCE = RopeConfig().max_force
-SCHEDULES = ((1, 2, 4, 5, 6, 6), (1, 2, 3, 4, 4, 5, 5), (1, 1, 2, 2, 4, 4, 5, 5), (1,) * 24)
-FINE = replace(
-    RopeConfig(),
-    timestep=0.0005,
-    frame_skip=384,
-    closure_solref=(0.003, 1.0),
-    closure_solimp=(0.99, 0.99, 0.001, 0.5, 2.0),
-)
 
 
 def starts(each: int, rng: np.random.Generator) -> Array:
@@ -178,63 +166,6 @@ def laid(qpos: Array) -> ChainSimulation:
     return simulation
 
 
-def frontier(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
-    qpos = starts(args.states, rng)
-    actions = pulls(len(qpos), 4, rng)
-    reference = MujocoSimulation(len(qpos))
-    truth, told = traced(reference, qpos, actions), {}
-    for schedule in SCHEDULES:
-        chain = ChainSimulation(len(qpos), schedule=schedule)
-        far = apart(truth, traced(chain, qpos, actions))
-        rates = []
-        for _ in range(args.repeats):
-            slow = timed(reference, pulls(len(qpos), 1, rng))
-            rates.append(slow / timed(chain, pulls(len(qpos), 10, rng)))
-        told[str(schedule)] = far | {"times as fast": round(statistics.median(rates), 1)}
-    return told
-
-
-def converge(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
-    qpos = starts(args.states, rng)
-    actions = pulls(len(qpos), 4, rng)
-    truth = traced(MujocoSimulation(len(qpos)), qpos, actions)
-    fine = traced(MujocoSimulation(len(qpos), Rope(FINE)), qpos, actions)
-    told: dict[str, Any] = {"fine MuJoCo from MuJoCo": apart(fine, truth)}
-    for schedule in (SCHEDULE, (1,) * 24, (1,) * 96):
-        chain = traced(ChainSimulation(len(qpos), schedule=schedule), qpos, actions)
-        name = f"{len(schedule)} substeps"
-        told[f"{name}, from MuJoCo"] = apart(chain, truth)
-        told[f"{name}, from fine MuJoCo"] = apart(chain, fine)
-    return told
-
-
-def play(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
-    qpos = read_states(shipped("random-walk"), images=False).qpos
-    qpos = qpos[rng.integers(len(qpos), size=args.ropes)]
-    actions = [rng.uniform(-1, 1, (args.ropes, 6)) for _ in range(50)]
-    told: dict[str, Any] = {}
-    for name, engine in (("MuJoCo", MujocoSimulation), ("chain", ChainSimulation)):
-        simulation = engine(args.ropes)
-        simulation.lay(qpos)
-        for step, action in enumerate(actions, 1):
-            simulation.act(action)
-            if step in (10, 50):
-                points = simulation.points
-                crossings = np.array([code.nx for code in label_many(points)])
-                centred = points - points.mean(axis=1, keepdims=True)
-                radius = np.sqrt((centred**2).sum(axis=2).mean(axis=1))
-                told[f"{name}, after {step}"] = {
-                    "crossings": interval(crossings),
-                    "radius, m": interval(radius),
-                }
-    return told
-
-
-def interval(values: NDArray[Any]) -> list[float]:
-    """Mean and half of its 95 % interval."""
-    return [round(float(x), 4) for x in (values.mean(), 1.96 * values.std() / len(values) ** 0.5)]
-
-
 def policy(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     cells = [(name, task, nx) for name in SETS for task in TASKS for nx in (2, 3, 4)]
     found: dict[str, dict[str, list[int]]] = {}
@@ -281,9 +212,7 @@ def compared(found: dict[str, dict[str, list[int]]]) -> list[str]:
     return [*rows, f"{within} of {len(rows)} hold 0"]
 
 
-COMMANDS = {
-    run.__name__: run for run in (speed, distance, sequences, frontier, converge, play, policy)
-}
+COMMANDS = {run.__name__: run for run in (speed, distance, sequences, policy)}
 
 
 def main() -> None:
@@ -298,7 +227,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=1024, help="of `policy`, of each cell")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    if hasattr(os, "sched_setaffinity") and args.command in ("speed", "frontier"):
+    if hasattr(os, "sched_setaffinity") and args.command == "speed":
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     told = COMMANDS[args.command](args, np.random.default_rng(args.seed))
     args.out.write_text(json.dumps({"results": told}, indent=2) + "\n", encoding="utf-8")

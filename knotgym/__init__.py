@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from knotgym.envs.environment import KnotEnv as KnotEnv
     from knotgym.envs.environment import KnotVectorEnv as KnotVectorEnv
     from knotgym.envs.tasks import TaskConfig as TaskConfig
+    from knotgym.envs.tasks import register_task as register_task
     from knotgym.rendering.camera import PictureConfig as PictureConfig
     from knotgym.rendering.picture import draw as draw
     from knotgym.rope.model import Rope as Rope
@@ -59,6 +60,7 @@ else:
             "draw": "knotgym.rendering.picture",
             "label": "knotgym.topology.crossings",
             "read_states": "knotgym.states.state_file",
+            "register_task": "knotgym.envs.tasks",
             "shipped": "knotgym.states.state_file",
             "verify": "knotgym.control.verification",
         },
@@ -126,13 +128,19 @@ def _ignore_numba_config() -> None:
 _require_kernel_cache()
 _ignore_numba_config()
 
-for _task in ("unknot", "tie", "convert"):
+
+def register_environment(task: str) -> None:
+    """Register the environment of a task with Gymnasium."""
     gymnasium.register(
-        id=f"knotgym/{_task.capitalize()}-v0",
+        id=f"knotgym/{task.capitalize()}-v0",
         entry_point="knotgym.envs.environment:KnotEnv",
         vector_entry_point="knotgym.envs.environment:KnotVectorEnv",
-        kwargs={"task": _task},
+        kwargs={"task": task},
     )
+
+
+for _task in ("unknot", "tie", "convert"):
+    register_environment(_task)
     for _nx in (2, 3, 4):
         for _prefix, _observation in (("", "state"), ("visual-", "pixels")):  # OGBench's prefix
             gymnasium.register(

@@ -12,7 +12,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -117,20 +117,32 @@ def require_writable(path: str | os.PathLike[str]) -> None:
 def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[Path]:
     """Yield a temporary path beside `path`; what is written there is renamed to `path` at the end.
 
-    Write a file there or make a folder. On an error it is removed; if the process is killed, only a
-    folder named `.part-*` is left. Raises Occupied as `move_into_place` does.
+    Write a file there or make a folder. See `atomic_writes`.
     """
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    staged = Path(tempfile.mkdtemp(prefix=f".part-{target.name[:32]}-", dir=target.parent))
-    part = staged / target.name
+    with atomic_writes(target.parent, [target.name], overwrite=overwrite) as staged:
+        yield staged / target.name
+
+
+@contextmanager
+def atomic_writes(root: Path, names: Sequence[str], *, overwrite: bool = True) -> Iterator[Path]:
+    """Yield a temporary folder; the files and folders of these names in it move to `root` together.
+
+    They move at the end, one right after the other. On an error nothing does; if the process is
+    killed, only a folder named `.part-*` is left. Raises Occupied as `move_into_place` does.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    prefix = f".part-{Path(names[0]).name[:32]}-"
+    staged = Path(tempfile.mkdtemp(prefix=prefix, dir=root))
     try:
-        yield part
-        for file in [part, *part.rglob("*")] if part.is_dir() else [part]:
+        yield staged
+        for file in staged.rglob("*"):
             if file.is_file():  # must be on the disk before it gets its name
                 with open(file, "rb+") as handle:
                     os.fsync(handle.fileno())
-        move_into_place(part, target, overwrite=overwrite)
+        for name in names:
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            move_into_place(staged / name, root / name, overwrite=overwrite)
     finally:
         shutil.rmtree(staged, ignore_errors=True)
 

@@ -15,7 +15,7 @@ what no single field can tell in `__post_init__`, and raises the error itself.
 import dataclasses
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, dataclass_transform, get_args, get_type_hints
 
@@ -74,12 +74,13 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-def choice(*known: str) -> AfterValidator:
-    """Make the annotation of a string that must be one of `known`."""
+def choice(*known: str, growing: Collection[str] = ()) -> AfterValidator:
+    """Make the annotation of a string that must be one of `known`, or of words that may grow."""
 
     def checked(value: str) -> str:
-        if value not in known:
-            raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in known)}")
+        words = *known, *growing
+        if value not in words:
+            raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in words)}")
         return value
 
     return AfterValidator(checked)

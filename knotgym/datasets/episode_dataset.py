@@ -49,6 +49,7 @@ from knotgym.datasets.episodes import (
     fitted,
     merged,
 )
+from knotgym.datasets.minari_recording import MAIN, recorded_columns
 from knotgym.envs.tasks import TaskConfig
 from knotgym.states.state_file import leads_out, minari_root, ships, states_file
 
@@ -145,6 +146,11 @@ def open_episodes(source: Any) -> EpisodeDataset:
     if isinstance(source, EpisodeDataset):
         return source
     path = episode_file(source)
+    if path.name == MAIN:
+        raise InvalidFile(
+            f"{path} was recorded by Minari, without what playing it again needs: loaders read it,"
+            " other commands don't"
+        )
     _, attributes = tables.read(path, format=FORMAT)
     schemas = FORMS.get(str(attributes.get("form")))
     if schemas is None:
@@ -163,13 +169,18 @@ def open_episodes(source: Any) -> EpisodeDataset:
             f"{path} has {steps.rows} rows of steps, and its {rows.rows} episodes have"
             f" {int(lengths.sum()) + rows.rows}"
         )
-    opened = EpisodeDataset(path, Episodes(rows, steps), task, attributes)
+    return _chosen(EpisodeDataset(path, Episodes(rows, steps), task, attributes), source)
+
+
+def _chosen(opened: EpisodeDataset, source: Any) -> EpisodeDataset:
+    """Return the episodes that a `minari.MinariDataset` has; all of those of another source."""
     chosen = getattr(source, "episode_indices", None)
     return opened if chosen is None else opened.select(chosen)
 
 
 def _opened(source: Any, rows: NDArray[np.int64] | None) -> EpisodeDataset:
-    opened = columns_of(source) if isinstance(source, tuple) else open_episodes(source)
+    is_file = isinstance(source, Path) and source.name != MAIN
+    opened = open_episodes(source) if is_file else columns_of(source)
     return opened if rows is None else opened.select(rows)
 
 
@@ -189,7 +200,8 @@ def single_of(dataset: EpisodeDataset) -> NDArray[np.int64]:
 def columns_of(source: Any) -> EpisodeDataset:
     """Open a dataset as `open_episodes` does, and refuse a recording.
 
-    A list of datasets is read into memory as one, which has the first one's task. They may be of
+    A dataset that Minari's `DataCollector` recorded is read into memory, see `minari_recording`. A
+    list of datasets is read into memory as one, which has the first one's task. They may be of
     different tasks, crossing numbers, splits, states and engines, but not of different ropes.
 
     Raises:
@@ -202,6 +214,8 @@ def columns_of(source: Any) -> EpisodeDataset:
         path = Path(" and ".join(str(one.path) for one in parts))
         every = merged([one.episodes for one in parts])
         return EpisodeDataset(path, every, parts[0].task, {}, parts=parts)
+    if not isinstance(source, EpisodeDataset) and (path := episode_file(source)).name == MAIN:
+        return _chosen(EpisodeDataset(path, *recorded_columns(path), {}), source)
     opened = open_episodes(source)
     if opened.episodes.is_recording:
         raise InvalidInput(
@@ -281,14 +295,15 @@ def episode_file(source: Any) -> Path:
         InvalidFile: a run has demonstrations of several crossing numbers.
     """
     if hasattr(source, "storage"):
-        return Path(source.storage.data_path) / FILE
+        source = source.storage.data_path
     tried = [Path(source)]
     if not leads_out(source):
         tried.append(minari_root() / str(source))
     for path in tried:
-        for inside in (path, path / FILE, path / "data" / FILE):
-            if inside.is_file():
-                return inside
+        for name in (FILE, MAIN):
+            for inside in (path, path / name, path / "data" / name):
+                if inside.is_file():
+                    return inside
         found = sorted((path / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
         if len(found) > 1:
             listed = ", ".join(str(one.parents[1]) for one in found)

@@ -37,12 +37,13 @@ from knotgym.common.tables import new_hdf5
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes
+from knotgym.datasets.minari_recording import MAIN
 from knotgym.envs.tasks import TaskConfig
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.state_file import minari_root
 
 MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default
-MAIN, METADATA = "main_data.hdf5", "metadata.json"
+METADATA = "metadata.json"
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
 _COUNTED = ("dataset_size", "minari_version", "requirements")  # of the machine that wrote them
 # A chunk of pictures is a strip: a few pixel rows of eight consecutive frames, which differ little.

@@ -222,6 +222,7 @@ def require_target(given: Selectable, target: Destination, sources: Iterable[Pat
         if not isinstance(given, EpisodeRows):
             raise InvalidInput("an id is for episodes; give --out for states and pictures")
         folder = Path(target.out or minari_root()) / target.dataset_id
+        require_output(folder, folder=True, overwrite=target.overwrite)
         require_apart(folder, sources)
         return folder
     if target.out is None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from knotgym.common.atomic_files import atomic_writes
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.conditions import matching_rows
@@ -102,18 +103,22 @@ def split(
             f" starts, goals, walks or near-duplicates, which leaves {together.max() + 1}"
             " separate groups"
         )
-    targets = []
+    places = []
     for name in shares:
         path = Path(out) if out and not dataset_id else None
         beside = out if path is None else path.with_name(f"{path.stem}-{name}{path.suffix}")
         named = re.sub(r"(?=-v\d+$)", f"-{name}", dataset_id)
-        targets.append(Destination(beside, named, overwrite))
-        require_target(given, targets[-1], [given.digested])
-    how = {"parts": shares, "seed": seed}
-    return [
-        write_rows(given, str(source), np.flatnonzero(dealt == k), {**how, "part": name}, target)
-        for k, (name, target) in enumerate(zip(shares, targets, strict=True))
-    ]
+        places.append(
+            require_target(given, Destination(beside, named, overwrite), [given.digested])
+        )
+    root = places[0].parents[dataset_id.count("/")]
+    names = [place.relative_to(root).as_posix() for place in places]
+    with atomic_writes(root, names, overwrite=overwrite) as staged:
+        for k, (part, name) in enumerate(zip(shares, names, strict=True)):
+            target = Destination(staged, name) if dataset_id else Destination(staged / name)
+            how = {"parts": shares, "seed": seed, "part": part}
+            write_rows(given, str(source), np.flatnonzero(dealt == k), how, target)
+    return places
 
 
 def delete(

@@ -29,9 +29,10 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # These were set by eye when drawings were introduced (2026, commits 78e73fb and 2cf8d22).
-# `python benchmarks/drawing.py` halves and doubles each. Of 60 codes of nx 6, drawn once, 53 % are
-# within the limits. Half the tension leaves 7 %, half the reach 10, twice the reach none; bending,
-# push, power and step change it by less than chance (40 to 58 %), crossing and most not at all.
+# `benchmarks/drawing.py` at f6d1acb halves and doubles each. Of 60 codes of nx 6, drawn once, 53 %
+# are within the limits. Half the tension leaves 7 %, half the reach 10, twice the reach none;
+# bending, push, power and step change it by less than chance (40 to 58 %), crossing and most not at
+# all.
 # Twice the tension gives 75 %: a better value, which would change every drawn state.
 FIRST, LATER = 300, 200  # iterations with the segments as given, and after each splitting
 SEGMENTS = 90  # splitting stops at this many segments or more

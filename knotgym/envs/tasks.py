@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
+import knotgym
 from knotgym.common.configuration import (
     Count,
     Distinct,
@@ -40,7 +41,25 @@ TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
 }
 
 
-TaskName = Annotated[str, choice(*TASKS)]
+def register_task(name: str, crossings: Callable[[int], tuple[int, int]]) -> None:
+    """Add a task, and register its environment with Gymnasium as knotgym/Name-v0.
+
+    Workers make their own tasks, so a name must be registered in every process that uses it.
+
+    Args:
+        name: a lower-case word.
+        crossings: nx -> the crossings of the start and of the goal.
+
+    Raises:
+        InvalidInput: the name is taken or no such word.
+    """
+    if name in TASKS or not (name.isidentifier() and name.islower()):
+        raise InvalidInput(f"a task's name is a new lower-case word, got {name!r}")
+    TASKS[name] = crossings
+    knotgym.register_environment(name)
+
+
+TaskName = Annotated[str, choice(growing=TASKS)]
 
 
 class UnknownKeyword(InvalidInput, TypeError):

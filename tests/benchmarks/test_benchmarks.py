@@ -63,11 +63,6 @@ def test_golden_runs_make_the_arrays_that_they_made(capsys: pytest.CaptureFixtur
     assert ended.value.code == 0, capsys.readouterr().out
 
 
-def test_pictures_of_every_size_and_camera_are_drawn(tmp_path: Path) -> None:
-    rows = figures("picture", tmp_path, "--frames", 1, "--renderers", "opencv")["rows"]
-    assert len(rows) == 8 and all(row["opencv_ms"] > 0 for row in rows)
-
-
 @pytest.mark.parametrize("engine", ["mujoco", "chain"])
 def test_hard_play_is_looked_at_and_goes_on_after_what_is_done(engine: str, tmp_path: Path) -> None:
     words = ("--engine", engine, "--ropes", 2, "--length", 1, "--actions")
@@ -169,7 +164,6 @@ def test_a_little_play_makes_a_table_of_moves(what: str, tmp_path: Path) -> None
     [
         ("speed", ("--ropes", 4, "--repeats", 1)),
         ("distance", ("--states", 1)),
-        ("play", ("--ropes", 2)),
     ],
 )
 def test_the_chain_engine_is_measured_beside_mujocos(

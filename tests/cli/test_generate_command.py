@@ -23,7 +23,6 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidFile
 from knotgym.loaders import arrays
 from knotgym.rendering.diagram import draw_diagram
-from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
 from knotgym.states.near_duplicates import NEAR, distances
 from knotgym.states.state_file import States, read_states
@@ -91,13 +90,6 @@ def test_both_splits_have_as_many_states_as_asked_for_of_as_many_codes_as_there_
     assert sorted(states.gauss_code.tolist()) == [""] * 4 + ["1+,1-"] * 2 + ["1-,1+"] * 2
     for nx in (0, 1):
         assert sorted(states.split[states.nx == nx].tolist()) == ["test"] * 2 + ["train"] * 2
-
-
-def test_pictures_are_those_of_the_points(states: States) -> None:
-    assert states.image is not None and all(
-        np.array_equal(image, draw(points))
-        for image, points in zip(states.image, states.points, strict=True)
-    )
 
 
 def test_no_two_states_are_near_duplicates(states: States) -> None:

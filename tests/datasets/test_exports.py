@@ -9,6 +9,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,6 +96,20 @@ def test_ogbench_files_hold_every_state_once(tmp_path: Path) -> None:
     train = np.load(tmp_path / "tie-nx2-expert_chain-v0-train.npz")
     np.testing.assert_array_equal(train["observations"], first["observation"].reshape(-1, 300))
     np.testing.assert_array_equal(train["actions"], first["action"])
+
+
+def test_ogbench_files_appear_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, write = [0, 1], np.savez_compressed
+
+    def second_fails(file: Any, **arrays: Any) -> None:
+        if not calls.pop():
+            raise KeyboardInterrupt
+        write(file, **arrays)
+
+    monkeypatch.setattr(np, "savez_compressed", second_fails)
+    with pytest.raises(KeyboardInterrupt):
+        export(EXPERT, tmp_path, "ogbench", replay)
+    assert not list(tmp_path.iterdir())
 
 
 @needs_arrow

@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from knotgym.datasets.episodes import differences, merged
 from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
+from knotgym.datasets.selectable import write_rows
 from knotgym.datasets.subsets import kept, row_numbers
 from knotgym.states.state_file import read_states, shipped, write_states
 
@@ -140,6 +142,30 @@ def test_split_episodes_share_no_goal(tmp_path: Path) -> None:
     ]
     assert not shown[0] & shown[1]
     assert rows[0].rows + rows[1].rows == 40 and rows[0].rows > rows[1].rows
+
+
+@pytest.mark.parametrize("dataset_id", ["", "knotgym/b-v0"])
+def test_parts_are_replaced_together_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dataset_id: str
+) -> None:
+    path, root = written(tmp_path / "a.h5", episodes([1] * 8)), tmp_path / "made"
+    out, calls = root / ("" if dataset_id else "b.h5"), [0, 1]
+
+    def second_fails(*words: Any) -> Path:
+        if calls.pop():
+            return write_rows(*words)
+        raise KeyboardInterrupt
+
+    def cut(seed: int) -> None:
+        parts = "train=0.5,val=0.5"
+        split(path, parts, seed=seed, out=out, dataset_id=dataset_id, overwrite=True)
+
+    cut(0)
+    before = {file: file.read_bytes() for file in root.rglob("*.h5")}
+    monkeypatch.setattr("knotgym.datasets.subsets.write_rows", second_fails)
+    with pytest.raises(KeyboardInterrupt):
+        cut(1)
+    assert {file: file.read_bytes() for file in root.rglob("*.h5")} == before and len(before) == 2
 
 
 @pytest.mark.parametrize("parts", ["a=1", "a=0.5,b=0.6", "a=x,b=1", "a=0.5,a=0.5", ""])

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+import knotgym
 from knotgym.common.errors import Failed, InvalidInput, MissingFile
+from knotgym.envs import tasks
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS, cut
@@ -577,3 +579,15 @@ def test_a_file_without_loops_is_refused_where_only_some_tasks_need_them(
     make("tie", nx=(2, 3), states=str(tmp_path / "s.h5"))
     with pytest.raises(InvalidInput, match="has no plain loops, which several tasks at once need"):
         make(("tie", "convert"), nx=2, states=str(tmp_path / "s.h5"))
+
+
+def test_a_registered_task_is_played_as_its_crossings_say() -> None:
+    knotgym.register_task("simplify", lambda nx: (nx, nx - 1))
+    try:
+        with pytest.raises(InvalidInput, match="a task's name is a new lower-case word, got"):
+            knotgym.register_task("simplify", lambda nx: (nx, 0))
+        made: Any = gym.make("knotgym/Simplify-v0", nx=3, observation="state")
+        info = made.reset(seed=0)[1]
+        assert info["crossings"] == 3 and GaussCode.parse(info["goal_gauss_code"]).nx == 2
+    finally:
+        del tasks.TASKS["simplify"], gym.registry["knotgym/Simplify-v0"]

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.atomic_files import atomic_write, copy_file, require_output
+from knotgym.common.atomic_files import atomic_writes, copy_file, require_output
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.located import Located
@@ -56,13 +56,12 @@ def to_ogbench(source: Located, out: Path, overwrite: bool) -> str:
     for wanted in files:
         require_output(out / wanted, folder=False, overwrite=overwrite)
     validates = np.arange(count) % _TENTH == min(_TENTH, count) - 1
-    for look, name in names.items():
-        for end, chosen in (("-val", validates), ("-train", ~validates)):
-            with atomic_write(out / f"{name}{end}.npz", overwrite=overwrite) as temporary:
-                with temporary.open("wb") as file:
-                    np.savez_compressed(file, **_arrays(dataset.select(chosen), look))
-        with atomic_write(out / f"{name}.npz", overwrite=overwrite) as temporary:
-            copy_file(out / f"{name}-train.npz", temporary)
+    with atomic_writes(out, files, overwrite=overwrite) as staged:
+        for look, name in names.items():
+            for end, chosen in (("-val", validates), ("-train", ~validates)):
+                arrays = _arrays(dataset.select(chosen), look)
+                np.savez_compressed(staged / f"{name}{end}.npz", allow_pickle=False, **arrays)
+            copy_file(staged / f"{name}-train.npz", staged / f"{name}.npz")
     return f"{count} episodes for ogbench"
 
 

@@ -29,8 +29,8 @@ first order: velocities settle within 20 ms of a change of force, and are steady
 
 All numbers are MuJoCo's own, read from the model; none is fitted. Left out is the softness of
 MuJoCo's closures, about 77 N/m and 3 N s/m each: its rope opens there by a millimetre. As MuJoCo's
-step and that softness go to zero, MuJoCo comes to this model: `benchmarks/chain.py converge`. All
-arrays end with an axis of LANES ropes, see `simd`.
+step and that softness go to zero, MuJoCo comes to this model: `benchmarks/chain.py converge` at
+f6d1acb. All arrays end with an axis of LANES ropes, see `simd`.
 
 After a change run `pytest -m 'thorough or not thorough'
 tests/rope/chain/test_chain_equations.py`: velocities must be those of the dense system; then

@@ -44,9 +44,9 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Group = tuple[Array, Array, Array, Array]  # x, v, side, spin of LANES ropes
 
-# Chosen by `python benchmarks/chain.py frontier`: of its four schedules the knee. 24 equal substeps
-# take three times as long and end a tenth nearer to MuJoCo after an action; six are a tenth faster
-# and a twentieth farther.
+# Chosen by `benchmarks/chain.py frontier` at f6d1acb: of its four schedules the knee. 24 equal
+# substeps take three times as long and end a tenth nearer to MuJoCo after an action; six are a
+# tenth faster and a twentieth farther.
 SCHEDULE = (1, 2, 3, 4, 4, 5, 5)  # lengths of the substeps, in shares of an action
 # Time is counted in whole ticks, so that halved substeps add up to the action exactly. A tick is a
 # 64th of a share, and the shortest substep.

@@ -1,0 +1,129 @@
+"""Datasets that Minari's own `DataCollector` recorded in an environment of knotgym, wrapped or not.
+
+    data/main_data.hdf5     /episode_{k}: observations, actions, rewards, terminations, truncations
+    data/metadata.json      env_spec: the environment's id and keywords
+
+Rewards and ends are those recorded, so those of a wrapper reach the loaders. Codes are read from
+the vertices. The rest isn't there: rows of starts and goals are -1 and positions at rest NaN, so
+that episodes can be loaded, but not played again. Nothing that the metadata name is imported.
+"""
+
+import json
+from collections.abc import Mapping
+from itertools import count, takewhile
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.configuration import from_json, read_json
+from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line
+from knotgym.common.tables import Table, require_stored_here
+from knotgym.datasets.episode_outcomes import goal_reached
+from knotgym.datasets.episodes import EPISODES, MACROS, STEPS, Episodes, merged
+from knotgym.envs.tasks import TaskConfig
+
+MAIN = "main_data.hdf5"
+
+
+def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
+    """Read the episodes of a file `main_data.hdf5`, and the task that its environment had.
+
+    Raises:
+        InvalidInput: the observations have no vertices, or the actions aren't pulls.
+        InvalidFile: it was recorded in another environment, or is damaged.
+    """
+    try:
+        metadata = read_json(path.with_name("metadata.json"))
+        spec = json.loads(metadata["env_spec"])
+        known = {*TaskConfig.__dataclass_fields__}
+        keywords = {name: value for name, value in spec["kwargs"].items() if name in known}
+        if not spec["id"].startswith("knotgym/"):
+            raise InvalidFile(f"it was recorded in {spec['id']}, no environment of knotgym")
+        task = from_json(TaskConfig, keywords)
+        if task.action != "pull":
+            raise InvalidInput(f"{path} holds actions of view {task.action!r}, record 'pull'")
+        with h5py.File(path, "r", locking=False) as file:
+            items: dict[str, Any] = {}
+            file.visititems(items.__setitem__)  # follows no links but hard ones
+            names = takewhile(lambda name: name in items, (f"episode_{k}" for k in count()))
+            policy = str(metadata.get("algorithm_name", "unknown"))
+            parts = [_episode(items, name, task, policy, path) for name in names]
+    except InvalidInput:
+        raise
+    except (OSError, LookupError, ValueError, TypeError, AttributeError, KnotgymError) as error:
+        raise InvalidFile(f"{path} can't be loaded: {one_line(error)}") from error
+    every = merged(parts)
+    reached = np.logical_or.reduceat(goal_reached(every, task), every.offsets[:-1])
+    return every._replace(episodes=every.episodes.replaced(success=reached)), task
+
+
+def _episode(
+    items: Mapping[str, Any], name: str, task: TaskConfig, policy: str, path: Path
+) -> Episodes:
+    """Read one episode of T pulls."""
+    from knotgym.rope.actions import decode_actions  # here, because loaders need no simulator
+    from knotgym.rope.model import Rope
+    from knotgym.topology.code_arrays import read_codes
+
+    def read(key: str) -> NDArray[Any]:
+        require_stored_here(items[f"{name}/{key}"], key)
+        return np.asarray(items[f"{name}/{key}"][()])
+
+    seen = items.get(f"{name}/observations/state", items[f"{name}/observations"])
+    if getattr(seen, "shape", ())[1:] != (6 * task.beads,):
+        raise InvalidInput(
+            f"{path} holds no vertices of the rope, from which loaders make every observation:"
+            " record with observation='state' or 'both'"
+        )
+    key = seen.name.removeprefix(f"/{name}/")
+    ropes, goals = np.moveaxis(read(key).reshape(-1, 2, task.beads, 3).astype(np.float32), 1, 0)
+    points, actions = ropes.astype(np.float64), read("actions").astype(np.float32)
+    sides = np.linalg.norm(np.roll(points, -1, axis=1) - points, axis=2) - task.rope.bead_length
+    if not (np.abs(sides) < 2 * task.rope.radius).all():
+        raise InvalidInput(f"{path} holds observations that a wrapper changed: record vertices")
+    pulls = len(points) - 1
+    terminated = read("terminations")
+    truncated = read("truncations") & ~terminated
+    truncated[-1] = not terminated[-1]
+    codes = read_codes(np.concatenate([points, goals[:1].astype(np.float64)]))
+    led = {
+        "bead": decode_actions(actions, points[:pulls], task.rope)[0].astype(np.uint16),
+        "force": np.clip(actions[:, 3:], -1, 1),
+        "action": actions,
+        "reward": read("rewards").astype(np.float64),
+        "terminated": terminated,
+        "truncated": truncated,
+        "share": np.ones(pulls, dtype=np.float32),
+    }
+    steps = {
+        # no pull is made in the last state
+        **{one: np.concatenate([of, np.zeros_like(of[:1])]) for one, of in led.items()},
+        "observation": ropes,
+        "visits": codes.visits[:-1],
+        "signs": codes.signs[:-1],
+        "crossings": codes.crossings[:-1].astype(np.int16),
+    }
+    sizes = {
+        "beads": task.beads,
+        "nq": Rope(task.rope).nq,
+        "visits": codes.visits.shape[1],
+        "labels": codes.signs.shape[1],
+    }
+    own = EPISODES.sized(**sizes).empty(1) | {
+        "seed": np.array([items[name].attrs.get("seed", -1)], dtype=np.int64),
+        "start": np.array([-1]),
+        "goal": np.array([-1]),
+        "start_qpos": np.full((1, sizes["nq"]), np.nan),
+        "policy": np.array([policy]),
+        "goal_visits": codes.visits[-1:],
+        "length": np.array([pulls]),
+        "total": led["reward"].sum(keepdims=True),
+        "goal_points": goals[:1],
+    }
+    kept = [one.name for one in STEPS.columns if one.name not in (*MACROS, "expert_action")]
+    return Episodes(
+        Table(EPISODES.sized(**sizes), own), Table(STEPS.sized(**sizes).only(*kept), steps)
+    )
