@@ -49,7 +49,7 @@ def collect(given: Given) -> None:
     if given.get("dataset_id"):
         pairs = [tuple(one[0] if len(one) == 1 else one for one in map(_listed, several))]
     else:
-        pairs = [*product(*map(_listed, several))]
+        pairs = [*dict.fromkeys(product(*map(_listed, several)))]
     seen = "" if given.has("task.observation") else "state"
     configs = [
         named(given.config(CollectConfig, {"task.task": task, "task.nx": nx}, usual={"seen": seen}))

@@ -81,7 +81,8 @@ def _in_words(value: Any) -> str:
         more = len(value) - len(entries)
         return ", ".join(entries) + (f" and {more} more" if more else "")
     if isinstance(value, list):
-        return " to ".join(map(_in_words, value))
+        is_interval = bool(value) and isinstance(value[0], float)
+        return (" to " if is_interval else " and ").join(map(_in_words, value))
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else str(value)
