@@ -62,7 +62,7 @@ KINDS = {
     "evaluate": Kind(f"evaluate {TASK} --episodes 200 --seed {{n}} --out {{o}}.json", True, True),
     "images": Kind("images --nx 0,1 --count 8 --engine chain --seed {n} --out {o}", True, True),
     "suite": Kind("suite --task unknot --nx 2 --split train --states readable --policy random,noisy"
-                  " --episodes 2 --seed 1{n} --out {o}", True, False, 4),
+                  " --episodes random=2,noisy=1{n} --seed 1 --out {o}", True, False, 4),
     "reader": Kind("train --data {s}/root/knotgym/tie-nx2/three-v0 --steps 6 --set batch=2"
                    " --set save_every=2 --seed {n} --out {o}", True),
     "clone": Kind("train --learner clone --steps 6 --set clone.demonstrations=3 --seed {n}"

@@ -28,7 +28,7 @@ def collect(given: Given) -> None:
 
         knotgym collect --task tie --nx 3 --policy expert --episodes 200
 
-        knotgym collect --task tie,convert --nx 2-4 --id knotgym/several-v0 --episodes 2000
+        knotgym collect --task tie,convert --nx 2-4 --id knotgym/several-v0
 
         knotgym collect --task unknot --nx 2-4 --policy mine:act
 

@@ -88,7 +88,7 @@ def merge(given: Given) -> None:
 
         knotgym dataset merge a/states.h5 b/states.h5 --out states.h5
 
-        knotgym dataset merge knotgym/tie-nx2/a-v0 knotgym/tie-nx2/b-v0 --id knotgym/both-v0
+        knotgym dataset merge knotgym/a-v0 knotgym/b-v0 --id knotgym/both-v0
 
     Args:
         sources: State files or their folders; or episodes of one task.
@@ -170,9 +170,9 @@ def select(given: Given) -> None:
 
     Examples:
 
-        knotgym dataset select runs/nx3 --where "nx > 2 and split = 'train'" --out hard.h5
+        knotgym dataset select runs/nx3 --where "split = 'train'" --out train.h5
 
-        knotgym dataset select knotgym/tie-nx3/a-v0 --where "length < 30" --id knotgym/short-v0
+        knotgym dataset select knotgym/a-v0 --where "length < 9" --id knotgym/b-v0
 
     Args:
         where: Condition on the columns in SQL, such as "success and length < 30 and policy in

@@ -21,6 +21,7 @@ def demo(given: Given) -> None:
 
     from knotgym.cli.inspection import page
     from knotgym.common.atomic_files import atomic_write, require_output
+    from knotgym.control.policies import compile_planning
     from knotgym.control.policy_config import PolicyConfig
     from knotgym.datasets.episode_dataset import open_episodes
     from knotgym.envs.tasks import TaskConfig
@@ -34,7 +35,7 @@ def demo(given: Given) -> None:
     from knotgym.runs.run_options import RunOptions
 
     require_output(out, folder=True, overwrite=overwrite)
-    compile_first(progress)
+    compile_first(progress, plan=compile_planning)
     config = CollectConfig(
         task=TaskConfig(task="tie", nx=3, split="test", observation="both"),
         policy=PolicyConfig(policy="expert"),

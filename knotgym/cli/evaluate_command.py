@@ -26,7 +26,7 @@ def evaluate(given: Given) -> None:
 
         knotgym evaluate --task tie --nx 3 --policy random --episodes 256
 
-        knotgym evaluate --policy random --policy mine:act --task tie,unknot --nx 2-4
+        knotgym evaluate --policy random --policy mine:act --task tie --nx 2-4
 
     Args:
         out: JSON file to write.

@@ -37,6 +37,9 @@ _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
 _NO_NAME = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _RESUMABLE = {"generate", "collect", "suite", "train", "evaluate", "images", "prompt"}
+_KEPT = (
+    "finished work, if any, is in .NAME.partial beside it: --resume continues, --restart deletes it"
+)
 _OURS = (
     "this is a bug in knotgym: please report it, with the traceback above, in the repository's"
     " issue tracker"
@@ -72,8 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run `knotgym` and exit, with status 0 only if everything requested was done."""
     tokens = sys.argv[1:] if arguments is None else [*arguments]
     resumable = bool(_RESUMABLE & {*tokens[:1]})
-    goes_on = ", --resume continues from the last checkpoint" if resumable else ""
-    stopped = f"interrupted; no partial output is left{goes_on}"
+    goes_on = f"; {_KEPT}" if resumable else ""
+    stopped = f"interrupted before all output was written{goes_on}"
     for number in _SIGNALS:
         signal.signal(number, functools.partial(_interrupt, stopped))
     try:
@@ -86,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KnotgymError as error:
         status = _say(str(error), _FAILED if isinstance(error, Failed) else _MISTAKEN)
     except (BrokenExecutor, MemoryError):
-        status = _say(f"a worker died or memory ran out; finished work is kept{goes_on}", _FAILED)
+        status = _say(f"a worker died or memory ran out{goes_on}", _FAILED)
     except OSError as error:
         # an impossible file name is the user's mistake
         status = _say(_trouble(error), _MISTAKEN if error.errno in _NO_NAME else _FAILED)

@@ -140,7 +140,7 @@ def command(
 
         run.__annotations__ = {one.name: one.annotation for one in parameters}
         vars(run).update(__signature__=inspect.Signature(parameters), sections=sections)
-        help = doc.partition("\n\nArgs:\n")[0].partition("\n\n")
+        help = reflowed(doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
         name = function.__name__.rstrip("_").replace("_", "-")
         app = App(name=name, help=help[0], help_epilogue=help[2], **APP)
         app.default(run)
@@ -281,6 +281,15 @@ def settings_named(sections: Sections, name: str) -> Iterator[str]:
 
     for section, kind in sections.items():
         yield from below(kind, f"{section}." if section else "")
+
+
+def reflowed(doc: str) -> str:
+    """Join the lines of each paragraph, which a terminal breaks by its own width.
+
+    >>> reflowed("One\\nsentence.\\n\\nExamples:\\n\\n    knotgym demo")
+    'One sentence.\\n\\nExamples:\\n\\n    knotgym demo'
+    """
+    return re.sub(r"(?<=\S)\n(?=\S)", " ", doc)
 
 
 def field_help(kind: type, name: str) -> str:

@@ -28,7 +28,7 @@ def prompt(given: Given) -> None:
 
         knotgym prompt --mode stateless --task tie --nx 2 --model NAME
 
-        knotgym prompt --mode read knotgym-data/images-nx0-4 --model NAME --base-url http://127.0.0.1:8000/v1
+        knotgym prompt pictures --mode read --model NAME
 
     Args:
         pictures: For mode read: a folder of pictures from `knotgym images`.

@@ -26,7 +26,7 @@ def suite(given: Given) -> None:
 
         knotgym suite --recorded --task tie --nx 2
 
-        knotgym suite --task tie --nx 3 --states readable --policy expert,random --resume
+        knotgym suite --task tie --nx 3 --policy expert,random --resume
 
     Args:
         episodes: Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default

@@ -73,9 +73,11 @@ def _print_facts(facts: Mapping[str, Any], console: Console) -> None:
 
 
 def _in_words(value: Any) -> str:
-    """Format a value of a summary for reading; "" for None."""
+    """Format a value of a summary for reading; "" for None, "none" for one in a mapping."""
     if isinstance(value, Mapping):
-        entries = [f"{name} {_in_words(one)}" for name, one in list(value.items())[:_LISTED]]
+        entries = [
+            f"{name} {_in_words(one) or 'none'}" for name, one in list(value.items())[:_LISTED]
+        ]
         more = len(value) - len(entries)
         return ", ".join(entries) + (f" and {more} more" if more else "")
     if isinstance(value, list):

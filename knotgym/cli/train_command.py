@@ -22,7 +22,7 @@ def train(given: Given) -> None:
 
         knotgym train --data knotgym/tie-nx2/expert-v0 --out runs/reader
 
-        knotgym train --learner clone --set clone.demonstrations=2000 --out runs/clone
+        knotgym train --learner clone --set clone.demonstrations=2000 --out clone
 
     Args:
         out: Folder to write: weights, card and learning curves.
@@ -47,3 +47,4 @@ def train(given: Given) -> None:
     from knotgym.learn.train_recipe import train as train_learner
 
     train_learner(given["data"] or [], out, config, given.run, given.progress)
+    given.progress.say(f"next: knotgym evaluate --policy {out} --split train,test")

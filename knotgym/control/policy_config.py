@@ -85,11 +85,9 @@ class PolicyConfig:
     """Which policy acts, and its settings.
 
     Attributes:
-        policy: policy: random, constant, scripted, expert, noisy, play, planner, mixed, pretrained
-            or pretrained-clone; a folder written by `knotgym train`; prompt:FILE or
-            recorded:DATASET, to score transcripts of `knotgym prompt` or a recording; or
-            module:name for your own code: a function of (observation) or (observation, info,
-            generator), or an object with reset and act.
+        policy: policy: random, expert, noisy, play or pretrained; a folder written by `knotgym
+            train`; or module:name for your own code: a function of (observation) or (observation,
+            info, generator), or an object with reset and act. More are in docs/learning.md.
         noise: probability that a pull of the noisy policy is random.
         shares: shares of random, scripted, noisy and expert episodes in mixed.
         expert: settings of the expert.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import as_json
 from knotgym.common.errors import KnotgymError, MissingFile, one_line
 from knotgym.datasets.episode_dataset import EpisodeDataset, content_digest, open_episodes
-from knotgym.datasets.episodes import Episodes, differences, gauss_codes, merged
+from knotgym.datasets.episodes import Episodes, differences, distinct, gauss_codes, merged
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.envs.tasks import TaskConfig
@@ -109,6 +109,7 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "success_rate": float(own["success"].mean()) if own.rows else None,
         "simulation_failures": int(own["failed"].sum()),
         "policies": _counted(own["policy"]),
+        "distinct": distinct(own),
         "goals": _counted(gauss_codes(own["goal_visits"])),
         "bytes": size,
         "bytes_per_step": size / max(1, int(own["length"].sum())),

@@ -211,6 +211,20 @@ def _code_ids(visits: NDArray[np.int16]) -> NDArray[np.int64]:
     return np.unique(keys, return_inverse=True)[1].astype(np.int64)
 
 
+def distinct(episodes: Table) -> dict[str, int]:
+    """Count the distinct starts (rows of the states), goals (codes) and pairs of both.
+
+    A learner meets no more situations than pairs, however many episodes there are.
+    """
+    starts, goals = episodes["start"], _code_ids(episodes["goal_visits"])
+    pairs = np.unique(np.stack([starts, goals], axis=1), axis=0)
+    return {
+        "starts": len(np.unique(starts)),
+        "goals": len(np.unique(goals)),
+        "pairs": len(pairs),
+    }
+
+
 def gauss_codes(
     visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None
 ) -> NDArray[np.str_]:

@@ -78,6 +78,12 @@ class CloneTraining(Training):
         """Return the network with the averaged weights of least held-out loss."""
         return self._made(self._best)
 
+    @property
+    def kept(self) -> tuple[int, float]:
+        """The step after which these weights were judged, and their held-out loss."""
+        step, _, loss = min(self.losses, key=lambda row: row[2])
+        return int(step), loss
+
     def _made(self, weights: dict[str, Tensor]) -> CloneNetwork:
         network = CloneNetwork(self._config.width, self._config.layers)
         network.load_state_dict(weights)

@@ -89,9 +89,8 @@ def train(
 
     def recipe(place: Path) -> Recipe[str]:
         if isinstance(config, CloneConfig):
-            yield from _train_clone(opened, config, place, card, shown)
-        else:
-            yield from _train_reader(opened, config, place, card, shown)
+            return (yield from _train_clone(opened, config, place, card, shown))
+        yield from _train_reader(opened, config, place, card, shown)
         return f"{config.steps} steps"
 
     def prepare(progress: Progress) -> None:
@@ -134,7 +133,7 @@ def _train_clone(
     place: Path,
     card: dict[str, Any],
     progress: Progress,
-) -> Recipe[None]:
+) -> Recipe[str]:
     parts, count = list[Decisions](), 0
     for one in opened:
         if "macro_start" not in one.episodes.steps:
@@ -154,15 +153,19 @@ def _train_clone(
         raise InvalidInput("no episode reached its goal, so there is nothing to imitate")
     training = CloneTraining(config, decisions)
     fit(training, checkpoint_of(place), config.save_every, "clone", progress)
-    network = training.ended()
+    network, (kept, loss) = training.ended(), training.kept
     facts = {
+        "kept_step": kept,
+        "held_out_loss": loss,
         "episodes": len(np.unique(decisions.episodes)),
         "decisions": int(decisions.worked.sum()),
         "decisions_not_imitated": int((~decisions.worked).sum()),
         "held_out": first_guesses(network, decisions, config.seed),
     }
     save_clone(place, network, {**card, **facts})
-    draw_curve(place, ("training", "held_out"), training.losses)
+    draw_curve(place, ("training", "held_out"), training.losses, kept)
+    early = "; later steps fit only the training episodes" if kept < config.steps else ""
+    return f"kept step {kept} of {config.steps}, held-out loss {loss:.2f}{early}"
 
 
 def _demonstrations(config: CloneConfig) -> list[Call]:

@@ -11,7 +11,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -144,13 +143,16 @@ def _digest(kept: dict[str, Tensor]) -> bytes:
     return whole.digest()
 
 
-def draw_curve(out: Path, names: tuple[str, str], curve: Sequence[Iterable[float]]) -> None:
+def draw_curve(
+    out: Path, names: tuple[str, str], curve: Sequence[Iterable[float]], kept: int | None = None
+) -> None:
     """Write `curve.csv` and `curve.png`: two losses, the first blue and the second orange.
 
     Args:
         out: folder.
         names: of the losses.
         curve: step and both losses, at least one row; many are averaged in groups.
+        kept: the step whose weights are kept, marked by a grey line.
     """
     rows = np.array(curve, dtype=np.float64)
     groups = np.array_split(rows, range(0, len(rows), -(-len(rows) // _CURVE_ROWS))[1:])
@@ -162,14 +164,23 @@ def draw_curve(out: Path, names: tuple[str, str], curve: Sequence[Iterable[float
     width, height, edge = 640, 360, 40
     image = np.full((height, width, 3), 255, dtype=np.uint8)
     top = rows[:, 1:].max()
-    for column, colour in ((1, (31, 119, 180)), (2, (255, 127, 14))):
+    black, grey, blue, orange = (0, 0, 0), (150, 150, 150), (31, 119, 180), (255, 127, 14)
+    texts: list[tuple[str, tuple[int, int], tuple[int, ...]]] = [
+        (f"loss, 0 to {top:.2f}", (edge, 24), black),
+        (names[0].replace("_", "-"), (width // 2, 24), blue),
+        (names[1].replace("_", "-"), (width // 2 + 120, 24), orange),
+        (f"{int(rows[-1, 0])} steps", (width - 140, height - 12), black),
+    ]
+    if kept is not None:
+        at = edge + round(kept / rows[-1, 0] * (width - 2 * edge))
+        cv2.line(image, (at, edge), (at, height - edge), grey, 1)
+        texts.append((f"kept: step {kept}", (edge, height - 12), grey))
+    for column, colour in ((1, blue), (2, orange)):
         x = edge + rows[:, 0] / rows[-1, 0] * (width - 2 * edge)
         y = height - edge - rows[:, column] / top * (height - 2 * edge)
         line = np.rint(np.stack([x, y], axis=1)).astype(np.int32)
         cv2.polylines(image, [line], False, colour, 2, cv2.LINE_AA)
-    texts: list[Any] = [(f"loss, 0 to {top:.2f}", (edge, 24))]
-    texts.append((f"{int(rows[-1, 0])} steps", (width - 140, height - 12)))
-    for text, at in texts:
-        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
+    for text, place, ink in texts:
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, ink, 1, cv2.LINE_AA)
     with atomic_write(out / "curve.png") as part:
         part.write_bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())

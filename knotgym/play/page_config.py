@@ -1,6 +1,10 @@
 """The configuration of `knotgym play`; nothing here computes: the command line reads it."""
 
-from knotgym.common.configuration import Seed, Whole, configuration
+from typing import Annotated
+
+from pydantic import Field
+
+from knotgym.common.configuration import Seed, configuration
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.engines import CHAIN
 
@@ -23,4 +27,4 @@ class PageConfig:
     policy: str = "expert"
     player: str = ""
     host: str = "127.0.0.1"
-    port: Whole = 8080
+    port: Annotated[int, Field(ge=0, le=65535)] = 8080

@@ -1,4 +1,4 @@
-"""Progress of a command: a live table on a terminal, plain lines elsewhere for long runs."""
+"""Progress of a command: a live table on a terminal, else plain lines on standard error."""
 
 from __future__ import annotations
 
@@ -33,9 +33,8 @@ class Status(NamedTuple):
 class Progress:
     """Shows the progress of a run; a context manager that removes the live table at its end.
 
-    If there is no terminal, plain lines are printed from time to time: with `lines` from the first
-    moment, else on standard error after ten seconds, since the output is then a result to be piped.
-    `clock` returns seconds.
+    If there is no terminal, plain lines are printed on standard error from time to time: with
+    `lines` from the first moment, else after ten seconds. `clock` returns seconds.
     """
 
     def __init__(
@@ -48,7 +47,10 @@ class Progress:
     ) -> None:
         self._clock, self._began = clock, clock()
         self._shown: float | None = None  # when a status was shown last
-        self._first: tuple[float, Status] | None = None  # the first status and its time
+        self._done: int | None = None  # of the first status
+        # The first status with more done, and its time: what comes before it, such as compiling and
+        # starting workers, would make the time left many times too long.
+        self._first: tuple[float, Status] | None = None
         self._status: Status | None = None
         self._stage, self._count = "starting", ""
         # Keep the stream of now: `sys.stdout` is redirected while pyknotid runs, to hide its
@@ -69,13 +71,13 @@ class Progress:
             else None
         )
         self._lines, self._quiet = lines and not quiet and not live, quiet
-        self._printed = self.console if lines or console else Console(file=sys.stderr)
+        self._printed = console or Console(file=sys.stderr)
 
     def __enter__(self) -> Progress:
         if self._live:
             self._live.start(refresh=True)
         if self._lines:  # the imports that follow may take seconds
-            self.say("    0 s  starting")
+            self._tell("    0 s  starting")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -87,6 +89,9 @@ class Progress:
         if not self._quiet:
             self.console.print(text, soft_wrap=True, highlight=False, markup=False)
 
+    def _tell(self, line: str) -> None:
+        self._printed.print(line, soft_wrap=True, highlight=False, markup=False)
+
     def say_how_to_load(self, lines: Sequence[str]) -> None:
         """Print the lines of code that load the output."""
         for line in ("to load it:", *(f"    {line}" for line in lines)):
@@ -95,9 +100,9 @@ class Progress:
     def stage(self, name: str, done: int = 0, total: int = 0) -> None:
         """Set the current stage and its count; plain lines show stages until the first status."""
         if name != self._stage:
-            self._first = None
+            self._done = self._first = None
             if self._lines and self._shown is None:
-                self.say(f"{self._clock() - self._began:5.0f} s  {name}")
+                self._tell(f"{self._clock() - self._began:5.0f} s  {name}")
         self._stage, self._count = name, f" {done} of {total}" if total else ""
 
     def show(self, status_of: Callable[[], Status], last: bool = False) -> None:
@@ -106,12 +111,13 @@ class Progress:
         if self._quiet or (self._shown is not None and now - self._shown < every and not last):
             return
         self._shown, self._status = now, status_of()
-        self._first = self._first or (now, self._status)
+        if self._done is None:
+            self._done = self._status.done
+        elif self._first is None and self._status.done > self._done:
+            self._first = now, self._status
         if self._lines or (not self._live and now - self._began >= _LINE_EVERY):
             line = "; ".join(f"{name} {value}" for name, value in self._facts().items())
-            self._printed.print(
-                f"{now - self._began:5.0f} s  {line}", soft_wrap=True, highlight=False
-            )
+            self._tell(f"{now - self._began:5.0f} s  {line}")
 
     def _facts(self) -> dict[str, str]:
         """Return the values to show now, by name."""
@@ -120,7 +126,6 @@ class Progress:
         done, total, counted, other = self._status
         facts = {counted: f"{done} of {total}", **other}
         since, first = self._first or (0.0, self._status)
-        # without the work of a resumed run
         if first.done < done < total:
             left = (self._clock() - since) * (total - done) / (done - first.done)
             facts["time left, about"] = _duration(left)

@@ -7,6 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,20 @@ def test_a_summary_in_the_list_is_the_first_line_of_the_commands_own_help() -> N
     for name, summary in COMMANDS.items():
         command = getattr(import_module(f"knotgym.cli.{name}_command"), name)
         assert " ".join(command.help.split()) == summary
+
+
+def test_help_fits_80_columns_and_breaks_no_sentence_early(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    for words, _ in leaves(application()):
+        assert knotgym(*words, "--help") == 0
+        lines = capfd.readouterr().out.splitlines()
+        prose = [line for line in lines if line[:1] not in tuple("\u2502\u256d\u2570")]
+        for line, following in pairwise(prose):
+            assert not line.startswith("    ") or not following.strip(), line  # a command in two
+            first = following.partition(" ")[0]
+            assert not (line and first) or len(line.rstrip()) + 1 + len(first) >= 80, (line, words)
 
 
 def test_what_is_typed_counts_before_a_setting_and_a_setting_before_a_file(
@@ -210,6 +225,24 @@ REFUSED = [
     ("prompt", "name the model to ask: --model NAME"),
     ("prompt --model m --base-url file:///dev/zero", "the base URL must be"),
     ("prompt --model m --mode read", "takes a folder of pictures"),
+    ("play --port 80808", "port must be at most 65535, got 80808"),
+    ("play --port x", "--port takes a whole number, got 'x'"),
+    ("play --policy expert --task plait", "must be one of unknot, tie, convert"),
+    ("collect --states {absent}", "no knotgym-states file at {absent}"),
+    ("collect --states {text}", "text"),
+    ("evaluate --states {absent} --policy random", "no knotgym-states file at {absent}"),
+    ("evaluate --out {new}/a.json --episodes 0", "episodes must be at least 1, got 0"),
+    ("evaluate --video {new}.webp --episodes 1", "webp"),
+    ("evaluate --resume", "--resume and --restart need the --out of the evaluation"),
+    ("train --learner forest --out {new}", "no learner 'forest'; there is pictures, clone"),
+    ("train --out {new}", "nothing to learn from: name datasets"),
+    ("train --data {absent} --out {new}", "absent"),
+    ("train --set clone.nx=2 --out {new}", "settings of the clone are for --learner clone"),
+    ("generate --nx 3 --count 0", "count must be at least 1, got 0"),
+    ("generate --nx x", "--nx takes whole numbers such as 3, 2,3 or 0-4, got 'x'"),
+    ("dataset verify {absent}", "absent"),
+    ("dataset page {states} --out {new}", "the output must end in .html"),
+    ("dataset replay {states} --row 9999 --out {new}.gif", "there is no row 9999"),
     ("dataset x", 'Unknown command "x"'),
     ("dataset show", "parameter PATH-OR-ID requires an argument"),
     ("dataset show {absent}", "absent"),

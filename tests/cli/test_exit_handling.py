@@ -29,12 +29,12 @@ def interrupted_in_compiled_code() -> Exception:
         (InvalidFile("a.h5 is\ncorrupted"), 2, "a.h5 is corrupted"),
         (MissingExtra("torch", "pip install x"), 2, "this needs torch, which isn't installed"),
         (Failed("3 of 4 codes were made"), 1, "3 of 4 codes were made"),
-        (BrokenProcessPool(), 1, "a worker died or memory ran out; finished work is kept"),
+        (BrokenProcessPool(), 1, "a worker died or memory ran out"),
         (MemoryError(), 1, "a worker died or memory ran out"),
         (OSError(28, "full", "a.h5"), 1, "No space left on device a.h5"),
         (OSError(36, "long", "a"), 2, "File name too long a"),
-        (KeyboardInterrupt(), 130, "interrupted; no partial output is left\n"),
-        (interrupted_in_compiled_code(), 130, "interrupted; no partial output is left\n"),
+        (KeyboardInterrupt(), 130, "interrupted before all output was written\n"),
+        (interrupted_in_compiled_code(), 130, "interrupted before all output was written\n"),
     ],
 )
 def test_an_end_is_one_line(
@@ -63,7 +63,7 @@ def test_a_fault_of_our_own_is_not_called_the_users_mistake(
     assert said.splitlines()[-1].startswith("knotgym: this is a bug in knotgym: please report it")
 
 
-def test_an_interrupted_run_names_resume(
+def test_an_interrupted_run_names_resume_and_where_its_work_is(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def stopped(*_: object, **__: object) -> None:
@@ -72,8 +72,8 @@ def test_an_interrupted_run_names_resume(
     monkeypatch.setattr("knotgym.generate.episodes.evaluate.run", stopped)
     assert knotgym("evaluate") == 130
     assert capfd.readouterr().err == (
-        "knotgym: interrupted; no partial output is left, --resume continues from the last"
-        " checkpoint\n"
+        "knotgym: interrupted before all output was written; finished work, if any, is in"
+        " .NAME.partial beside it: --resume continues, --restart deletes it\n"
     )
 
 

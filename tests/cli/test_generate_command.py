@@ -197,8 +197,8 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> 
     wait_for_file(run, tmp_path, "journal")
     os.kill(run.pid, signal.SIGTERM)
     _, error = run.communicate(timeout=SECONDS)
-    assert run.returncode == 130 and error.startswith("knotgym: interrupted; no partial output is ")
-    assert len(error.splitlines()) == 1 and "--resume continues from the last" in error
+    assert run.returncode == 130 and error.startswith("knotgym: interrupted before all output ")
+    assert len(error.splitlines()) == 1 and "--resume continues, --restart deletes it" in error
     # without any work done, not even the staging folder is left
     assert {path.name for path in tmp_path.iterdir()} <= {".a.partial"}
 

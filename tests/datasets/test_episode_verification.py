@@ -15,7 +15,7 @@ from knotgym.datasets import show_episodes
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episode_verification import expanded, verify_episodes
-from knotgym.datasets.episodes import Episodes, differences
+from knotgym.datasets.episodes import Episodes, differences, distinct, gauss_codes
 from knotgym.envs.tasks import TaskConfig
 
 Change = Callable[[NDArray[np.generic]], None]
@@ -131,3 +131,11 @@ def test_a_summary_counts_what_is_there() -> None:
     found = show_episodes(TINY["expert"])
     assert (found["episodes"], found["successes"], found["success_rate"]) == (3, 3, 1.0)
     assert found["policies"] == {"expert": 3} and found["form"] == "columns"
+
+
+def test_a_summary_says_how_many_situations_the_episodes_are() -> None:
+    good = open_episodes(TINY["expert"]).episodes
+    twice = good.select([0, 1, 2, 0, 1, 2]).episodes
+    starts, goals = set(twice["start"].tolist()), {*gauss_codes(twice["goal_visits"]).tolist()}
+    assert distinct(twice) == {"starts": len(starts), "goals": len(goals), "pairs": 3}
+    assert show_episodes(TINY["expert"])["distinct"] == distinct(twice)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -135,6 +136,7 @@ def test_the_folder_has_card_citation_gallery_and_croissant(huggingface: Path) -
         path.name for path in huggingface.iterdir()
     }
     card = (huggingface / "README.md").read_text(encoding="utf-8")
+    assert re.search(r"nx 2, split train: \d+ distinct starts and \d+ goals, in \d+ pairs", card)
     assert "license: cc-by-4.0" in card and "| `goal_gauss_code` |" in card
     described = json.loads((huggingface / "croissant.json").read_text(encoding="utf-8"))
     assert described["license"].endswith("by/4.0/")
@@ -168,6 +170,7 @@ def test_minaris_folder_is_a_repository_of_the_same_bytes(root: Path, tmp_path: 
     export(str(root), tmp_path / "up", "minari", replay)
     (repository,) = (tmp_path / "up").iterdir()
     assert {"README.md", "CITATION.cff", "gallery.png"} < {one.name for one in repository.iterdir()}
+    assert "| starts | goals | pairs |" in (repository / "README.md").read_text()
     listed = json.loads((repository / "namespace_metadata.json").read_text())["datasets"]
     assert listed == [ID]
     for file in (root / ID / "data").iterdir():

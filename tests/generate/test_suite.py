@@ -12,7 +12,7 @@ import pytest
 
 from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets.episode_dataset import FILE, open_episodes, write_episodes
-from knotgym.datasets.episodes import Episodes, differences
+from knotgym.datasets.episodes import Episodes, differences, distinct
 from knotgym.generate.episodes import suite as module
 from knotgym.generate.episodes.collect import run_facts
 from knotgym.generate.episodes.suite import SETUPS, make_suite
@@ -67,6 +67,8 @@ def test_a_set_is_rebuilt_by_stepping_alone_and_the_card_describes_it(made: Path
     assert set(episodes.episodes["policy"].tolist()) == {"expert"}
     page = (made / "knotgym" / "README.md").read_text()
     assert all(f"`{name}`" in page for name in sets) and "## Protocol" in page
+    own = distinct(episodes.episodes)
+    assert {name: expert[name] for name in own} == own and "| starts | goals | pairs |" in page
 
 
 def test_a_set_whose_actions_were_zeroed_is_not_the_same(made: Path, tmp_path: Path) -> None:

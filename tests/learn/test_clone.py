@@ -102,6 +102,9 @@ def test_demonstrations_are_made_on_the_way_by_any_number_of_workers(tmp_path: P
     one, other = (train([], tmp_path / name, config) for name in ("one", "other"))
     card = json.loads((one / "policy.json").read_text())
     assert card["episodes"] == 6 and card["decisions"] >= 6
+    curve = np.genfromtxt(one / "curve.csv", delimiter=",", names=True)
+    assert card["held_out_loss"] == pytest.approx(np.min(curve["held_out"]), abs=1e-4)
+    assert card["kept_step"] in curve["step"]
     assert weights(one) == weights(other)
 
 

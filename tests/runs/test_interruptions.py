@@ -91,7 +91,7 @@ def test_asked_to_stop_twice_it_says_so_once(tmp_path: Path) -> None:
         time.sleep(0.01)
     error = stopped.communicate(timeout=SECONDS)[1]
     assert stopped.returncode == 130
-    assert error.startswith("knotgym: interrupted; ") and error.count("\n") == 1
+    assert error.startswith("knotgym: interrupted before ") and error.count("\n") == 1
 
 
 def descendants(process: int, named: str) -> list[int]:

@@ -97,13 +97,18 @@ def test_a_plain_run_says_something_before_it_imports_anything(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with Progress():
-        assert capsys.readouterr().out == "    0 s  starting\n"
+        assert capsys.readouterr() == ("", "    0 s  starting\n")
 
 
 def test_the_time_left_is_told_where_it_can_be_and_grows_while_nothing_happens() -> None:
     assert "time left" not in shown(0, 0)
-    first, second = re.findall(r"about (\d+) s", shown(0, 8, 8))
+    first, second = re.findall(r"about (\d+) s", shown(0, 2, 8, 8))
     assert int(second) > int(first)
+
+
+def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:
+    assert "time left" not in shown(*[0] * 9, 1)  # compiling, starting workers
+    assert re.findall(r"about (\d+) s", shown(*[0] * 9, 1, 9)) == ["5"]
 
 
 def test_a_long_run_whose_output_is_a_result_tells_on_standard_error(
@@ -113,4 +118,4 @@ def test_a_long_run_whose_output_is_a_result_tells_on_standard_error(
     progress = Progress(lines=False, clock=lambda: next(times))
     for done in range(4):
         progress.show(partial(Status, done, 4, "episodes"))
-    assert capfd.readouterr() == ("", "   12 s  episodes 2 of 4; time left, about 11 s\n")
+    assert capfd.readouterr() == ("", "   12 s  episodes 2 of 4\n")

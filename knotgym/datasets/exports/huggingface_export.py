@@ -31,6 +31,7 @@ from knotgym.datasets.cards.citation import (
 )
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of
+from knotgym.datasets.episodes import distinct
 from knotgym.datasets.exports.croissant import croissant
 from knotgym.datasets.exports.parquet_tables import step_tables, write_parquet
 from knotgym.datasets.gallery import state_tiles, write_gallery
@@ -77,6 +78,13 @@ def to_huggingface(source: Located, out: Path, overwrite: bool = False) -> str:
             f"{', '.join(f'{count} {config}' for config, count in rows.items())} of a closed rope"
             f" in MuJoCo, labelled with Gauss codes; made by knotgym {knotgym.__version__}."
         )
+        for one in map(columns_of, source.episodes):
+            starts, goals, pairs = distinct(one.episodes.episodes).values()
+            task = one.task
+            description += (
+                f" Episodes of {task.task}, nx {task.nx}, split {task.split}: {starts} distinct"
+                f" starts and {goals} goals, in {pairs} pairs."
+            )
         write_text(folder / "README.md", _card(source.title, description, files, gallery))
         described = croissant(folder, source.title, description)
         write_text(folder / "croissant.json", json.dumps(described, indent=1))

@@ -16,9 +16,12 @@ from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of, episode_file
+from knotgym.datasets.episodes import distinct
 from knotgym.datasets.gallery import episode_tiles, write_gallery
 from knotgym.datasets.located import Located
 from knotgym.datasets.minari_form import METADATA, dataset_files, metadata_of, write_minari
+
+_HEAD = ("dataset", "episodes", "steps", "starts", "goals", "pairs", "policy")
 
 
 def to_minari(source: Located, out: Path, overwrite: bool) -> str:
@@ -30,7 +33,7 @@ def to_minari(source: Located, out: Path, overwrite: bool) -> str:
         Occupied: `out` exists, and `overwrite` is False.
     """
     require_output(out, folder=True, overwrite=overwrite)
-    entries: dict[str, tuple[int, int, str]] = {}
+    entries: dict[str, tuple[object, ...]] = {}
     sources: dict[str, Path] = {}
     for dataset in source.episodes:
         opened, data = columns_of(dataset), episode_file(dataset).parent
@@ -42,7 +45,8 @@ def to_minari(source: Located, out: Path, overwrite: bool) -> str:
         name, own = metadata.dataset_id, opened.episodes.episodes
         if name in sources:
             raise InvalidInput(f"two datasets have the id {name}: {sources[name]} and {data}")
-        entries[name] = own.rows, int(own["length"].sum()), metadata.algorithm_name
+        steps, counts = int(own["length"].sum()), distinct(own).values()
+        entries[name] = (own.rows, steps, *counts, metadata.algorithm_name)
         sources[name] = data
     words = {name.partition("/")[0] for name in sources}
     if len(words) != 1 or any("/" not in name for name in sources):
@@ -67,11 +71,11 @@ def to_minari(source: Located, out: Path, overwrite: bool) -> str:
     return f"a Minari root with {len(sources)} datasets; upload the folder in it"
 
 
-def _card(repository: str, entries: dict[str, tuple[int, int, str]]) -> str:
+def _card(repository: str, entries: dict[str, tuple[object, ...]]) -> str:
     rows = [tuple(map(plain, (name, *entry))) for name, entry in sorted(entries.items())]
     return filled(
         "minari_card.md",
         repository=plain(repository),
         first=json.dumps(rows[0][0]),
-        datasets=table(("dataset", "episodes", "steps", "policy"), rows),
+        datasets=table(_HEAD, rows),
     )

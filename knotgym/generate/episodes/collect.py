@@ -18,7 +18,7 @@ from knotgym.common.atomic_files import require_output, sha256
 from knotgym.common.configuration import as_json, differences
 from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
 from knotgym.common.tables import Table
-from knotgym.control.policies import make_policy
+from knotgym.control.policies import compile_planning, make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_dataset import FILE, open_episodes
@@ -116,7 +116,12 @@ def collect(
         identity(config, source),
         options,
         progress,
-        prepare=lambda shown: compile_first(shown, config.task.engine, options.workers),
+        prepare=lambda shown: compile_first(
+            shown,
+            config.task.engine,
+            options.workers,
+            plan=compile_planning if config.policy.plans else None,
+        ),
         count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},
         sources=read,
         made_by=_identity_of,

@@ -147,7 +147,7 @@ def _write_card(
 def _card_of(report: Mapping[str, Any]) -> str:
     """Return the card of the benchmark as Markdown; `report` is the content of suite.json."""
     sets = report["sets"]
-    columns = "id states split engine policy seed episodes steps".split()
+    columns = "id states split engine policy seed episodes steps starts goals pairs".split()
     head = (*columns, "MB", "as recorded", "SHA-256 of starts and pulls")
     rows, played = [], []
     for name, one in sorted(sets.items()):

@@ -8,6 +8,7 @@ from typing import Any
 from knotgym.common.errors import InvalidInput, KnotgymError, one_line
 from knotgym.control.planning import first_goal
 from knotgym.datasets.episode_dataset import content_digest, open_episodes
+from knotgym.datasets.episodes import distinct
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import run_facts
@@ -52,6 +53,7 @@ def describe_set(made: Path) -> dict[str, Any]:
         "episodes": rows.rows,
         "succeeded": int(rows["success"].sum()),
         "steps": int(rows["length"].sum()),
+        **distinct(rows),
         "bytes": sum(file.stat().st_size for file in files),
         "sha256": content_digest(episodes),
         "versions": versions,

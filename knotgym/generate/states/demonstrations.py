@@ -26,7 +26,6 @@ from knotgym.generate.episodes.blocks import as_result, from_result
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows, joined
-from knotgym.rope.engines import CHAIN
 from knotgym.runs.run import Call, Recipe
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import States, demonstrations_id
@@ -147,12 +146,6 @@ def demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int)
     policy = make_policy(PolicyConfig(policy="expert" if attempt < _EXPERT else "planner"))
     played = rollouts(policy, task, starts, attempt=attempt)
     return as_result(played.select(played.episodes["success"]))
-
-
-def compile_planning() -> None:
-    """Compile what the expert needs, by two pulls of an episode in the chain engine."""
-    task = TaskConfig(task="tie", nx=2, engine=CHAIN, horizon=2, observation="state")
-    rollouts(make_policy(PolicyConfig(policy="expert")), task, [0])
 
 
 def _task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
+from knotgym.control.policies import compile_planning
 from knotgym.datasets.finished_folders import finish_states
 from knotgym.generate.states.demonstrations import (
-    compile_planning,
     demonstrated,
     demonstrated_nx,
     publish_demonstrations,
