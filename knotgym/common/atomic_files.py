@@ -189,7 +189,7 @@ def _rename(part: Path, target: Path, flag: int) -> None:
 
 
 def _aside(target: Path) -> Path:
-    return target.with_name(f".replaced-{target.name}")
+    return target.parent / f".replaced-{target.name}"
 
 
 def _put_back(target: Path) -> None:

@@ -76,8 +76,6 @@ class Progress:
     def __enter__(self) -> Progress:
         if self._live:
             self._live.start(refresh=True)
-        if self._lines:  # the imports that follow may take seconds
-            self._tell("    0 s  starting")
         return self
 
     def __exit__(self, *_: object) -> None:

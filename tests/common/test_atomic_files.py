@@ -147,6 +147,7 @@ def make(kind: str, target: Path) -> None:
         ("pipe", False, "device or a pipe"),
         ("file", True, "never replaces a file"),
         ("unrelated", False, "never replaces a folder"),
+        ("", False, "never replaces a folder"),
         ("unrelated", True, "unrelated in it isn't an output of this package"),
         ("thesis", True, "isn't replaced, because thesis in it"),
     ],
@@ -154,9 +155,11 @@ def make(kind: str, target: Path) -> None:
 def test_nothing_but_an_output_is_replaced(
     tmp_path: Path, kind: str, folder: bool, message: str
 ) -> None:
-    make(kind, tmp_path / "out")
+    out = tmp_path / "out" if kind else Path()  # as `--out ''` gives it
+    if kind:
+        make(kind, out)
     with pytest.raises(Occupied, match=message):
-        require_output(tmp_path / "out", folder=folder, overwrite=True)
+        require_output(out, folder=folder, overwrite=True)
 
 
 @pytest.mark.parametrize("source", [".", "out", "out/part.h5", "linked"])
