@@ -93,7 +93,7 @@ def shown(*done: int) -> str:
     return written.getvalue()
 
 
-def test_a_plain_run_says_something_before_it_imports_anything(
+def test_a_plain_run_says_nothing_before_its_first_stage(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with Progress():
