@@ -66,6 +66,21 @@ def test_a_link_planted_in_a_folder_is_not_followed(
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 
+def test_a_set_shares_no_file_with_the_states_it_was_made_from(
+    states_path: str, tmp_path: Path
+) -> None:
+    words = f"collect {PLAY} --policy random --episodes 1 --set task.horizon=2 --id a/b-v0"
+    assert typed(*words.split(), "--states", states_path, "--out", tmp_path) == 0
+    made = tmp_path / "a" / "b-v0"
+    select = f"dataset select {made} --sample 1 --id a/c-v0 --out {tmp_path} --quiet"
+    assert typed(*select.split()) == 0
+    own = [
+        Path(states_path),
+        *(path / "data" / "states.h5" for path in (made, made.parent / "c-v0")),
+    ]
+    assert len({path.stat().st_ino for path in own}) == 3
+
+
 Change = Callable[[NDArray[Any]], Any]
 
 
