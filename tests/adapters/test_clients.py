@@ -62,8 +62,11 @@ def played_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with Recorder(TASK, 0, ID, "Ann", home / "minari") as recorder:
         for number in range(12):  # OGBench's files put every tenth episode aside
             session = Session(TASK, 0, number)
-            for bead in range(1 + number % 3):
-                session.pull(20 * bead, (1, 0.5, 0.5))
+            bead, points = 5 * number, np.asarray(session.points).reshape(-1, 3)
+            across = points.mean(axis=0) - points[bead]  # some ropes end with crossings
+            force = (*(1.4 * across / np.linalg.norm(across)).clip(-1, 1)[:2].tolist(), 0.4)
+            for _ in range(3 if number % 2 == 0 else TASK.horizon):
+                session.pull(bead, force)
             recorder.finish(number, session.pulls)
     return home
 
