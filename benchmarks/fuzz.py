@@ -212,7 +212,7 @@ def fresh(made: Path, room: Path) -> None:
 
 
 def copied(source: str, target: str) -> None:
-    """Copy a file with its times; a pipe is made anew."""
+    """Copy a file with its times; a new pipe is made for a pipe."""
     if Path(source).is_fifo():
         os.mkfifo(target)
     else:

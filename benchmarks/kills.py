@@ -5,7 +5,7 @@
 A small run of each kind is made once without a break. Then the same is begun, killed at a random
 moment (SIGKILL) of the time that took, or every second time of that in which it writes, and begun
 again, with --resume where the command has it, until it was killed so often; one that is done before
-its kill is begun anew elsewhere, every second time over an older output, with --overwrite. After a
+its kill is begun again elsewhere, every second time over an older output, with --overwrite. After a
 kill each output is absent, the older one or the right one, whole; sources never change; a finished
 run has the right bytes. Recipes are also run by 2 and 7 workers, and as three shards that are
 merged. Kinds that --out already tells aren't run again.
@@ -63,36 +63,36 @@ KINDS = {
     "images": Kind("images --nx 0,1 --count 8 --engine chain --seed {n} --out {o}", True, True),
     "suite": Kind("suite --task unknot --nx 2 --split train --states readable --policy random,noisy"
                   " --episodes random=2,noisy=1{n} --seed 1 --out {o}", True, False, 4),
-    "reader": Kind("train --data {s}/root/knotgym/tie-nx2/three-v0 --steps 6 --set batch=2"
+    "reader": Kind("train --data {s}/sets/knotgym/tie-nx2/three-v0 --steps 6 --set batch=2"
                    " --set save_every=2 --seed {n} --out {o}", True),
     "clone": Kind("train --learner clone --steps 6 --set clone.demonstrations=3 --seed {n}"
                   " --set clone.save_every=2 --set clone.batch=4 --out {o}", True),
     "prompt": Kind("prompt --task unknot --nx 1 --episodes 2 --set task.horizon=4 --seed {n}"
                    " --set task.image_size=32 --model m --base-url {url} --out {o}"),
     "play": Kind(""),
-    "select": Kind(f"dataset select {{s}}/root/{ID} --sample 4 --out {{o}} --id knotgym/x-v0"),
+    "select": Kind(f"dataset select {{s}}/sets/{ID} --sample 4 --out {{o}} --id knotgym/x-v0"),
     "split": Kind("dataset split {s}/set --parts train=0.5,test=0.5 --out {o}.h5"),
     "delete": Kind("dataset delete {s}/set --rows 0 --out {o}.h5"),
-    "merge": Kind(f"dataset merge {{s}}/root/{ID} {{s}}/root/{OTHER} --out {{o}}"
+    "merge": Kind(f"dataset merge {{s}}/sets/{ID} {{s}}/sets/{OTHER} --out {{o}}"
                   " --id knotgym/x-v0"),
     "import": Kind("dataset import {s}/curves.csv --out {o}.h5"),
     "curves": Kind("dataset export {s}/set --to curves --out {o}.csv"),
     "compact": Kind("dataset export {s}/set --to compact --out {o}"),
-    "recording": Kind(f"dataset export {{s}}/root/{ID} --to recording --out {{o}}.h5"),
-    "ogbench": Kind(f"dataset export {{s}}/root/{ID} --to ogbench --out {{o}}"),
+    "recording": Kind(f"dataset export {{s}}/sets/{ID} --to recording --out {{o}}.h5"),
+    "ogbench": Kind(f"dataset export {{s}}/sets/{ID} --to ogbench --out {{o}}"),
     "huggingface": Kind("dataset export {s}/set --to huggingface --out {o}"),
-    "minari": Kind(f"dataset export {{s}}/root/{ID} --to minari --out {{o}}"),
+    "minari": Kind(f"dataset export {{s}}/sets/{ID} --to minari --out {{o}}"),
     "gallery": Kind("dataset gallery {s}/set --out {o}.png"),
     "page": Kind("dataset page {s}/set --out {o}.html"),
-    "replay": Kind(f"dataset replay {{s}}/root/{ID} --out {{o}}.gif"),
+    "replay": Kind(f"dataset replay {{s}}/sets/{ID} --out {{o}}.gif"),
     "demo": Kind("demo --out {o}"),
 }  # fmt: skip
 PLAYED = TaskConfig(task="tie", nx=2, horizon=6, engine="chain")
 SOURCES = (
     f"generate {KNOT} --seed {{n}} --out {{o}}/set",
-    f"collect {TASK} --episodes 6 --observation state --seed {{n}} --id {ID} --out {{o}}/root",
-    f"collect {TASK} --episodes 6 --observation state --seed 3{{n}} --id {OTHER} --out {{o}}/root",
-    f"collect {READER} --seed {{n}} --id knotgym/tie-nx2/three-v0 --out {{o}}/root",
+    f"collect {TASK} --episodes 6 --observation state --seed {{n}} --id {ID} --out {{o}}/sets",
+    f"collect {TASK} --episodes 6 --observation state --seed 3{{n}} --id {OTHER} --out {{o}}/sets",
+    f"collect {READER} --seed {{n}} --id knotgym/tie-nx2/three-v0 --out {{o}}/sets",
     "dataset export {o}/set --to curves --out {o}/curves.csv",
 )
 

@@ -7,7 +7,7 @@ measurement of the same policy on the same states, and makes `docs/benchmark.md`
 The column `learner` names the row of the page in which a measurement counts: policies with one
 name there are seeds of one learner. Empty it in the CSV where a later measurement supersedes it.
 Files of one cell that were played with different seeds are counted together; the same episodes
-twice, and files without digests, are refused. Without files it makes the page anew.
+twice, and files without digests, are refused. Without files it makes the page again.
 """
 
 from __future__ import annotations

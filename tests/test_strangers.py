@@ -141,6 +141,14 @@ def test_a_selection_of_another_form_is_one_line(
     assert [one.name for one in tmp_path.iterdir()] == ["set.h5"]
 
 
+def test_a_state_file_is_not_by_vertices_because_it_says_so(
+    states_path: str, tmp_path: Path
+) -> None:
+    write_states(tmp_path / "a.h5", read_states(states_path).replaced({}, form="vertices"))
+    found = knotgym.verify(tmp_path / "a.h5")
+    assert any("quality/margin is missing" in fault for fault in found)
+
+
 @pytest.mark.parametrize("command", ["merge {0} --id a/b-v0", "select {0} --sample 1 --id a/b-v0"])
 def test_states_that_a_file_names_elsewhere_are_not_published(
     command: str, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]

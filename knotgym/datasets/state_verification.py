@@ -28,17 +28,14 @@ from knotgym.states.derivation import row_faults
 from knotgym.states.near_duplicates import repeated
 from knotgym.states.schema import DRAWING, IMPORT, PLAY, RANDOM_WALK, STATES
 from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.state_file import States, read_states
+from knotgym.states.state_file import BY_VERTICES, States, read_states
 from knotgym.topology.gauss import GaussCode
 
 # in your own files quality and source may be missing, but then rows can't be verified
-# groups may be incomplete when they are read, not when they are verified
 _REQUIRED = {c.name for c in STATES.columns if not c.optional or "/" in c.name} - {
     *("image", "source/actions")
 }
 _BATCH = 64  # rows replayed in one simulation
-# metres; tolerance for a start that is drawn again from its seed: other processors round
-# differently and the relaxation amplifies that. Replays from the stored start must be exact.
 # the streams that the seeds of rows are keys of, by the policy that led to them
 _STREAMS = {
     DRAWING: Stream.DRAWING,
@@ -46,6 +43,8 @@ _STREAMS = {
     RANDOM_WALK: Stream.RANDOM_WALK,
     IMPORT: Stream.IMPORT,
 }
+# metres; tolerance for a start that is drawn again from its seed: other processors round
+# differently and the relaxation amplifies that. Replays from the stored start must be exact.
 _REDRAWN = 1e-4
 # metres; the chain engine's qpos are computed from its points, and back with rounding
 _CONVERTED = 1e-9
@@ -65,12 +64,9 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     except InvalidInput as error:
         yield f"states.h5: {error}"
         return
-    required = {
-        name
-        for name in _REQUIRED
-        if "quality/" not in name or states.attributes.get("form") != "vertices"
-    }
-    missing = sorted(required - {*states.table})
+    missing = sorted(_REQUIRED - {*states.table})
+    if states.attributes.get("form") == BY_VERTICES:  # they have no measures
+        missing = [name for name in missing if not name.startswith("quality/")]
     drawn = set(states.source.get("policy", ())) <= {RANDOM_WALK}
     if "source/actions" not in states.table and not drawn:
         missing.append("source/actions")

@@ -13,8 +13,8 @@ whose force leaves [-1, 1] is dropped: after a turn, a strong pull may have a la
 
 Observations may be vertices ("state"), codes ("symbolic") or pictures; pictures and actions of the
 view "bead" have images only under quarter turns and mirrors, and switching and reversing change
-their colours, so `drawn` has `of_pictures`. "marked" needs none: it shows every image of a state
-alike, which serves a learner better than images do, but no other observation has that.
+their colours, so `drawn` has `of_pictures`. "marked" needs none: it shows all images of a state
+alike.
 """
 
 from collections.abc import Mapping

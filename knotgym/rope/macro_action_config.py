@@ -42,7 +42,7 @@ class MacroActionConfig:
 
     # `stride` is about what is measured: at full force the pulled bead moves by 48 mm in an action
     # on average. The others were set by hand when play made the states (2026), and no record says
-    # what other values gave. A change needs the table of moves made anew (`benchmarks/moves.py`),
+    # what other values gave. A change needs the table of moves made again (`benchmarks/moves.py`),
     # and `expert` and `planner` must succeed as often as docs/benchmark.md says.
     shares: tuple[float, float, float, float] = (0.4, 0.25, 0.1, 0.25)
     arrived: Positive = 0.012

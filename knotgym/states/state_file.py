@@ -39,6 +39,7 @@ from knotgym.topology.notation import dt_text, pd_text
 from knotgym.topology.symmetry import diagram_form
 
 _ACTIONS = "source/actions"
+BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
 _OVERLAP = 0.003  # metres; strands that push against each other in the simulator overlap less
 
 
@@ -315,6 +316,7 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         (table,), attributes = read(path, VERTICES, format=VERTICES_FORMAT)
         return _laid(table, attributes, images=images)
     (table,), attributes = read(path, STATES if images else WITHOUT_IMAGES, format=FORMAT)
+    attributes.pop("form", None)  # the reader's word for a file by vertices, not a file's own
     for name in (*ATTRIBUTES, DIGEST):
         kinds = (dict, list) if name == "config" else str
         if name in attributes and not isinstance(attributes[name], kinds):
@@ -359,7 +361,7 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
         from knotgym.rendering.picture import draw
 
         columns["image"] = np.stack([draw(one) for one in points])
-    return States.of(columns, {**attributes, "form": "vertices"})
+    return States.of(columns, {**attributes, "form": BY_VERTICES})
 
 
 def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:

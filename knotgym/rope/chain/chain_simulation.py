@@ -107,13 +107,6 @@ class ChainSimulation(Simulation):
         self._states[where] = np.reshape(states, (len(where), *self._states.shape[1:]))
         self.points[where] = self._states[where, :, POSITION]
 
-    def at_rest(self, ids: Ids = None) -> Array:
-        """Copy of the states without their velocities: float64 (len(ids), beads * layout.STATE)."""
-        states = self._states[self._all(ids)]
-        # velocities of vertices and spins; positions and sides stay
-        states[:, :, VELOCITY] = states[:, :, layout.SPUN] = 0.0
-        return states.reshape(len(states), -1)
-
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
         """Reset ropes to rest at generalized positions float64 (len(ids), nq).
 

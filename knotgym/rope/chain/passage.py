@@ -98,8 +98,8 @@ def judge(
     # both comparisons are false at a NaN, so a lane that isn't finite is rejected here
     for lane in range(LANES):
         accepted[lane] = spot[0, lane] < LEAP and spot[1, lane] < 2e-3 * length * length
-    # The list was made for slow vertices; for a fast one it is made anew, wider, and for all lanes,
-    # which changes nothing for the slow: their other pairs are too far apart to be rejected.
+    # The list was made for slow vertices; a fast one needs a wider one, which all lanes then share.
+    # That changes nothing for the slow: their other pairs are too far apart to be rejected.
     if any_below(-widest, -STROLL):
         middles(x, middle)
         list_pairs(middle, FAR_APART, wider)

@@ -23,7 +23,7 @@ def two_passes(ropes: BatchedSearch, bead: int) -> Search[Report]:
     return landing
 
 
-START = [BatchedSearch(1, CONFIG).ropes.at_rest()[0]]
+START = [BatchedSearch(1, CONFIG).ropes.states()[0]]
 
 
 def test_searches_find_the_same_in_any_company(ropes: BatchedSearch) -> None:
