@@ -302,9 +302,9 @@ class PassPlayer(Player):
         beads, forces = follower.beads[ready], follower.forces(points, ready)
         macros = np.column_stack([self._taken[ready] == 0, self._moves[ready]])
         idle = follower.idle[ready]  # the goal is shown: without force the rope settles
-        beads[idle], macros[idle] = 0, 0
-        self._taken[ready] += 1
         by_pulls = self._by_pulls[ready]
+        beads[idle], macros[idle | by_pulls] = 0, 0  # single pulls are part of no pass
+        self._taken[ready] += 1
         if by_pulls.any():
             beads[by_pulls], forces[by_pulls] = self._last_resort.pulls(ready[by_pulls])
         return Pulls(ready, beads, forces, macros)

@@ -51,6 +51,14 @@ def test_where_no_pass_is_found_pulls_are_planned() -> None:
     assert differences(found, alone) == []
 
 
+def test_pulls_planned_one_by_one_are_labelled_as_part_of_no_pass() -> None:
+    task = replace(TASK, nx=3, split="train", engine="mujoco")
+    steps = rollouts(PassPlanner(), task, [9]).steps  # a pass ends short of its last waypoint
+    led = steps["macro_side"] != 0
+    assert 0 < led.sum() < len(led) - 2
+    assert (steps["macro_bead"][led] == steps["bead"][led]).all()
+
+
 def test_a_rope_is_left_alone_when_the_budget_is_used_up() -> None:
     found = rollouts(PullPlanner(PullPlannerConfig(budget=0)), TASK, range(2))
     assert (found.episodes["planned"] == 0).all() and not found.steps["force"].any()
