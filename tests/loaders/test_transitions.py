@@ -60,7 +60,11 @@ BEFORE = np.concatenate([np.arange(n) + k + sum(LENGTHS[:k]) for k, n in enumera
 OWNERS = np.repeat(np.arange(S), LENGTHS)
 
 
-def test_arrays_are_aligned(made: Episodes, path: Path) -> None:
+@pytest.mark.parametrize("block", [5, 1024])
+def test_arrays_are_aligned(
+    made: Episodes, path: Path, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("knotgym.loaders.drawn_frames._BLOCK", block)  # of states that are copied
     held = arrays(path)
     goals = made.episodes["goal_points"][OWNERS]
     np.testing.assert_array_equal(held["observations"], state_of(made, BEFORE, goals))
