@@ -76,12 +76,13 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
         for k in sorted(found)
         for row in _shown(found[k], goals[k], config.copies, elsewhere, rngs[k])
     ]
-    episodes, points, codes, macros, worked = zip(*rows, strict=True)
+    # none where the order of the passes knows no way to any of the goals
+    episodes, points, codes, macros, worked = zip(*rows, strict=True) if rows else ((),) * 5
     decisions = Decisions(
-        np.array(points, dtype=np.float32),
-        np.array([str(code) for code in codes]),
-        np.array(macros, dtype=np.int64),
-        np.array(worked),
+        np.array(points, dtype=np.float32).reshape(-1, setup.beads, 3),
+        np.array([str(code) for code in codes], dtype=np.str_),
+        np.array(macros, dtype=np.int64).reshape(-1, 3),
+        np.array(worked, dtype=np.bool_),
         np.array(episodes, dtype=np.int64),
     )
     return examples(decisions)._asdict()
