@@ -309,11 +309,14 @@ def episode_file(source: Any) -> Path:
             that Minari would find.
 
     Raises:
+        InvalidInput: the source is nothing of these.
         MissingFile: there is no such file.
         InvalidFile: a run has demonstrations of several crossing numbers.
     """
     if hasattr(source, "storage"):
         source = source.storage.data_path
+    if not isinstance(source, (str, os.PathLike)):
+        raise InvalidInput(f"a dataset is an id, a folder or a file, got {source!r}")
     tried = [Path(source)]
     if not leads_out(source):
         tried.append(minari_root() / str(source))
