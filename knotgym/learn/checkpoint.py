@@ -26,7 +26,9 @@ from knotgym.learn.reader import Reader
 FORMAT, FORMAT_VERSION = "knotgym-policy", 1
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
 PRETRAINED, PRETRAINED_CLONE = "pretrained", "pretrained-clone"
-SHIPPED = (PRETRAINED, PRETRAINED_CLONE)  # names of the checkpoints that ship with the package
+ROPE_READER = "rope-reader"
+# names of the checkpoints that ship with the package
+SHIPPED = (PRETRAINED, PRETRAINED_CLONE, ROPE_READER)
 
 
 class Learned(NamedTuple):

@@ -1,0 +1,79 @@
+"""Redraw photos of an episode in the published colours, for a policy that reads these.
+
+A photo gives the rope's centre line, which strand is over, and at the marked base where the code
+begins. The beads are spread evenly along it; how steep the rope is somewhere isn't known.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.learn.colour_reading import BEADS, enforce_votes
+from knotgym.learn.rope_reader import RopeReader
+from knotgym.rendering.camera import DEFAULT
+from knotgym.rendering.picture import draw
+from knotgym.topology.crossings import find_crossings
+
+Array = NDArray[np.float64]
+
+VIEWS = 2  # of a photo that are read; an episode has many
+_APART = 0.012  # height difference of strands that cross, metres
+_LIFTED = 5  # beads on either side of a crossing that are raised or lowered with it
+
+
+class PhotoTranslation:
+    """Redraws the pictures of one episode."""
+
+    def __init__(self, reader: RopeReader) -> None:
+        self._reader = reader
+        self._goal: NDArray[np.uint8] | None = None
+        angle = np.arange(BEADS) * 2 * np.pi / BEADS
+        # what is assumed of a rope that can't be read, at first
+        self._rope = 0.2 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+
+    def redraw(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Redraw a photo of rope and goal, uint8 (size, 2 size, 3): uint8 (SIZE, 2 SIZE, 3)."""
+        rope, goal = np.split(picture, 2, axis=1)
+        if self._goal is None:  # it stays the same
+            self._goal = draw(rope_points(self._reader, goal, self._rope))
+        self._rope = rope_points(self._reader, rope, self._rope)
+        return np.concatenate([draw(self._rope), self._goal], axis=1)
+
+
+def rope_points(reader: RopeReader, photo: NDArray[np.uint8], before: Array) -> Array:
+    """Read the beads of a photo of the environment.
+
+    Args:
+        reader: of the photo.
+        photo: uint8 (size, size, 3).
+        before: float64 (BEADS, 3), the beads a pull before, metres, whose numbers count where the
+            base is hidden; returned where no rope is found.
+
+    Returns:
+        float64 (BEADS, 3), metres, relative to the picture's middle.
+    """
+    reading = reader.read(np.ascontiguousarray(photo), VIEWS)
+    if reading is None:
+        return before
+    line = reading.line * (1.0, -1.0, 1.0)
+    line[:, :2] = (line[:, :2] - (0.5 * len(photo), -0.5 * len(photo))) * DEFAULT.view / len(photo)
+    closed = np.concatenate([line, line[:1]])
+    walked = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(closed[:, :2], axis=0), axis=1)))
+    at = np.arange(BEADS) * walked[-1] / BEADS
+    points = np.zeros((BEADS, 3))
+    points[:, :2] = np.stack([np.interp(at, walked, closed[:, k]) for k in (0, 1)], axis=1)
+    crossings = find_crossings(line)
+    places = [
+        np.interp(place, np.arange(len(walked)), walked) * BEADS / walked[-1]
+        for place in (crossings.over_place, crossings.under_place)
+    ]
+    votes = np.column_stack([*places, np.ones(crossings.nx)])
+    enforce_votes(points, votes, _APART, _LIFTED)
+    return points if reading.based else _numbered_as(points, before)
+
+
+def _numbered_as(points: Array, before: Array) -> Array:
+    """Renumber beads so that they are as near as possible to those before."""
+    ways = [np.roll(walk, k, axis=0) for walk in (points, points[::-1]) for k in range(BEADS)]
+    centred = before[:, :2] - before[:, :2].mean(axis=0)
+    off = [((way[:, :2] - way[:, :2].mean(axis=0) - centred) ** 2).sum() for way in ways]
+    return ways[int(np.argmin(off))]

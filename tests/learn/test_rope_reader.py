@@ -1,0 +1,137 @@
+"""Tests of the reader without hue: lines that are drawn are walked, turned pictures agree."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.learn.checkpoint import policy_folder
+from knotgym.learn.photo_translation import PhotoTranslation, rope_points
+from knotgym.learn.rope_reader import Maps, load_rope_reader, read_maps, turned_back
+from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields
+from knotgym.learn.strand_training import lifted_lines
+from knotgym.rendering.photo import episode_look, photograph, take
+from knotgym.states.state_file import States, read_states, shipped
+from knotgym.topology.crossings import find_crossings, label
+from knotgym.topology.gauss import GaussCode
+
+SIDE = 256
+
+
+@pytest.fixture(scope="module")
+def states() -> States:
+    return read_states(shipped("bench"), images=False)
+
+
+def same_diagram(one: GaussCode, other: GaussCode) -> bool:
+    """Return whether both are codes of one diagram, from any base points, in any directions."""
+    walks = (one, one.reversed())
+    return any(walk.rebased(k) == other for walk in walks for k in range(max(1, 2 * one.nx)))
+
+
+def projected(points: np.ndarray) -> tuple[np.ndarray, Tensor]:
+    """Return a rope (beads, 3) in pixels of a picture that it fills, and its line (1, 512, 2)."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale = 220 / (high - low)[:2].max()
+    pixels = (points - 0.5 * (low + high)) * (scale, -scale, 1) + (SIDE / 2, SIDE / 2, 0)
+    fine = np.linspace(0, len(pixels), 512, endpoint=False)
+    closed = np.concatenate([pixels, pixels[:1]])
+    line = np.stack([np.interp(fine, np.arange(len(closed)), closed[:, k]) for k in (0, 1)], axis=1)
+    return pixels, torch.from_numpy(line[None]).float()
+
+
+def drawn(points: np.ndarray) -> Maps:
+    """Return what a perfect network would find in a picture of a rope, float64 (beads, 3)."""
+    pixels, line = projected(points)
+    lines = lifted_lines(line, SIDE // CELL)[0].numpy()
+    found = find_crossings(pixels * (1, -1, 1))
+    y, x = np.mgrid[: SIDE // CELL, : SIDE // CELL]
+    upper, nearest = np.zeros((2, *x.shape), np.float32), np.full(x.shape, 16.0)
+    for place, at in zip(found.over_place.astype(int), found.position, strict=True):
+        step = pixels[(place + 1) % len(pixels)] - pixels[place]
+        twice = 2 * np.arctan2(step[1], step[0])
+        away = (x - at[0] / CELL + 0.5) ** 2 + (y + at[1] / CELL + 0.5) ** 2
+        upper[:, away < nearest] = np.array([np.cos(twice), np.sin(twice)])[:, None]
+        nearest = np.minimum(nearest, away)
+    return Maps(lines, upper, np.zeros_like(lines[0]), upper)
+
+
+@pytest.mark.parametrize("nx", [0, 2, 4, 5])
+def test_drawn_lines_are_walked_through_their_crossings(states: States, nx: int) -> None:
+    right = 0
+    for row in states.rows(nx, "train")[:8]:
+        found = read_maps(drawn(states.points[row]))
+        right += found is not None and same_diagram(found[1], label(states.points[row]))
+    assert right >= 7  # of 8: strands that nearly touch may be exchanged
+
+
+def test_fields_of_turned_pictures_are_turned_back(states: States) -> None:
+    line = projected(states.points[states.rows(3, "train")[0]])[1]
+    side, angle = SIDE // CELL, torch.tensor(0.4)
+
+    def fields(line: Tensor, along: Tensor, twice: Tensor) -> Fields:
+        lines = lifted_lines(line, side)
+        vectors = (one[None, :, None, None].expand(1, 2, side, side) for one in (twice, along))
+        upper, leaving = vectors
+        return Fields(lines, upper, lines[:, 0], leaving)
+
+    one, two = (torch.stack([(k * angle).cos(), (k * angle).sin()]) for k in (1, 2))
+    plain = fields(line, one, two)
+    for flip in (False, True):
+        seen, along, twice = line.clone(), one.clone(), two.clone()
+        if flip:
+            seen[..., 0] = SIDE - seen[..., 0]
+            along[0], twice[1] = -along[0], -twice[1]
+        for turns in range(4):
+            back = turned_back(fields(seen, along, twice), turns, flip)
+            for name in ("lines", "upper", "along"):
+                off = (getattr(back, name) - getattr(plain, name)).abs().max()
+                assert off < 0.1, (name, turns, flip)
+            seen = torch.stack([seen[..., 1], SIDE - seen[..., 0]], dim=-1)
+            along, twice = torch.stack([along[1], -along[0]]), -twice
+    assert plain.lines.shape[1] == ORIENTATIONS
+
+
+def test_a_picture_of_another_kind_is_refused() -> None:
+    with pytest.raises(InvalidInput, match=r"uint8 of shape \(side, side, 3\), got uint8 \(8, 9,"):
+        load_rope_reader().read(np.zeros((8, 9, 3), np.uint8))
+
+
+def test_an_empty_picture_has_no_rope() -> None:
+    assert load_rope_reader().read(np.full((64, 64, 3), 90, np.uint8), views=1) is None
+
+
+def test_changed_weights_are_refused(tmp_path: Path) -> None:
+    shutil.copytree(policy_folder("rope-reader"), tmp_path / "own")
+    with pytest.raises(InvalidFile, match="isn't a reader of ropes"):
+        load_rope_reader("pretrained")
+    weights = tmp_path / "own" / "weights.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-2] + b"no")
+    with pytest.raises(InvalidFile, match="doesn't match the checksum"):
+        load_rope_reader(str(tmp_path / "own"))
+
+
+def test_photos_are_read(states: States) -> None:
+    reader, rng, right = load_rope_reader(), np.random.default_rng(0), 0
+    rows = [row for nx in (1, 2, 3, 4) for row in states.rows(nx, "test")[:12]]
+    shots = [shot for row in rows if (shot := photograph(states.points[row], SIDE, rng))][:16]
+    for shot in shots:
+        reading = reader.read(shot.image, views=2)
+        right += reading is not None and same_diagram(reading.code, shot.crossings.code)
+    assert right >= 13
+
+
+def test_photos_of_an_episode_become_published_pictures_with_their_code(states: States) -> None:
+    reader, right = load_rope_reader(), 0
+    for row in states.rows(2, "test")[:6]:
+        points = states.points[row]
+        photo = take(points, episode_look(points, SIDE, int(row))).image
+        beads = rope_points(reader, photo, np.zeros((100, 3)))
+        right += label(beads) == label(points)
+    assert right >= 4
+    redrawn = PhotoTranslation(reader).redraw(np.concatenate([photo, photo], axis=1))
+    assert redrawn.shape == (128, 256, 3) and np.array_equal(redrawn[:, :128], redrawn[:, 128:])
