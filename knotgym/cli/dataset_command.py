@@ -147,7 +147,8 @@ def export(given: Given) -> None:
             for several datasets; a folder for all other formats.
         to: Format: compact (one compressed file, pictures are rendered on loading), recording
             (starts and pulls alone) or ogbench; huggingface or minari for a folder ready to upload;
-            curves for the closed curves of states as .csv, .obj or .npz.
+            curves for the closed curves of states as .csv, .obj or .npz; webdataset for pictures as
+            tar files, and coco for photos with masks and keypoints.
     """
     from knotgym.control.verification import replay
     from knotgym.datasets.exports.exporters import export as convert

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from knotgym.common.streams import Stream, generator
 from knotgym.rendering import photo_kernels as kernels
 from knotgym.rendering.appearance import Appearance
+from knotgym.rendering.appearance_config import TILT
 from knotgym.rendering.camera import DEFAULT, RGB
 from knotgym.rendering.strand_spacing import strand_spacing
 from knotgym.topology.crossings import Crossings, find_crossings
@@ -29,11 +30,10 @@ Array = NDArray[Any]
 
 SURFACES = ("cloth", "wood", "gradient", "noise")
 BACKGROUNDS = (*SURFACES, "clutter", "ropes")
-TILT = 25.0  # largest tilt, degrees
 WIDTHS = (3.0, 12.0)  # of the rope, px
 _TRIES = 12  # cameras
 _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
-_DARKEST = 0.45  # light that a shadow leaves, about
+_TAPE = (200, 30, 36)  # RGB, of the bead before the base
 
 
 class Limits(NamedTuple):
@@ -75,7 +75,7 @@ class Photo(Appearance):
         right, down: position of the rope's centre of mass relative to the picture's middle, px.
         tilt: angle between the line of sight and the vertical.
         heading: direction in which the camera leans, seen from above.
-        marked: whether tape marks the base bead, white, and the bead before it, black.
+        marked: whether tape marks the base bead, white, and the bead before it, red.
         twisted: whether the rope is laid of two strands.
         pitch: length of one turn of the twist, widths of the rope.
         gloss: strength of the highlight.
@@ -198,6 +198,32 @@ def photograph(
     return None
 
 
+def drawn_photo(
+    points: Array, size: int, rng: np.random.Generator, tilt: float, heading: float, *, marked: bool
+) -> Shot:
+    """Draw a photo of points in the camera's axes that `clearest` shows to be legible.
+
+    Args:
+        tilt, heading: of the camera, degrees.
+        marked: whether tape marks the base, where no crossing hides it.
+    """
+    rope = _Rope(points, size)
+    for attempt in range(_TRIES):
+        wanted = marked and attempt < _TRIES // 2
+        shot = _drawn(rope, size, rng, tilt, heading, wanted)
+        if shot is not None:
+            return shot
+    return clearest(points, size, tilt, heading)
+
+
+def clearest(points: Array, size: int, tilt: float = 0.0, heading: float = 0.0) -> Shot:
+    """Take the plainest photo: a narrow white rope on a dark surface, as large as the picture."""
+    rope = _Rope(points, size)
+    look = _framed(rope, size, 0.0, 1.0, np.zeros(2), tilt, heading)
+    width = WIDTHS[0] / (2 * DEFAULT.rope_radius * look.scale)
+    return take(points, replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220)))
+
+
 def drawn_camera(rng: np.random.Generator, tilt: float = TILT) -> tuple[float, float]:
     """Draw tilt and heading, degrees, evenly over the directions up to a tilt."""
     lean = math.degrees(math.acos(rng.uniform(math.cos(math.radians(tilt)), 1.0)))
@@ -231,6 +257,8 @@ def take(points: Array, look: Photo) -> Shot:
     rng = generator(Stream.IMAGE_GRAIN, look.seed)
     view, (texture, ground) = _View(rope, look), _ground(look, rng)
     region = view.region(2 * look.radius)
+    if not region:
+        view.stamp(look.radius)
     shot = _painted(rope, view, look, region, texture, ground, rng)
     return replace(shot, image=_exposed(shot.image, look))
 
@@ -285,6 +313,7 @@ class _View:
         self.along = step + step[self.after - 2]  # about twice the direction at each point
         self.along /= np.sqrt((self.along**2).sum(axis=1))[:, None]
         walked = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
+        self.walked = walked
         visits = np.interp(self.visits, np.arange(len(walked)), walked)
         # lengths between consecutive visits; between the base and the nearest visit
         self.apart = np.diff(visits, append=visits[:1] + walked[-1]).min(initial=np.inf)
@@ -306,6 +335,11 @@ class _View:
         if (self.sines < math.sin(math.radians(LIMITS.angle))).any():
             return 0.0
         if self.apart < 1.5 * width + gap:
+            return 0.0
+        # a fold whose arms touch can't be told from a small kink
+        length = self.walked[-1]
+        further = np.searchsorted(self.walked, (self.walked[:-1] + 2.0 * width) % length) - 1
+        if ((self.along * self.along[further]).sum(axis=1) < -0.85).any():
             return 0.0
         # strands that touch but belong to one bend or crossing, at most so long, can be told apart
         flat = self.curve[:, :2].astype(np.float64)
@@ -351,7 +385,8 @@ def _drawn(
     """Draw frame and appearance of one view; None if it isn't legible."""
     if rope.shown.nx > LIMITS.crossings:
         return None
-    look = _framed(rope, size, rng, tilt, heading)
+    turn, fill = rng.uniform(-math.pi, math.pi), rng.uniform(0.7, 1.0)
+    look = _framed(rope, size, turn, fill, rng.uniform(-1.0, 1.0, 2), tilt, heading)
     view, widest = _View(rope, look), rng.uniform(*WIDTHS)
     # a rope that is illegible at its narrowest isn't looked at any further
     region = view.region(least := WIDTHS[0])
@@ -379,15 +414,21 @@ def _drawn(
     return None
 
 
-def _framed(rope: _Rope, size: int, rng: np.random.Generator, tilt: float, heading: float) -> Photo:
-    """Draw turn, zoom and position, so that the whole rope is in the picture."""
-    turn, fill, place = rng.uniform(-math.pi, math.pi), rng.uniform(0.7, 1.0), rng.uniform(-1, 1, 2)
+def _framed(
+    rope: _Rope, size: int, turn: float, fill: float, place: Array, tilt: float, heading: float
+) -> Photo:
+    """Choose zoom and position: the rope fills a share of the picture's side, `place` of the rest.
+
+    Args:
+        fill: at most 1.
+        place: (2,), right and down, from -1 to 1.
+    """
     flat = projected(rope.curve, turn, size / DEFAULT.view)[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
     room = size - WIDTHS[1] - 2.0
     zoom = fill * room / float((high - low).max())
     right, down = 0.5 * (room - zoom * (high - low)) * place - 0.5 * zoom * (low + high)
-    frame = {"zoom": zoom, "right": float(right), "down": float(down)}
+    frame: dict[str, Any] = {"zoom": zoom, "right": float(right), "down": float(down)}
     return Photo(size=size, turn=turn, tilt=tilt, heading=heading, **frame)
 
 
@@ -509,7 +550,7 @@ def _painted(
     colours = np.empty((n, 2, 3), np.float32)
     colours[:, 0], colours[:, 1] = look.first, look.last
     if look.marked:
-        colours[: rope.parts], colours[-rope.parts :] = (235, 30)
+        colours[: rope.parts], colours[-rope.parts :] = 240, _TAPE
     curve, after = view.curve, view.after
     if look.others:
         curve, after, colours = _with_others(view, look, colours, rng)
@@ -589,14 +630,15 @@ def _occlude(view: _View, look: Photo, picture: Array, rng: np.random.Generator)
     for _ in range(8 * look.occluders):
         k, reach = int(rng.integers(n)), float(rng.uniform(1.2, 2.0)) * view.radius + 3.0
         clear = 1.5 * (reach + view.radius + 3.0)
-        near = np.flatnonzero(np.linalg.norm(flat - flat[k], axis=1) < clear)
+        near = np.flatnonzero(_length(flat - flat[k]) < clear)
         apart = np.abs(near - k)
         apart = np.minimum(apart, n - apart)
         taken = [abs(k - other) < n // 20 for other, _ in chosen]
         base = min(k, n - k) < n // 20 and look.marked
-        # all that is near is this strand, which doesn't bend: it leaves the circle after its radius
-        step = np.linalg.norm(flat[k] - flat[k - 1])
-        if apart.max() * step < 1.15 * clear and not any(taken) and not base:
+        # all that is near is this strand, and it is straight
+        far = int(clear * n / view.walked[-1]) + 1
+        bend = (view.along[k - far] * view.along[(k + far) % n]).sum()
+        if apart.max() < 1.5 * far and bend > 0.8 and not any(taken) and not base:
             chosen.append((k, reach))
         if len(chosen) == look.occluders:
             break

@@ -259,12 +259,16 @@ def compose(
             lit -= np.float32(0.5) * dark * s * s * lit
             for i in range(3):
                 colour[i] = lit * picture[row, column, i]
-            p = place[1, row, column] if high < radius else place[0, row, column]
+            # where both layers show the same stretch of rope, the nearer one is right
+            apart = abs(place[0, row, column] - place[1, row, column])
+            same = max(low, high) < radius + near and min(apart, np.float32(own) - apart) <= grown
+            upper = high < low if same else high < radius
+            p = place[1, row, column] if upper else place[0, row, column]
             if min(low, high) < radius and p < own:
                 strands[row, column] = _edge(visits, p)
             for layer in range(2):
                 d = high if layer else low
-                if d >= radius + half:
+                if d >= radius + half or (same and upper != (layer == 1)):
                     continue
                 p = place[layer, row, column]
                 k = min(int(p), n - 1)
@@ -304,11 +308,9 @@ def compose(
                     sheen *= sheen
                 sky = ambient * (half + half * rise)
                 shade = fibre * groove * (sky + (one - ambient) * np.float32(1.1) * diffuse)
-                if layer == 0 and high < radius + near:
-                    apart = abs(p - place[1, row, column])
-                    if min(apart, np.float32(own) - apart) > grown:
-                        s = min(one - (high - radius) / near, one)
-                        shade *= one - np.float32(0.95) * dark * s
+                if layer == 0 and high < radius + near and not same:
+                    s = min(one - (high - radius) / near, one)
+                    shade *= one - np.float32(0.95) * dark * s
                 glint = np.float32(170) * gloss * sheen * groove
                 for i in range(3):
                     colour[i] += cover * (shade * colours[k, which, i] + glint - colour[i])
@@ -338,10 +340,13 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
             x = np.uint32((x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B))
             x ^= x >> np.uint32(16)
             y = np.uint32(x * np.uint32(0x9E3779B1))
-            grey = (x & byte) + ((x >> np.uint32(8)) & byte) + ((x >> np.uint32(16)) & byte)
-            grey = np.float32(np.int32(grey + (x >> np.uint32(24))) - 510) * scale + half
-            tint = np.int32((y >> np.uint32(24)) + ((y >> np.uint32(16)) & byte)) - 255
-            tint = half * scale * np.float32(tint)
+            low = (x & byte) + ((x >> np.uint32(8)) & byte) + ((x >> np.uint32(16)) & byte)
+            low, high = (
+                low + (x >> np.uint32(24)),
+                (y >> np.uint32(24)) + ((y >> np.uint32(16)) & byte),
+            )
+            grey = np.float32(np.int32(low) - 510) * scale + half
+            tint = np.float32(np.int32(high) - 255) * scale * half
             light = 1 + slope[0] * (np.float32(column) / size - half)
             light += slope[1] * (np.float32(row) / size - half)
             for c in range(3):
