@@ -36,7 +36,7 @@ _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
 _TAPE = (200, 30, 36)  # RGB, of the bead before the base
 
 
-class Limits(NamedTuple):
+class Legibility(NamedTuple):
     """What a picture must show for a person to decide every crossing.
 
     Lengths are in pixels of pictures up to 256 pixels large, and grow with larger ones.
@@ -60,7 +60,7 @@ class Limits(NamedTuple):
     order: float = 14.0
 
 
-LIMITS = Limits()
+LIMITS = Legibility()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +149,7 @@ class Shot:
             towards the camera above the centre of mass, metres.
         strands: uint8 (size, size), 0 where no rope is visible, else the edge of the PD code: edge
             k leads to visit k, and edge 1 passes the base. 1 everywhere without crossings.
-        contrast, order, region: measured, see `Limits`; infinity where there is nothing to measure.
+        contrast, order, region: measured, see `Legibility`; infinity where there is nothing to measure.
     """
 
     image: NDArray[np.uint8]
@@ -261,6 +261,25 @@ def take(points: Array, look: Photo) -> Shot:
         view.stamp(look.radius)
     shot = _painted(rope, view, look, region, texture, ground, rng)
     return replace(shot, image=_exposed(shot.image, look))
+
+
+def episode_look(points: Array, size: int, number: int) -> Photo:
+    """Draw an appearance in which every state of an episode can be shown.
+
+    The camera is vertical and tape marks the base, so that picture and code agree. The scale is
+    that of `PictureConfig`, the rope as thick as it is, and nothing lies on it.
+
+    Args:
+        points: float64 (beads, 3), metres; the rope's colour stands out from the ground beside it.
+        size: side of the picture, pixels.
+        number: of the appearance.
+    """
+    rng = generator(Stream.EPISODE_LOOK, 0, number)
+    look = replace(_looks(Photo(size=size), rng), marked=True, occluders=0)
+    ground = _ground(look, generator(Stream.IMAGE_GRAIN, look.seed))[1]
+    view = _View(_Rope(points, size), look)
+    view.stamp(look.radius)
+    return _coloured(look, view, ground, rng)
 
 
 class _Rope:
@@ -648,7 +667,7 @@ def _occlude(view: _View, look: Photo, picture: Array, rng: np.random.Generator)
 
 
 def _contrasts(view: _View, shown: Array, inner: Array, outer: Array) -> tuple[float, float]:
-    """Measure contrast and order of a picture without noise; see `Limits`."""
+    """Measure contrast and order of a picture without noise; see `Legibility`."""
     rope, behind = (_lab(shown[at[:, 1], at[:, 0]]) for at in (inner, outer))
     # averaged along the rope, so that a twist's grooves don't count as its colour
     rope = cv2.blur(rope, (1, 5))
