@@ -60,7 +60,11 @@ BEFORE = np.concatenate([np.arange(n) + k + sum(LENGTHS[:k]) for k, n in enumera
 OWNERS = np.repeat(np.arange(S), LENGTHS)
 
 
-def test_arrays_are_aligned(made: Episodes, path: Path) -> None:
+@pytest.mark.parametrize("block", [5, 1024])
+def test_arrays_are_aligned(
+    made: Episodes, path: Path, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("knotgym.loaders.drawn_frames._BLOCK", block)  # of states that are copied
     held = arrays(path)
     goals = made.episodes["goal_points"][OWNERS]
     np.testing.assert_array_equal(held["observations"], state_of(made, BEFORE, goals))
@@ -122,6 +126,16 @@ def test_observations_are_those_of_the_environment(observation: str) -> None:
     # frames of marked observations are computed from float32 vertices
     near = 1e-6 if observation == "marked" else 0
     np.testing.assert_allclose(seen, np.stack(right), rtol=0, atol=near)
+
+
+def test_photos_are_those_of_the_environment() -> None:
+    opened = open_episodes(TINY["expert"])
+    dataset = replace(opened, task=replace(opened.task, observation="pixels", appearance="photo"))
+    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
+    env = KnotEnv(**vars(dataset.task))
+    right = [env.reset(seed=int(own["seed"][1]))[0]]
+    right += [env.step(action)[0] for action in steps["action"][offsets[1] : offsets[2] - 1]]
+    np.testing.assert_array_equal(Transitions(dataset).observations(1), np.stack(right))
 
 
 def test_pictures_of_another_size_are_drawn() -> None:
