@@ -149,7 +149,7 @@ class Shot:
             towards the camera above the centre of mass, metres.
         strands: uint8 (size, size), 0 where no rope is visible, else the edge of the PD code: edge
             k leads to visit k, and edge 1 passes the base. 1 everywhere without crossings.
-        contrast, order, region: measured, see `Legibility`; infinity where there is nothing to measure.
+        contrast, order, region: measured, see `Legibility`; infinity where nothing is to measure.
     """
 
     image: NDArray[np.uint8]
