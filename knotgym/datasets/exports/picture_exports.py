@@ -132,15 +132,15 @@ def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
                 index, part = int(np.floor(at)) % len(line), at % 1
                 here, after = line[index], line[(index + 1) % len(line)]
                 points.append(tuple((here + part * (after - here)).tolist()))
-        box: list[float] = [x - reach, y - reach, 2 * reach, 2 * reach]
+        around: list[float] = [x - reach, y - reach, 2 * reach, 2 * reach]
         keypoints = [value for point in points for value in (*point, 2)]
         yield {
             "category_id": 3,
             "sign": crossing["sign"],
             "keypoints": keypoints,
             "num_keypoints": len(points),
-            "bbox": box,
-            "area": box[2] * box[3],
+            "bbox": around,
+            "area": 4 * reach**2,
             "iscrowd": 0,
             "segmentation": [],
         }
