@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Annotated
 
-from knotgym.common.configuration import Count, Seed, choice, configuration
+from knotgym.common.configuration import Count, Seed, Whole, choice, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
@@ -20,6 +20,10 @@ class CollectConfig:
         task: the environment; its `observation` is stored in Minari's form.
         policy: the acting policy.
         episodes: episodes to play for each dataset.
+        steps: keep as many episodes as it takes for so many steps, instead of `episodes`; 0 for
+            `episodes`. More steps only add episodes.
+        form: "columns", or "recording", which stores starts and pulls alone: about a thirtieth;
+            `knotgym dataset export --to compact` steps through them to get the columns.
         seed: random seed; the same seed gives the same bytes. Episode i has
             `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
@@ -37,6 +41,8 @@ class CollectConfig:
     task: TaskConfig = TaskConfig(task="tie", observation=OBSERVATION)
     policy: PolicyConfig = PolicyConfig(policy="expert")
     episodes: Count = 200
+    steps: Whole = 0
+    form: Annotated[str, choice("columns", "recording")] = "columns"
     seed: Seed = 0
     keep_failed: bool = True
     attempts: Count = 1
