@@ -22,7 +22,7 @@ class CollectConfig:
         episodes: episodes to play for each dataset.
         steps: keep as many episodes as it takes for so many steps, instead of `episodes`; 0 for
             `episodes`. More steps only add episodes.
-        form: "columns", or "recording", which stores starts and pulls alone: about a thirtieth;
+        form: "columns", or "recording", which stores starts and pulls alone, a sixth or less;
             `knotgym dataset export --to compact` steps through them to get the columns.
         seed: random seed; the same seed gives the same bytes. Episode i has
             `rollouts.episode_seed(seed, i)`.
