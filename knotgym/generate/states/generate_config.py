@@ -6,7 +6,7 @@ The command line reads it first, so nothing here imports the simulator.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
@@ -22,7 +22,6 @@ from knotgym.common.errors import InvalidInput
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
 from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
-from knotgym.rope.engines import CHAIN, MUJOCO
 from knotgym.topology.diagrams import is_planar, not_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
@@ -203,18 +202,19 @@ class GenerateConfig:
         return rope_of(self.beads)
 
     @property
-    def engine_used(self) -> str:
+    def engine_used(self) -> Literal["mujoco", "chain"]:
         """The engine that `engine` stands for."""
         if self.engine != "auto":
             return self.engine
-        return CHAIN if self.played and self.source != "random-walk" else MUJOCO
+        return "chain" if self.played and self.source != "random-walk" else "mujoco"
 
     @property
     def played(self) -> tuple[int, ...]:
         """The numbers of crossings whose states are taken from ropes; the others are drawn."""
         if self.source != "auto":
             return () if self.source == "drawing" else self.nx
-        if any(getattr(self, name) != value for name, value in _OF_ROPES.items()):
+        special = any(getattr(self, name) != value for name, value in _OF_ROPES.items())
+        if special or self.count <= _DRAWN:
             return ()
         few = (nx for nx in self.nx if nx <= LISTED_NX)
         return tuple(nx for nx in few if self.count > _DRAWN * len(codes_of(UNKNOT, nx)))
@@ -227,8 +227,9 @@ class GenerateConfig:
         drawn = tuple(nx for nx in self.nx if nx not in self.played)
         sources: tuple[tuple[Literal["play", "drawing"], tuple[int, ...]], ...]
         sources = ("play", self.played), ("drawing", drawn)
-        engine: Any = self.engine_used
-        return [replace(self, source=one, nx=nx, engine=engine) for one, nx in sources if nx]
+        return [
+            replace(self, source=one, nx=nx, engine=self.engine_used) for one, nx in sources if nx
+        ]
 
     @property
     def lives(self) -> PlayConfig:
