@@ -32,6 +32,7 @@ from knotgym.envs.tasks import OBSERVATIONS
 
 Ids = NDArray[np.int64]
 _AT_ONCE = 256  # pictures drawn between two writes
+_BLOCK = 1024  # states gathered at once, about what a processor's cache holds
 
 
 class DrawnFrames:
@@ -91,6 +92,9 @@ class DrawnFrames:
             if name == "marked":
                 found[name] = [self._marked(*pair) for pair in every]
                 continue
+            if name != "pixels":
+                found[name] = [self._beside(name, *pair) for pair in every]
+                continue
             halves = self._halves(name, [ids for pair in every for ids in pair])
             axis = self._axis(name)
             pairs = zip(halves[::2], halves[1::2], strict=True)
@@ -139,6 +143,17 @@ class DrawnFrames:
         ends = np.cumsum([len(ids) for ids in shown])[:-1]
         return [pictures[part] for part in np.split(index, ends)]
 
+    def _beside(self, name: str, ropes: Ids, goals: Ids) -> NDArray[Any]:
+        """Gather ropes and goals into one array, block by block: no half is held twice."""
+        read = self._vertices if name == "state" else self._symbols
+        none: NDArray[Any] = read(ropes[:0])
+        width = none.shape[1]
+        joined = np.empty((len(ropes), 2 * width, *none.shape[2:]), none.dtype)
+        for first in range(0, len(ropes), _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            joined[rows, :width], joined[rows, width:] = read(ropes[rows]), read(goals[rows])
+        return joined
+
     def _column(self, ids: Ids, of_state: str, of_goal: str) -> NDArray[Any]:
         """Gather rows of a column of steps, and of one of episodes for goals."""
         own, steps = self._dataset.episodes
@@ -167,10 +182,23 @@ class DrawnFrames:
 
     def _drawn(self, ids: Ids) -> NDArray[np.uint8]:
         # imported here, so that loading vertices doesn't need OpenCV
-        from knotgym.rendering.picture import draw_many
+        from knotgym.envs.observations import alone
 
         points = self._column(ids, "observation", "goal_points").astype(np.float64)
-        return draw_many(points, self._style)
+        of = self._dataset.episodes.offsets
+        episodes = np.searchsorted(of, np.minimum(ids, self._rows - 1), side="right") - 1
+        episodes = np.where(ids >= self._rows, ids - self._rows, episodes)
+        return alone(points, [self._looks[k] for k in episodes], self._style)
+
+    @cached_property
+    def _looks(self) -> list[Any]:
+        from knotgym.envs.observations import looks
+
+        own = self._dataset.episodes.episodes
+        if self._picture is not None:
+            return [None] * own.rows
+        goals = zip(own["goal"].tolist(), own["goal_points"], strict=True)
+        return looks(self._dataset.task, goals)
 
     @cached_property
     def _style(self) -> Any:
@@ -207,6 +235,7 @@ class DrawnFrames:
         decides = {
             "episodes": content_digest(self._dataset.episodes),
             "picture": asdict(self._style),
+            "looks": [look and asdict(look) for look in self._looks],
             "versions": {"knotgym": knotgym.__version__, "opencv": cv2.__version__},
         }
         # repr stands in for values that JSON can't hold, such as the rope model of a picture

@@ -60,7 +60,11 @@ BEFORE = np.concatenate([np.arange(n) + k + sum(LENGTHS[:k]) for k, n in enumera
 OWNERS = np.repeat(np.arange(S), LENGTHS)
 
 
-def test_arrays_are_aligned(made: Episodes, path: Path) -> None:
+@pytest.mark.parametrize("block", [5, 1024])
+def test_arrays_are_aligned(
+    made: Episodes, path: Path, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("knotgym.loaders.drawn_frames._BLOCK", block)  # of states that are copied
     held = arrays(path)
     goals = made.episodes["goal_points"][OWNERS]
     np.testing.assert_array_equal(held["observations"], state_of(made, BEFORE, goals))
@@ -122,6 +126,16 @@ def test_observations_are_those_of_the_environment(observation: str) -> None:
     # frames of marked observations are computed from float32 vertices
     near = 1e-6 if observation == "marked" else 0
     np.testing.assert_allclose(seen, np.stack(right), rtol=0, atol=near)
+
+
+def test_photos_are_those_of_the_environment() -> None:
+    opened = open_episodes(TINY["expert"])
+    dataset = replace(opened, task=replace(opened.task, observation="pixels", appearance="photo"))
+    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
+    env = KnotEnv(**vars(dataset.task))
+    right = [env.reset(seed=int(own["seed"][1]))[0]]
+    right += [env.step(action)[0] for action in steps["action"][offsets[1] : offsets[2] - 1]]
+    np.testing.assert_array_equal(Transitions(dataset).observations(1), np.stack(right))
 
 
 def test_pictures_of_another_size_are_drawn() -> None:
@@ -212,6 +226,7 @@ def test_labels_take_the_place_of_actions(tmp_path: Path) -> None:
         ({"cache": "c"}, "a cache keeps pictures"),
         ({"labels": True, "relabel": "all"}, "without relabel"),
         ({"labels": True, "action": "macro"}, "are pulls"),
+        ({"relabel": "all", "reward": len}, "leave out reward"),
     ],
 )
 def test_what_does_not_go_together_is_refused(
@@ -219,6 +234,19 @@ def test_what_does_not_go_together_is_refused(
 ) -> None:
     with pytest.raises(InvalidInput, match=says):
         Transitions(path, **opening)
+
+
+def test_rewards_of_my_own_reach_every_window(made: Episodes, path: Path) -> None:
+    def fewer(episode: dict[str, Any], steps: Table) -> Any:
+        assert len(steps["crossings"]) == episode["length"] + 1
+        return -steps["crossings"][1:]
+
+    own = -made.steps["crossings"][BEFORE + 1].astype(float)
+    np.testing.assert_array_equal(arrays(path, reward=fewer)["rewards"], own)
+    two = Transitions(path, reward=fewer, window=Window(n_step=2, discount=0.5)).batch([0])
+    assert two["rewards"] == own[0] + 0.5 * own[1]
+    with pytest.raises(InvalidInput, match=rf"must return {LENGTHS[0]} numbers .* of shape \(\)"):
+        arrays(path, reward=lambda episode, steps: 1.0)
 
 
 def test_a_recording_is_refused(tmp_path: Path, made: Episodes) -> None:
