@@ -129,5 +129,5 @@ class SuiteConfig:
         if self.episodes:
             raise InvalidInput(f"sets on {BENCH} states have a --size, not a number of --episodes")
         steps = SIZES[self.size]
-        form = "recording" if steps >= own["recorded_from"] else "columns"
+        form = "recording" if steps >= own["recorded_from"] else ""
         return replace(one, steps=steps, form=form)
