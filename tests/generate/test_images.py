@@ -167,7 +167,7 @@ def test_a_leak_between_splits_is_found(
 
 @pytest.mark.parametrize(
     "symmetry",
-    [Symmetry(turn=1.0), Symmetry(reflect=True, turn=1.0, reverse=True, base_shift=37)],
+    [Symmetry(turn=1.0), Symmetry(mirror=True, turn=1.0, reverse=True, base_shift=37)],
 )
 def test_a_near_duplicate_in_another_split_is_found(
     rows: list[dict[str, Any]], tmp_path: Path, symmetry: Symmetry
@@ -176,7 +176,7 @@ def test_a_near_duplicate_in_another_split_is_found(
     shaken, with labels and a picture of its own, of another rope.
     """
     train = next(row for row in rows if row["split"] == "train" and row["nx"] == 1)
-    points = symmetry.configuration(np.array(train["points"]).reshape(-1, 3))
+    points = symmetry.vertices(np.array(train["points"]).reshape(-1, 3))
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
     planted = PictureRow(points, "test", {**train["source"], "rope": 10**6, "row": 10**6})
     (tmp_path / "data.parquet").write_bytes(

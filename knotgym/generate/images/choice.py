@@ -84,16 +84,17 @@ class Chooser:
             return self._refuse("no code wanted")
         _, index, code = min(able)
         symmetry = symmetry_of(frames["symmetries"][row, index])
-        points = symmetry.configuration(frames["points"][row])
+        points = symmetry.vertices(frames["points"][row])
         if not self._is_new(points, split):
             return self._refuse("near-duplicate")
         self._have[key] += 1
         self._hardest[key] += is_extreme
         self._codes[split, code] += 1
-        names = ("reflect", "switch", "reverse", "base_shift")
+        names = ("switch", "reverse", "base_shift")
         source = {
             "rope": int(frames["rope"][row]),
             "pulls": int(frames["pulls"][row]),
+            "reflect": symmetry.mirror,
             **{name: getattr(symmetry, name) for name in names},
         }
         tilt, heading = frames["camera"][row].tolist()

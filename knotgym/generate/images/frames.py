@@ -121,8 +121,8 @@ def frames_of(
 def symmetry_of(fields: NDArray[np.int64]) -> Symmetry:
     """Return the symmetry whose fields are reflect, switch, reverse and base_shift."""
     *flags, base_shift = fields.tolist()
-    reflect, switch, reverse = map(bool, flags)
-    return Symmetry(reflect=reflect, switch=switch, reverse=reverse, base_shift=base_shift)
+    mirror, switch, reverse = map(bool, flags)
+    return Symmetry(mirror=mirror, switch=switch, reverse=reverse, base_shift=base_shift)
 
 
 def _observed(
@@ -158,7 +158,7 @@ def _observed(
 
 def _shown(points: Array, symmetry: Symmetry, config: ImagesConfig) -> str:
     """Return the code that a frame shows after a symmetry, or "-"."""
-    moved = symmetry.configuration(points)
+    moved = symmetry.vertices(points)
     crossings = find_crossings(moved)
     least = config.limits.base_spacing or 0.0
     return str(crossings.code) if base_spacing(moved, crossings) >= least else "-"
