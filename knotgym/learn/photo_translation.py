@@ -26,34 +26,32 @@ class PhotoTranslation:
     def __init__(self, reader: RopeReader) -> None:
         self._reader = reader
         self._goal: NDArray[np.uint8] | None = None
-        angle = np.arange(BEADS) * 2 * np.pi / BEADS
-        # what is assumed of a rope that can't be read, at first
-        self._rope = 0.2 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        self._rope: Array | None = None
 
     def redraw(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Redraw a photo of rope and goal, uint8 (size, 2 size, 3): uint8 (SIZE, 2 SIZE, 3)."""
         rope, goal = np.split(picture, 2, axis=1)
         if self._goal is None:  # it stays the same
-            self._goal = draw(rope_points(self._reader, goal, self._rope))
+            self._goal = draw(rope_points(self._reader, goal))
         self._rope = rope_points(self._reader, rope, self._rope)
         return np.concatenate([draw(self._rope), self._goal], axis=1)
 
 
-def rope_points(reader: RopeReader, photo: NDArray[np.uint8], before: Array) -> Array:
+def rope_points(reader: RopeReader, photo: NDArray[np.uint8], before: Array | None = None) -> Array:
     """Read the beads of a photo of the environment.
 
     Args:
         reader: of the photo.
         photo: uint8 (size, size, 3).
         before: float64 (BEADS, 3), the beads a pull before, metres, whose numbers count where the
-            base is hidden; returned where no rope is found.
+            base is hidden; returned where no rope is found. None if they aren't known.
 
     Returns:
         float64 (BEADS, 3), metres, relative to the picture's middle.
     """
     reading = reader.read(np.ascontiguousarray(photo), VIEWS)
     if reading is None:
-        return before
+        return _loop() if before is None else before
     line = reading.line * (1.0, -1.0, 1.0)
     line[:, :2] = (line[:, :2] - (0.5 * len(photo), -0.5 * len(photo))) * DEFAULT.view / len(photo)
     closed = np.concatenate([line, line[:1]])
@@ -68,7 +66,13 @@ def rope_points(reader: RopeReader, photo: NDArray[np.uint8], before: Array) -> 
     ]
     votes = np.column_stack([*places, np.ones(crossings.nx)])
     enforce_votes(points, votes, _APART, _LIFTED)
-    return points if reading.based else _numbered_as(points, before)
+    return points if reading.based or before is None else _numbered_as(points, before)
+
+
+def _loop() -> Array:
+    """Return a plain loop, which is assumed of a rope that can't be read."""
+    angle = np.arange(BEADS) * 2 * np.pi / BEADS
+    return 0.2 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
 
 
 def _numbered_as(points: Array, before: Array) -> Array:

@@ -7,6 +7,7 @@ and quarter turns of the picture are read too, and their fields averaged.
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -25,10 +26,12 @@ Array = NDArray[np.float64]
 
 LEAST = 256  # pixels; smaller pictures are enlarged
 VIEWS = 8  # mirror images and quarter turns of a picture
-_FILL = 0.8  # share of the side that an enlarged rope takes; one that takes much less is enlarged
 _LOOP = 6.0  # length of the smallest loop, cells
+_SHORT = 8  # points; fewer are no rope
 _CROWDED = 1200  # points; more aren't a rope's
 _BASE = 0.3  # least response at the base bead
+_BEADS = 100  # of a rope with tape
+_WHITE, _BLACK = 210.0, 29.0  # levels of tape in usual light
 
 
 class RopeReading(NamedTuple):
@@ -84,48 +87,26 @@ class RopeReader:
                 "a picture must be uint8 of shape (side, side, 3), got"
                 f" {picture.dtype} {picture.shape}"
             )
-        box = np.array([0.0, 0.0, len(picture)])  # x, y and side, pixels
-        found = self._read(picture, box, 1)
-        if found is not None:
-            low, high = found[0][:, :2].min(axis=0), found[0][:, :2].max(axis=0)
-            side = (high - low).max() / _FILL
-            if side < _FILL * len(picture):  # the rope is small: look closer
-                box = np.append(0.5 * (low + high) - 0.5 * side, side)
-        found = self._read(picture, box, views) or found
-        if found is None:
-            return None
-        line, code, margin, share, based = found
-        return RopeReading(code, _confidence(code.nx, margin, share), line, based)
-
-    def _read(
-        self, picture: NDArray[np.uint8], box: Array, views: int
-    ) -> tuple[Array, GaussCode, float, float, bool] | None:
-        """Read a square of a picture, given by x, y and side in pixels, as the line is."""
-        side = max(LEAST, -(-int(box[2]) // DEPTH) * DEPTH)
-        scale = box[2] / side
-        # from -1 to 1 across the picture, as `grid_sample` counts
-        axis = (np.arange(side) + 0.5) * scale
-        x, y = ((axis + box[k]) * 2 / len(picture) - 1 for k in (0, 1))
-        grid = torch.from_numpy(np.stack(np.meshgrid(x, y), axis=2)[None]).float()
+        side = max(LEAST, -(-len(picture) // DEPTH) * DEPTH)
         whole = torch.from_numpy(picture.copy()).permute(2, 0, 1)[None].float()
-        seen = functional.grid_sample(whole, grid, padding_mode="border", align_corners=False)
+        seen = functional.interpolate(whole, (side, side), mode="bilinear", align_corners=False)
         with inference():
             maps = maps_of(self.network, seen, views)[0]
         found = read_maps(maps)
         if found is None:
             return None
         line, code, margin, share = found
-        based = False
-        base = [float(_bilinear(maps.base[None], x, y)[0]) for x, y in line[:, :2]]
-        if max(base) > _BASE:
-            start, based = int(np.argmax(base)), True
-            line = np.roll(line, -start, axis=0)
-            step = line[1, :2] - line[-1, :2]
-            if step @ _bilinear(maps.along, *line[0, :2]) < 0:
-                line = np.roll(line[::-1], 1, axis=0)
-            code = _lifted(line).code
-        line = np.column_stack([(line[:, :2] + 0.5) * CELL * scale + box[:2], line[:, 2]])
-        return line, code, margin, share, based
+        base = np.array([_bilinear(maps.base[None], x, y)[0] for x, y in line[:, :2]])
+        start, based = int(base.argmax()), bool(base.max() > _BASE)
+        step = line[(start + 1) % len(line), :2] - line[start - 1, :2]
+        forwards = bool(step @ _bilinear(maps.along, *line[start, :2]) > 0)
+        line[:, :2] = (line[:, :2] + 0.5) * CELL * len(picture) / side
+        if not based:
+            start, forwards, based = _taped(picture, line)
+        line = np.roll(line, -start, axis=0)
+        if not forwards:
+            line = np.roll(line[::-1], 1, axis=0)
+        return RopeReading(_lifted(line).code, _confidence(code.nx, margin, share), line, based)
 
 
 def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
@@ -143,6 +124,34 @@ def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
     except (RuntimeError, ValueError) as error:
         raise InvalidFile(f"{folder} isn't a reader of ropes: {one_line(error)[:200]}") from error
     return RopeReader(network)
+
+
+def _taped(picture: NDArray[np.uint8], line: Array) -> tuple[int, bool, bool]:
+    """Find tape on a rope, black and then white, where the network saw none.
+
+    Returns:
+        The point of the line that is nearest to the base, whether the walk goes on from there, and
+        whether there is tape at all.
+    """
+    count = 4 * _BEADS
+    closed = np.concatenate([line, line[:1]])
+    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(closed[:, :2], axis=0).T)))
+    at = np.arange(count) * walked[-1] / count
+    # levels along the rope, four to a bead; `remap` counts from the middles of pixels
+    x, y = (np.interp(at, walked, closed[:, k]).astype(np.float32) - 0.5 for k in (0, 1))
+    levels = cv2.remap(picture.astype(np.float32), x, y, cv2.INTER_LINEAR).reshape(count, 3)
+    usual = np.median(levels, axis=0)
+    best = -np.inf, 0, True
+    for forwards in (True, False):
+        seen = levels if forwards else levels[::-1]
+        gain = np.zeros(count)
+        for first, tape in ((0, _WHITE), (-4, _BLACK)):  # the bead ahead, and that behind
+            bead = np.mean([np.roll(seen, -first - k, axis=0) for k in range(4)], axis=0)
+            gain += ((bead - usual) ** 2 - (bead - tape) ** 2).sum(axis=1)
+        place = int(gain.argmax())
+        best = max(best, (gain[place], place if forwards else (count - place) % count, forwards))
+    start = int(np.argmin(np.abs(walked[:-1] - at[best[1]])))
+    return start, best[2], bool(best[0] > 0)
 
 
 def _confidence(nx: int, margin: float, share: float) -> float:
@@ -211,10 +220,11 @@ def traced(maps: Maps) -> tuple[Array, float] | None:
     unite(points, partner, paid)
     order, line = follow(partner)
     closed = np.bincount(line[line >= 0]) if (line >= 0).any() else np.zeros(1)
-    if closed.max() < 8:
+    if closed.max() < _SHORT:
         return None
     own = order[line == closed.argmax()] // 2
-    return smooth(points[own, :2]), len(own) / len(points)
+    line = smooth(points[own, :2])
+    return None if len(line) < _SHORT else (line, len(own) / len(points))
 
 
 def smooth(line: Array) -> Array:
