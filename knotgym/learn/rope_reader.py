@@ -40,7 +40,7 @@ class RopeReading(NamedTuple):
     Attributes:
         code: Gauss code with chirality, from the white base bead in the direction marked there;
             without such a mark from anywhere, in either direction.
-        confidence: in [0, 1], about how likely the code is right.
+        confidence: a score in [0, 1], higher where the code is surer to be right.
         line: float64 (n, 3), the rope's centre line from the base bead: x and y in pixels, and a
             level, which is 1 on the upper strand of a crossing, -1 on the lower one, 0 elsewhere.
         based: whether the base bead is seen.
@@ -155,7 +155,7 @@ def _taped(picture: NDArray[np.uint8], line: Array) -> tuple[int, bool, bool]:
 
 
 def _confidence(nx: int, margin: float, share: float) -> float:
-    """Estimate how likely a code is right."""
+    """Score a code by its least certain crossing and by the rope that the line leaves out."""
     return float(np.clip(margin * share**4 * 0.99**nx, 0.0, 1.0))
 
 

@@ -33,6 +33,7 @@ SCRIPTS = [
     FOLDER / "learners" / "goal_conditioned.py",
     FOLDER / "learners" / "offline_rl.py",
     FOLDER / "learners" / "online_ppo.py",
+    FOLDER / "perception" / "photos.py",
     FOLDER / "perception" / "read.py",
     FOLDER / "perception" / "trace.py",
     FOLDER / "perception" / "transcribe.py",
@@ -139,6 +140,24 @@ def test_line_drawings_are_transcribed_to_pd_codes(
         own = json.loads(line)
         assert own["pd_code"] == row["pd_code"] and own["right"]
         assert parse_code(own["answer"]).nx == row["nx"]
+
+
+@with_arrow
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
+def test_photos_are_read_and_a_reader_is_trained_on_their_ropes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    look = AppearanceConfig(style="photo")
+    config = ImagesConfig(nx=(1, 2), count=8, test_nx=None, engine="chain", appearance=look)
+    folder = make_images(config, tmp_path / "photos", RunOptions(workers=1, quiet=True))
+    script = FOLDER / "perception" / "photos.py"
+    run_script(script, "train", folder, "--minutes", 0.05, "--batch", 2, "--out", tmp_path / "own")
+    run_script(script, "read", folder, "--count", 2, "--views", 1, "--weights", tmp_path / "own")
+    capsys.readouterr()
+    run_script(script, "read", folder, "--page", tmp_path / "misread.png")
+    [total] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("all")]
+    assert total.split()[1] == "8" and float(total.split()[2]) > 70
 
 
 @with_arrow

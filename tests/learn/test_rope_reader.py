@@ -1,24 +1,40 @@
 """Tests of the reader without hue: lines that are drawn are walked, turned pictures agree."""
 
+from __future__ import annotations
+
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.learn.checkpoint import policy_folder
-from knotgym.learn.photo_translation import PhotoTranslation, rope_points
-from knotgym.learn.rope_reader import Maps, load_rope_reader, read_maps, turned_back
-from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields
-from knotgym.learn.strand_training import lifted_lines
 from knotgym.rendering.photo import episode_look, photograph, take
 from knotgym.states.state_file import States, read_states, shipped
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
 
+pytestmark = pytest.mark.clients
+pytest.importorskip("safetensors")
+torch = pytest.importorskip("torch")
+
+from knotgym.learn.checkpoint import policy_folder  # noqa: E402
+from knotgym.learn.photo_translation import PhotoTranslation, rope_points  # noqa: E402
+from knotgym.learn.rope_reader import (  # noqa: E402
+    Maps,
+    load_rope_reader,
+    read_maps,
+    turned_back,
+)
+from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields  # noqa: E402
+from knotgym.learn.strand_training import lifted_lines  # noqa: E402
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Array = NDArray[np.float64]
 SIDE = 256
 
 
@@ -33,7 +49,7 @@ def same_diagram(one: GaussCode, other: GaussCode) -> bool:
     return any(walk.rebased(k) == other for walk in walks for k in range(max(1, 2 * one.nx)))
 
 
-def projected(points: np.ndarray) -> tuple[np.ndarray, Tensor]:
+def projected(points: Array) -> tuple[Array, Tensor]:
     """Return a rope (beads, 3) in pixels of a picture that it fills, and its line (1, 512, 2)."""
     low, high = points.min(axis=0), points.max(axis=0)
     scale = 220 / (high - low)[:2].max()
@@ -44,7 +60,7 @@ def projected(points: np.ndarray) -> tuple[np.ndarray, Tensor]:
     return pixels, torch.from_numpy(line[None]).float()
 
 
-def drawn(points: np.ndarray) -> Maps:
+def drawn(points: Array) -> Maps:
     """Return what a perfect network would find in a picture of a rope, float64 (beads, 3)."""
     pixels, line = projected(points)
     lines = lifted_lines(line, SIDE // CELL)[0].numpy()
