@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from knotgym.datasets.image_table import read_table as read_table
     from knotgym.datasets.minari_form import MinariMetadata as MinariMetadata
     from knotgym.datasets.minari_form import publish as publish
-    from knotgym.datasets.subsets import delete as delete
     from knotgym.datasets.subsets import select as select
     from knotgym.datasets.subsets import split as split
     from knotgym.states.state_file import States as States
@@ -40,7 +39,6 @@ else:
             "Episodes": "knotgym.datasets.episodes",
             "MinariMetadata": "knotgym.datasets.minari_form",
             "States": "knotgym.states.state_file",
-            "delete": "knotgym.datasets.subsets",
             "goals_reached": "knotgym.datasets.episodes",
             "merge_states": "knotgym.states.state_file",
             "open_episodes": "knotgym.datasets.episode_dataset",

@@ -1,4 +1,4 @@
-"""Files of closed curves, read in the forms in which others publish them and written in three.
+"""Files of closed curves, read in the forms in which others publish them.
 
     .csv .tsv .txt .dat .xyz   rows x y z or name x y z; the first may name the columns
     .obj                       line elements, or else the vertices of each object in their order
@@ -84,30 +84,6 @@ def read_curves(path: str | Path) -> list[Curve]:
     return [
         Curve(given.name if one else f"{given.name}:{name[:80]}", points) for name, points in found
     ]
-
-
-def write_curves(path: str | Path, names: Sequence[str], points: Array) -> None:
-    """Write closed curves, float64 (n, beads, 3), as .csv, .obj or .npz.
-
-    Raises:
-        InvalidInput: another suffix.
-    """
-    given = Path(path)
-    if given.suffix == ".npz":
-        np.savez(given, **dict(zip(names, points, strict=True)))
-        return
-    lines = ["curve,x,y,z"] if given.suffix == ".csv" else []
-    first = 1
-    for name, curve in zip(names, points.tolist(), strict=True):
-        if given.suffix == ".csv":
-            lines += [f"{name},{x!r},{y!r},{z!r}" for x, y, z in curve]
-        elif given.suffix == ".obj":
-            lines += [f"o {name}", *(f"v {x!r} {y!r} {z!r}" for x, y, z in curve)]
-            lines.append("l " + " ".join(map(str, [*range(first, first + len(curve)), first])))
-            first += len(curve)
-        else:
-            raise InvalidInput(f"curves are written to .csv, .obj or .npz, got {given.name!r}")
-    given.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _array(points: ArrayLike) -> Array:

@@ -248,7 +248,6 @@ REFUSED = [
     ("dataset replay {states} --row x", "--row takes a whole number, got 'x'"),
     ("dataset select {states} --where nx== --out {new}", "nx=="),
     ("dataset split {states} --parts a=0.5,a=0.5 --out {new}", "a"),
-    ("dataset delete {states} --rows 3-1 --out {new}", "3-1"),
     ("dataset import --out {new}", "name the files of curves"),
 ]
 

@@ -230,7 +230,7 @@ def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
     merge([f"knotgym/{one}" for one in apart], None, "knotgym/merged-v0")
     for name in ("one", "merged"):
         assert verify(f"knotgym/{name}-v0") == []
-    chosen = select("knotgym/merged-v0", where="task = 'tie' and nx = 3", dataset_id="knotgym/c-v0")
+    chosen = select("knotgym/merged-v0", tmp_path.parent / "c.h5", where="task = 'tie' and nx = 3")
     assert open_episodes(chosen).episodes.episodes.rows == 9
 
 

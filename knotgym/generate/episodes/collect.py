@@ -23,7 +23,7 @@ from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_dataset import FILE, open_episodes
 from knotgym.datasets.episodes import Episodes, merged
-from knotgym.datasets.machine import machine
+from knotgym.datasets.manifest import machine
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result

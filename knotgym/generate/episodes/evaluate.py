@@ -21,8 +21,7 @@ from knotgym.common.tables import Table
 from knotgym.control.policies import make_policy, training_card
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episode_outcomes import goal_reached
-from knotgym.datasets.episodes import STEPS, Episodes, merged
+from knotgym.datasets.episodes import STEPS, Episodes, goal_reached, merged
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result
