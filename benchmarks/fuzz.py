@@ -34,7 +34,7 @@ from knotgym.cli.main import COMMANDS, application, main
 from knotgym.datasets.episode_dataset import FILE
 
 DATASET = "show verify gallery replay page select split merge import export".split()
-NAMES = [*(name for name in COMMANDS if name not in ("dataset", "compile", "play", "demo"))]
+NAMES = [*(name for name in COMMANDS if name not in ("dataset", "play", "demo"))]
 NAMES += [f"dataset {name}" for name in DATASET]
 OPTION = re.compile(r"^ *\*? +(--[a-z-]+)(?: (--[a-z-]+))?(?: ([A-Z,]+))?", re.MULTILINE)
 ARGUMENT = re.compile(r"^ (?:\*  | *)([A-Z][A-Z-]+)  ", re.MULTILINE)

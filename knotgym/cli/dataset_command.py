@@ -159,11 +159,11 @@ def select(given: Given) -> None:
 
         knotgym dataset select runs/nx3 --where "split = 'train'" --out train.h5
 
-        knotgym dataset select knotgym/a-v0 --where "episode not in (3, 7)" --out fewer.h5
+        knotgym dataset select knotgym/a-v0 --where "length < 9" --out short.h5
 
     Args:
         where: Condition on the columns in SQL, such as "success and length < 30 and policy in
-            ('expert', 'play')". An unknown column lists those that there are. Needs the extra
+            ('expert', 'play')", or "row not in (3, 7)" to leave rows out. An unknown column lists those that there are. Needs the extra
             select.
         sample: Keep this many of the rows, drawn at random.
     """
@@ -202,8 +202,8 @@ def import_(given: Given) -> None:
     and the exit status is then 1, or 2 if there is no other curve.
 
     Args:
-        curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat, .xyz),
-            .obj, .vect, .json, .npy or .npz.
+        curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat), .vect,
+            .npy or .npz.
         out: State file to write, such as states.h5.
     """
     if not given["curves"]:

@@ -227,21 +227,9 @@ class Given:
             own = {name: one for name, one in self._settings.items() if name not in self._sections}
         return from_json(kind, merged(merged(_nested(usual or {}), own), _nested(more or {})))
 
-    def folder(self, name: str, *named: str) -> Path:
-        """Return --out, or else a folder named after every setting that was typed or set.
-
-        Args:
-            name: how the default name begins, such as nx3.
-            named: paths of the settings that it tells or that it need not tell.
-        """
-        marks = [name]
-        for path, value in sorted(_leaves(self._settings)):
-            field = _field(self._sections, path)
-            told = path in named or path.startswith("run.")
-            if field is not None and value != field.default and not told:
-                marks.append(_mark(path.rpartition(".")[2].replace("_", "-"), value))
-        plain = re.sub(r"[^\w.,-]", "-", "-".join(marks))
-        return self["out"] or Path("knotgym-data") / plain
+    def folder(self, name: str) -> Path:
+        """Return --out, or else the folder of this name among those of all runs."""
+        return self["out"] or Path("knotgym-data") / re.sub(r"[^\w.,-]", "-", name)
 
     @property
     def run(self) -> RunOptions:
@@ -397,17 +385,6 @@ def as_typed(value: Any) -> str:
     return ",".join(map(str, value))
 
 
-def _mark(name: str, value: Any) -> str:
-    """Return what a setting is called in a folder's name.
-
-    >>> _mark("knot", "3_1"), _mark("seed", 1), _mark("demonstrations", False)
-    ('3_1', 'seed1', 'no-demonstrations')
-    """
-    if isinstance(value, bool):
-        return name if value else f"no-{name}"
-    return value if isinstance(value, str) else name + as_typed(value)
-
-
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return {"task": {"nx": 3}} for {"task.nx": 3}."""
     found: dict[str, Any] = {}
@@ -416,15 +393,6 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
             value = {name: value}
         found = merged(found, value)
     return found
-
-
-def _leaves(settings: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the paths of nested settings with their values, lists as tuples."""
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{path}{name}.")
-        else:
-            yield path + name, tuple(value) if isinstance(value, list) else value
 
 
 def _value_at(settings: Any, path: str) -> Any:

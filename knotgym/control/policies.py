@@ -180,19 +180,15 @@ def _noisy(config: PolicyConfig) -> Noisy:
     return Noisy(_expert(config), config.noise)
 
 
-def _scripted(config: PolicyConfig) -> Scripted:
-    return Scripted(config.planner.macro_actions)
-
-
 def _mixed(config: PolicyConfig) -> Mixed:
-    policies = (RandomPolicy(), _scripted(config), _noisy(config), _expert(config))
+    policies = (RandomPolicy(), Scripted(), _noisy(config), _expert(config))
     return Mixed(policies, config.shares)
 
 
 _tables = tuple(path for path in (CHANGES, *PASSES.values()) if path.is_file())
 register_policy("random", lambda config: RandomPolicy())
 register_policy("constant", lambda config: ConstantPolicy())
-register_policy("scripted", _scripted)
+register_policy("scripted", lambda config: Scripted())
 register_policy("expert", _expert, _tables)
 register_policy("noisy", _noisy, _tables)
 register_policy("play", lambda config: Play(_expert(config)), _tables)

@@ -123,7 +123,7 @@ class Agent:
         self.reader, self.starts = reader, starts
         self.config = config or AgentConfig()
         planner = self.config.planner
-        self._planning = BatchedSearch(planner.batch_size, planner.macro_actions)
+        self._planning = BatchedSearch(planner.batch_size)
         self._believed = ChainSimulation(max(self.config.copies, self.config.hypotheses.imagined))
         self._episodes: dict[int, _Episode] = {}
 

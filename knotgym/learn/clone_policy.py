@@ -41,7 +41,6 @@ from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import LONGEST, WaypointFollower
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
@@ -100,7 +99,7 @@ class _ClonePlayer:
         self._network, self._batch = policy.network, batch
         split = batch.task.split
         self._values = pass_values(split, every_code=True) if policy.guided else None
-        self._follower = WaypointFollower(batch.count, MacroActionConfig())
+        self._follower = WaypointFollower(batch.count)
         self._taken = np.zeros(batch.count, dtype=np.int64)  # pulls of each lane's macro-action
         self._macros = np.zeros((batch.count, 3), dtype=np.int64)
         self._rngs: dict[int, np.random.Generator] = {}

@@ -4,30 +4,23 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from knotgym.prompting.transcripts import PRICES
+from knotgym.prompting.transcripts import TOKENS
 from knotgym.runs.intervals import cluster_interval
 
 
 def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Summarize the transcripts of one run, at least one, as JSON-compatible values.
 
-    Counts answers by fault, answers cut off by the server's limit, retries and tokens; gives the
-    cost if prices are known. Tokens and cost are None if a server didn't state them. For episodes
-    it adds the success rate with its 95 % interval, and the episodes without any valid answer.
+    Counts answers by fault, answers cut off by the server's limit, retries and tokens, which are
+    None if a server didn't state them. For episodes it adds the success rate with its 95 %
+    interval, and the episodes without any valid answer.
     """
-    config = transcripts[0]["config"]
-    prices = [config.get(f"{name}_price") for name in PRICES]
-    tokens = [total(transcripts, f"{name}_tokens") for name in PRICES]
-    cost = None
-    if None not in prices and None not in tokens:
-        cost = sum(price * (n or 0) for price, n in zip(prices, tokens, strict=True)) / 1e6
     turns = list(_turns(transcripts))
     facts: dict[str, Any] = {
         "answers": dict(Counter(turn["fault"] or "valid" for turn in turns).most_common()),
         "truncated": sum(turn["finish"] == "length" for turn in turns),
         "retries": dict(sum((Counter(turn["retries"]) for turn in turns), Counter())),
-        **{f"{name}_tokens": n for name, n in zip(PRICES, tokens, strict=True)},
-        "cost": cost,
+        **{name: total(transcripts, name) for name in TOKENS},
     }
     if "actions" not in transcripts[0]:
         return {"pictures": len(transcripts), **facts}

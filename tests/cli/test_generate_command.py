@@ -186,7 +186,7 @@ def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
     with pytest.raises(SystemExit) as ended:
         cli.main(words.split())
     assert ended.value.code == 0
-    assert (tmp_path / "knotgym-data" / "nx0-no-demonstrations-seed3" / "states.h5").is_file()
+    assert (tmp_path / "knotgym-data" / "nx0" / "states.h5").is_file()
     assert capfd.readouterr() == ("", "")
 
 

@@ -12,8 +12,9 @@ from rich.console import Console
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidInput, InvalidPolicy, Occupied
 from knotgym.common.streams import Stream
+from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import episode_seed
+from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
 from knotgym.generate.episodes.blocks import from_result
@@ -127,25 +128,15 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     assert not kept & scored
     # learners that train online seed rope i with s + i: below any seed of an evaluation
     assert min(scored) > 2**32
-    played = from_result(evaluating.play(PolicyConfig(), CHAIN, range(2), 0, True))
+    played = from_result(evaluating.play(PolicyConfig(), CHAIN, range(2), 0))
     assert played.episodes["seed"].tolist() == [
         episode_seed(0, number, Stream.EVALUATION_EPISODE) for number in range(2)
     ]
 
 
-def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
-    import cv2
-
-    run(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
-    reel, frames = cv2.VideoCapture(str(tmp_path / "film.gif")), []
-    while (read := reel.read())[0]:
-        frames.append(read[1])
-    assert len(frames) >= 3 and np.ptp(frames[0]) > 0
-
-
 def test_a_film_shows_every_view_in_colours() -> None:
     task = replace(CHAIN, nx=1, horizon=1, views=("top", "left"), depth=True)
-    episodes = from_result(evaluating.play(PolicyConfig(), task, range(1), 0, True))
+    episodes = rollouts(RandomPolicy(), task, [0])
     height, width, channels = film(episodes, task)[0].shape
     assert height > 2 * 384 and (width, channels) == (2 * 384, 3)
 

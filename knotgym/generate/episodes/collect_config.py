@@ -23,8 +23,6 @@ class CollectConfig:
         seed: random seed; the same seed gives the same bytes. Episode i has
             `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
-        attempts: rollouts per episode; the shortest one that reaches the goal is kept, or else the
-            first.
         labels: "expert" stores the expert's action at every state.
         seen: observation given to functions and objects of your own; "" for the stored one.
         dataset_id: Minari id; "" for `collect.distinct_id`, for example knotgym/tie-nx3/expert-v0,
@@ -39,7 +37,6 @@ class CollectConfig:
     episodes: Count = 200
     seed: Seed = 0
     keep_failed: bool = True
-    attempts: Count = 1
     labels: Annotated[str, choice("", "expert")] = ""
     seen: Annotated[str, choice("", *OBSERVATIONS)] = ""
     dataset_id: str = ""
