@@ -163,8 +163,8 @@ def select(given: Given) -> None:
 
     Args:
         where: Condition on the columns in SQL, such as "success and length < 30 and policy in
-            ('expert', 'play')", or "row not in (3, 7)" to leave rows out. An unknown column lists those that there are. Needs the extra
-            select.
+            ('expert', 'play')", or "row not in (3, 7)" to leave rows out. An unknown column lists
+            those that there are. Needs the extra select.
         sample: Keep this many of the rows, drawn at random.
     """
     from knotgym.datasets import subsets
