@@ -140,7 +140,7 @@ def command(
 
         run.__annotations__ = {one.name: one.annotation for one in parameters}
         vars(run).update(__signature__=inspect.Signature(parameters), sections=sections)
-        help = reflowed(doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
+        help = _reflowed(doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
         name = function.__name__.rstrip("_").replace("_", "-")
         app = App(name=name, help=help[0], help_epilogue=help[2], **APP)
         app.default(run)
@@ -174,7 +174,7 @@ class Given:
             value = values.get(option.key)
             if value is not None:
                 self.typed.add(option.path)
-                value = read_value(value, option.kind, option.typed.partition("/")[0])
+                value = _read_value(value, option.kind, option.typed.partition("/")[0])
             if option.is_field and value is not None:
                 fields[option.path] = value
             elif not option.is_field:
@@ -185,7 +185,7 @@ class Given:
             if not sign:
                 raise InvalidInput(f"--set takes name=value, such as task.horizon=30, got {one!r}")
             field = _field(sections, path)
-            value = read_value(text, field.kind, f"--set {path}") if field else text
+            value = _read_value(text, field.kind, f"--set {path}") if field else text
             settings = merged(settings, _nested({path: value}))
         self._settings = merged(settings, _nested(fields))
 
@@ -271,10 +271,10 @@ def settings_named(sections: Sections, name: str) -> Iterator[str]:
         yield from below(kind, f"{section}." if section else "")
 
 
-def reflowed(doc: str) -> str:
+def _reflowed(doc: str) -> str:
     """Join the lines of each paragraph, which a terminal breaks by its own width.
 
-    >>> reflowed("One\\nsentence.\\n\\nExamples:\\n\\n    knotgym demo")
+    >>> _reflowed("One\\nsentence.\\n\\nExamples:\\n\\n    knotgym demo")
     'One sentence.\\n\\nExamples:\\n\\n    knotgym demo'
     """
     return re.sub(r"(?<=\S)\n(?=\S)", " ", doc)
@@ -303,7 +303,7 @@ def _described(doc: str, heading: str, name: str) -> str:
     return ""
 
 
-def read_value(value: Any, hint: Any, name: str) -> Any:
+def _read_value(value: Any, hint: Any, name: str) -> Any:
     """Convert what was typed to the type of a field.
 
     Args:
@@ -314,7 +314,7 @@ def read_value(value: Any, hint: Any, name: str) -> Any:
     Raises:
         InvalidInput: the text isn't of this type.
 
-    >>> read_value("0-2,4", tuple[int, ...], "--nx")
+    >>> _read_value("0-2,4", tuple[int, ...], "--nx")
     (0, 1, 2, 4)
     """
     if not isinstance(value, str):
@@ -326,7 +326,7 @@ def read_value(value: Any, hint: Any, name: str) -> Any:
         (kind, *_) = get_args(hint)
         if kind is int:
             return numbers(value, name)
-        return tuple(read_value(word.strip(), kind, name) for word in value.split(","))
+        return tuple(_read_value(word.strip(), kind, name) for word in value.split(","))
     reader, expected = _READERS.get(hint, (str, ""))
     try:
         return reader(value)

@@ -39,7 +39,7 @@ from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.reader import inference
-from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
+from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.macro_actions import LONGEST, WaypointFollower
 from knotgym.topology.crossings import label
@@ -148,9 +148,9 @@ class _Eyes:
     """Reads the pictures of one episode."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        learned, config = load_reader(PRETRAINED), HypothesesConfig()
-        starts, chain = learned.starts.astype(np.float64), ChainSimulation(config.imagined)
-        self._hypotheses = ShapeHypotheses(learned.reader, chain, starts, config, rng)
+        learned = load_reader(PRETRAINED)
+        starts, chain = learned.starts.astype(np.float64), ChainSimulation(MOST_IMAGINED)
+        self._hypotheses = ShapeHypotheses(learned.reader, chain, starts, rng)
         self._goals: dict[GaussCode, float] = {}
 
     def look(self, picture: NDArray[np.uint8]) -> tuple[Array, GaussCode]:

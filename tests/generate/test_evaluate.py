@@ -22,8 +22,7 @@ from knotgym.generate.episodes.evaluate import evaluate, film, report, run, sour
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import show
 from knotgym.rope.model import RopeConfig
-from knotgym.runs.run_options import RunOptions
-from knotgym.runs.shards import Shard
+from knotgym.runs.run_options import RunOptions, Shard
 from knotgym.states.state_file import States, write_states
 
 from ..small_job import knotgym

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.control.verification import verify
 from knotgym.drawing.drawn_curve import drawn_curve
-from knotgym.generate.states.imported_curves import import_curves, shown_code
+from knotgym.generate.states.imported_curves import _shown_code, import_curves
 from knotgym.rope.curve_files import read_curves
 from knotgym.rope.model import Rope, rope_of
 from knotgym.states.state_file import read_states, shipped, write_states
@@ -156,7 +156,7 @@ def test_a_curve_of_others_has_the_code_that_pyknotid_reads(tmp_path: Path, numb
     points = knot(number)
     right = pyknotid_code(points)
     (curve,) = read_curves(wrote(tmp_path / name, write(points)))
-    code = shown_code(curve.points, ROPE)
+    code = _shown_code(curve.points, ROPE)
     assert code.chiral == right.chiral
     assert knot_type(code) == KNOTS[number % 4].removeprefix("m")
 
@@ -164,7 +164,7 @@ def test_a_curve_of_others_has_the_code_that_pyknotid_reads(tmp_path: Path, numb
 @pytest.mark.parametrize("name", SEVERAL)
 def test_curves_with_names_of_their_own_stay_apart(tmp_path: Path, name: str) -> None:
     path = wrote(tmp_path / name, SEVERAL[name](knot(0), knot(1)))
-    codes = [shown_code(curve.points, ROPE) for curve in read_curves(path)]
+    codes = [_shown_code(curve.points, ROPE) for curve in read_curves(path)]
     assert [knot_type(code) for code in codes] == ["3_1", "4_1"]
 
 
@@ -249,7 +249,7 @@ def test_sizes_are_limited_before_anything_is_parsed(tmp_path: Path) -> None:
 def test_repeated_points_change_no_code(number: int, repeated: list[int], again: bool) -> None:
     points = knot(number)
     written = np.repeat(points, 1 + np.bincount(repeated, minlength=300)[: len(points)], axis=0)
-    assert shown_code(closed(written) if again else written, ROPE) == label(points)
+    assert _shown_code(closed(written) if again else written, ROPE) == label(points)
 
 
 @given(st.sampled_from(sorted(ONE)), st.lists(st.tuples(st.integers(0), st.binary(max_size=3))))
@@ -273,7 +273,7 @@ def test_every_shipped_state_comes_back_from_its_curve(tmp_path: Path) -> None:
     path = wrote(tmp_path / "s.npz", npz(**dict(zip(names, states.points, strict=True))))
     for row, curve in enumerate(read_curves(path)):
         assert np.array_equal(curve.points, states.points[row])
-        assert shown_code(curve.points, ROPE).chiral == states.gauss_code_chiral[row]
+        assert _shown_code(curve.points, ROPE).chiral == states.gauss_code_chiral[row]
 
 
 def test_a_knotted_curve_is_laid_with_its_code_and_knot(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import run_prompts, sample_prompt
 from knotgym.prompting.prompts import first
-from knotgym.prompting.reading_scores import reading_scores
+from knotgym.prompting.summary import reading_scores
 from knotgym.prompting.transcripts import read_transcripts
 from knotgym.runs.run import staging_folder
 from knotgym.runs.run_options import RunOptions

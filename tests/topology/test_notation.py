@@ -14,7 +14,7 @@ from knotgym.common.errors import InvalidInput
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import label_many
-from knotgym.topology.diagrams import parts, with_chirality
+from knotgym.topology.diagrams import parts, uniform_code, with_chirality
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import diagram_of, prime_diagrams
 from knotgym.topology.knots import is_unknot, knot_type
@@ -31,7 +31,6 @@ from knotgym.topology.notation import (
 )
 from knotgym.topology.reidemeister import without_bigons
 from knotgym.topology.symmetry import diagram_form
-from knotgym.topology.uniform_codes import uniform_code
 
 CODES = Path(__file__).parents[1] / "codes"
 TREFOIL = GaussCode.parse("1-c,2+c,3-c,1+c,2-c,3+c")

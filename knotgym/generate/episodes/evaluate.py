@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -126,12 +127,10 @@ def run(
             place.write_text(text, encoding="utf-8")
         return f"{len(results)} results of {config.episodes} episodes each"
 
-    def prepare(shown: Progress) -> None:
-        compile_first(shown, config.task.engine, options.workers)
-
+    prepare = partial(compile_first, engine=config.task.engine, workers=options.workers)
     if out is None:
         prepare(progress)
-        with executor(options.workers, options.scheduler) as pool:
+        with executor(options.workers) as pool:
             compute(recipe(None), pool=pool)
     else:
         run_recipe(

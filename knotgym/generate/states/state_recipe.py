@@ -5,6 +5,7 @@ rows = drawing | play | random-walk        (rows that pass the filter and are ne
 """
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,17 +58,19 @@ def make_states(
     asked = {name: value for name, value in as_json(config).items() if name not in _PATIENCE}
     made_by = identity(asked)
 
-    def prepare(progress: Progress) -> None:
-        plan = compile_planning if config.demonstrations else None
-        compile_first(progress, config.engine_used, options.workers, draws=True, plan=plan)
-
     return run(
         lambda place: state_recipe(config, place, made_by),
         Path(out),
         made_by,
         options,
         progress,
-        prepare=prepare,
+        prepare=partial(
+            compile_first,
+            engine=config.engine_used,
+            workers=options.workers,
+            draws=True,
+            plan=compile_planning if config.demonstrations else None,
+        ),
     )
 
 
