@@ -18,7 +18,7 @@ def sb3_vec_env(
     Args:
         task: "unknot", "tie" or "convert".
         num_envs: number of ropes.
-        threads: threads of the simulation, 0 for every core.
+        threads: that share stepping, codes and pictures; 0 for every core. They change no byte.
         goals: whether observations are those of `goal_env`, for `HerReplayBuffer`.
         settings: keywords of `KnotEnv`.
 

@@ -135,7 +135,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
     Args:
         task: "unknot", "tie" or "convert", or a list of them.
         num_envs: number of ropes.
-        threads: threads of the simulation, 0 for every core.
+        threads: that share stepping, codes and pictures; 0 for every core. They change no byte.
         autoreset_mode: "next_step", "same_step" or "disabled", or Gymnasium's constants.
         render_mode: "rgb_array" or None.
         settings: keywords, see `TaskConfig`.

@@ -23,7 +23,7 @@ from knotgym.rope.engines import simulation
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.reset_noise import least_clearance, start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
-from knotgym.topology.code_arrays import CodeArrays, plain_code, read_codes, visits_of
+from knotgym.topology.code_arrays import CodeArrays, code_texts, plain_codes, read_codes, visits_of
 from knotgym.topology.gauss import GaussCode
 
 Ids = NDArray[np.int64]
@@ -194,7 +194,7 @@ class EpisodeBatch:
         self.failed[ids] = self.towed[ids] = False
         self.beads[ids], self.forces[ids], self.applied_shares[ids] = -1, 0.0, 1.0
         if "goal_visits" in rows:
-            goals = [plain_code(row) for row in np.asarray(rows["goal_visits"], dtype=np.int16)]
+            goals = plain_codes(np.asarray(rows["goal_visits"], dtype=np.int16))
         else:
             goals = [_parsed(str(code)) for code in self.goals.gauss_code[self.goal_row[ids]]]
         self.seek(ids, goals)
@@ -283,7 +283,7 @@ class EpisodeBatch:
 
     def goals_of(self, ids: Ids) -> list[GaussCode]:
         """Return the goals' codes, without chirality."""
-        return [plain_code(row) for row in self.wanted[ids]]
+        return plain_codes(self.wanted[ids])
 
     def goal_points(self, index: int) -> Array:
         """Return a copy of the goal configuration, float64 (beads, 3), metres."""
@@ -337,10 +337,9 @@ class EpisodeBatch:
             signs = cut(self.signs[ids], SYMBOLS // 2)
             shown = cut(self.visits[ids]), signs, cut(self.wanted[ids])
         else:
-            codes, goals = self.codes_of(ids), self.goals_of(ids)
-            texts = map(_text, codes), map(_chiral_text, codes), map(_text, goals)
-            one, two, three = (np.array(list(each), dtype=object) for each in texts)
-            shown = one, two, three
+            visits = self.visits[ids]
+            chiral, goals = code_texts(visits, self.signs[ids]), code_texts(self.wanted[ids])
+            shown = code_texts(visits), chiral, goals
         infos = {
             "gauss_code": shown[0],
             "gauss_code_chiral": shown[1],
@@ -360,7 +359,8 @@ class EpisodeBatch:
 
     def _read(self, ids: Ids) -> None:
         """Read the codes of ropes after they moved, or of their goals."""
-        codes = read_codes(self.simulation.points[ids], self.visits.shape[1] // 2)
+        points, threads = self.simulation.points[ids], self.simulation.threads
+        codes = read_codes(points, self.visits.shape[1] // 2, threads)
         self._widen(codes.visits.shape[1])
         self.visits[ids], self.signs[ids], self.crossings[ids] = codes
         self.shown[ids] = (codes.visits == self.wanted[ids]).all(axis=1)
@@ -377,9 +377,9 @@ class EpisodeBatch:
         goals = self.goal_row[ids].tolist()
         for goal in set(goals) - self._goal_images.keys():
             self._goal_images[goal] = draw(self.goals.points[goal], self._picture)
-        return pixels(
-            self.simulation.points[ids], [self._goal_images[goal] for goal in goals], self._picture
-        )
+        pictures = [self._goal_images[goal] for goal in goals]
+        points, threads = self.simulation.points[ids], self.simulation.threads
+        return pixels(points, pictures, self._picture, threads)
 
     def _choose(
         self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator
@@ -405,13 +405,3 @@ class EpisodeBatch:
 @lru_cache(maxsize=1024)
 def _parsed(text: str) -> GaussCode:
     return GaussCode.parse(text)
-
-
-@lru_cache(maxsize=2**14)
-def _text(code: GaussCode) -> str:
-    return str(code)
-
-
-@lru_cache(maxsize=2**14)
-def _chiral_text(code: GaussCode) -> str:
-    return code.chiral

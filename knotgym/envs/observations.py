@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.threads import ALONE, Threads
 from knotgym.envs.marked import join, mark
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.camera import PictureConfig, picture_of
 from knotgym.rendering.picture import draw_many
-from knotgym.topology.code_arrays import plain_code
+from knotgym.topology.code_arrays import plain_codes
 
 SYMBOLS = 64  # visits of a code in an observation, two per crossing
 
@@ -26,7 +27,10 @@ def picture_config(task: TaskConfig) -> PictureConfig:
 
 
 def pixels(
-    points: ArrayLike, goal_pictures: Sequence[NDArray[np.uint8]], picture: PictureConfig
+    points: ArrayLike,
+    goal_pictures: Sequence[NDArray[np.uint8]],
+    picture: PictureConfig,
+    threads: Threads = ALONE,
 ) -> NDArray[np.uint8]:
     """Draw ropes on the left and their goals on the right; views are stacked vertically.
 
@@ -34,15 +38,20 @@ def pixels(
         points: float64 (n, beads, 3), metres.
         goal_pictures: uint8 (views * size, size, 3 or 4) each, the goals as `draw` draws them.
         picture: settings of the pictures.
+        threads: that draw them; MuJoCo's renderer works on one.
 
     Returns:
         uint8 (n, views * size, 2 size, 3); 4 channels with depth.
     """
-    height, size = len(picture.views) * picture.size, picture.size
+    ropes, height, size = np.asarray(points), len(picture.views) * picture.size, picture.size
     seen = np.empty((len(goal_pictures), height, 2 * size, picture.channels), dtype=np.uint8)
-    draw_many(points, picture, out=seen[:, :, :size])
-    for one, goal in zip(seen, goal_pictures, strict=True):
-        one[:, size:] = goal
+
+    def part(rows: slice) -> None:
+        draw_many(ropes[rows], picture, out=seen[rows])
+        for one, goal in zip(seen[rows], goal_pictures[rows], strict=True):
+            one[:, size:] = goal
+
+    (ALONE if picture.renderer == "mujoco" else threads).spread(part, len(seen))
     return seen
 
 
@@ -101,7 +110,7 @@ def observe(
         rope and goal, int16 (n, 2, SYMBOLS), see `cut`; or the joined parts of `mark`.
     """
     if task.observation == "marked":
-        return join(mark(points, [plain_code(row) for row in goal_visits]))
+        return join(mark(points, plain_codes(goal_visits)))
     if task.observation == "symbolic":
         return cut(np.stack([visits, goal_visits], axis=1))
     seen: dict[str, NDArray[Any]] = {}

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from knotgym.common.streams import Stream, generator
 from knotgym.quality.limits import RESET_NOISE, UNITS, Limits, Quality
 from knotgym.rendering.camera import DEFAULT, PictureConfig, picture_of, project
+from knotgym.rendering.strand_spacing import strand_spacing
 from knotgym.rope.model import Array
 from knotgym.rope.reset_noise import noised
 from knotgym.topology.crossings import Crossings, find_crossings, label_many
@@ -76,14 +77,14 @@ def measure(
     apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
     visits = zip(crossings.over_place, crossings.under_place, strict=True)
     angles = np.array([_angle(p, over, under) for over, under in visits])
-    strand_spacing = _strand_spacing(pixels, crossings.over_place, crossings.under_place, WALK)
+    spacing = strand_spacing(pixels, crossings.over_place, crossings.under_place, WALK)
     excess = float("nan") if quick else _average_crossing_number(p) - crossings.nx
     clearance = 1000 * float((crossings.over_z - crossings.under_z).min(initial=np.inf))
     return Quality(
         crossing_angle=float(angles.min(initial=90.0)),
         crossing_spacing=float(apart.min(initial=size)),
         base_spacing=base_spacing(p, crossings, 0, config),
-        strand_spacing=min(size, strand_spacing),
+        strand_spacing=min(size, spacing),
         smallest_region=float(regions.min()) if len(regions) == crossings.nx + 2 else 0.0,
         smallest_face=float(_faces(pixels, crossings).min()),
         margin=float(min(pixels.min(), size - pixels.max()) - radius),
@@ -206,86 +207,6 @@ def _regions(pixels: Array, width: float, fine: int = 3) -> Array:
         canvas, 8, cv2.CV_16U, cv2.CCL_BBDT
     )
     return np.asarray(stats[1:, cv2.CC_STAT_AREA] / fine**2)
-
-
-@numba.njit(cache=True, nogil=True)
-def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> float:
-    """Return the smallest distance in the picture, pixels, of vertices on different strands.
-
-    Two vertices are on different strands if every path between them along the drawing, straight on
-    or turning at crossings, is longer than `walk` pixels. Near a crossing the strands that cross
-    are connected by a short path, and don't count.
-    """
-    beads = len(pixels)
-    along = np.zeros(beads + 1)
-    for i in range(beads):
-        x, y = pixels[(i + 1) % beads, 0] - pixels[i, 0], pixels[(i + 1) % beads, 1] - pixels[i, 1]
-        along[i + 1] = along[i] + np.sqrt(x * x + y * y)
-    total = along[beads]
-    to_visit, from_bead = _walks_to_visits(along, over, under)
-    nearest = np.inf
-    # from cheap to expensive: along the rope, in the picture, then through any crossing
-    for i in range(beads):
-        for j in range(i + 1, beads):
-            gap = along[j] - along[i]
-            gap = min(gap, total - gap)
-            if gap <= walk:
-                continue
-            dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
-            apart = np.sqrt(dx * dx + dy * dy)
-            if apart >= nearest:
-                continue
-            for visit in range(to_visit.shape[1]):
-                gap = min(gap, from_bead[i, visit] + to_visit[j, visit])
-            if gap > walk:
-                nearest = apart
-    return nearest
-
-
-@numba.njit(cache=True, nogil=True)
-def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Array]:
-    """Return the distances from vertices to visits along the drawing, pixels.
-
-    Args:
-        along: float64 (beads + 1,), arc length of the drawing at each vertex, and its total.
-        over, under: float64 (nx,), positions of the visits along the rope, beads; visits 2k and
-            2k + 1 belong to crossing k.
-
-    Returns:
-        float64 (beads, 2 nx) twice: straight along the rope, and with turns at crossings.
-    """
-    beads, visits = len(along) - 1, 2 * len(over)
-    total = along[beads]
-    at = np.empty(visits)
-    for k in range(len(over)):
-        for side in range(2):
-            place = over[k] if side == 0 else under[k]
-            i = min(int(place), beads - 1)
-            at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
-    # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same
-    # point of the picture, at distance 0.
-    between = np.empty((visits, visits))
-    for a in range(visits):
-        for b in range(visits):
-            gap = abs(at[a] - at[b])
-            between[a, b] = 0.0 if a // 2 == b // 2 else min(gap, total - gap)
-    # The loop over the stop between is the outermost: after round m, paths that turn at no visit
-    # beyond m are right.
-    for m in range(visits):
-        for a in range(visits):
-            for b in range(visits):
-                between[a, b] = min(between[a, b], between[a, m] + between[m, b])
-    straight, turning = np.empty((beads, visits)), np.empty((beads, visits))
-    for i in range(beads):
-        for b in range(visits):
-            gap = abs(along[i] - at[b])
-            straight[i, b] = min(gap, total - gap)
-        for b in range(visits):
-            best = np.inf
-            for a in range(visits):
-                best = min(best, straight[i, a] + between[a, b])
-            turning[i, b] = best
-    return straight, turning
 
 
 @numba.njit(cache=True, nogil=True)

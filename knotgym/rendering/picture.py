@@ -62,11 +62,11 @@ def draw_many(
         points: float64, shape (m, beads, 3), metres; m may be 0.
         config: as in `draw`.
         colours: as in `draw`, the same for all ropes.
-        out: uint8 of the shape below to draw into, such as half of wider pictures; None for a new
-            array.
+        out: uint8, contiguous, of the shape below or wider, to whose left the ropes are drawn; what
+            is right of them stays. None for a new array.
 
     Returns:
-        uint8, shape (m, views * size, size, 3 or 4).
+        uint8, shape (m, views * size, size, 3 or 4), or `out`.
 
     Raises:
         InvalidInput, Failed: as in `draw`.
@@ -99,23 +99,24 @@ def _draw_all(
     views, size = len(config.views), config.size
     if out is None:
         out = np.empty((frames, views * size, size, config.channels), dtype=np.uint8)
-    squares = out.reshape(frames, views, size, size, config.channels)
+    require(out.flags.c_contiguous, "out must be contiguous", out.strides)
     if config.renderer == "mujoco":
         # imported only here, because the module searches for OpenGL
         from knotgym.rendering import mujoco_renderer
 
-        for image, rope in zip(squares, points, strict=True):
-            for square, view in zip(image, config.views, strict=True):
+        for image, rope in zip(out[:, :, :size], points, strict=True):
+            for square, view in zip(np.split(image, views), config.views, strict=True):
                 square[:] = mujoco_renderer.draw(seen_from(view, rope), colours, config)
         return out
     shades = np.vstack([np.array(config.background, dtype=np.uint8), colours])
     # whole rows: NumPy assigns three channels at a time forty times more slowly
     row = np.tile(np.array((*config.background, 0)[: config.channels], dtype=np.uint8), size)
-    out.reshape(*out.shape[:2], row.size)[:] = row
+    out.reshape(*out.shape[:2], out.shape[2] * config.channels)[:, :, : row.size] = row
     middle = 0.0 if config.camera == "orthographic" else -config.camera_height
     for number, view in enumerate(config.views):
         placed = _on_canvas(seen_from(view, points), config)
-        paint(*placed, config.supersampling, shades, (middle, config.view), squares[:, number])
+        depths, top = (middle, config.view), number * size
+        paint(*placed, config.supersampling, shades, depths, out, top, size)
     return out
 
 

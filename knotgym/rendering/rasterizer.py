@@ -109,6 +109,8 @@ def paint(
     colours: NDArray[np.uint8],
     depths: tuple[float, float],
     out: NDArray[np.uint8],
+    top: int,
+    size: int,
 ) -> None:
     """Paint m ropes; compiled, and without the interpreter's lock.
 
@@ -118,14 +120,12 @@ def paint(
         factor: samples along each side of a pixel.
         colours: uint8 (1 + n, 3), the background's and the beads'.
         depths: height of the middle of the range of depths, and its length, metres.
-        out: uint8 (m, size, size, 3 or 4), already the background; output.
+        out: uint8 (m, rows, columns, 3 or 4), contiguous, or the kernel is compiled again; output.
+        top, size: the square of `size` pixels from row `top` and column 0 on is painted; it is
+            already the background.
     """
-    side = factor * out.shape[1]
-    canvas = np.zeros((side, side), dtype=np.uint16)
-    painted = np.ascontiguousarray(out)  # for other arrays the kernel would be compiled again
-    _paint(_ropes(pixels, height, radius), factor, colours, depths, canvas, painted)
-    if painted is not out:
-        out[:] = painted
+    canvas = np.zeros((factor * size, factor * size), dtype=np.uint16)
+    _paint(_ropes(pixels, height, radius), factor, colours, depths, canvas, out, top, size)
 
 
 def _ropes(
@@ -184,6 +184,8 @@ def _paint(
     depths: tuple[float, float],
     canvas: NDArray[np.uint16],
     out: NDArray[np.uint8],
+    top: int,
+    size: int,
 ) -> None:
     """Paint ropes one after the other; see `paint`. The canvas is zero before and after."""
     depth_middle, depth_span = depths
@@ -214,9 +216,10 @@ def _paint(
         # only the pixels that the polygons touch, and one more on each side
         for axis in range(2):
             low[axis] = max((low[axis] >> SHIFT) // factor - 1, 0)
-            high[axis] = min(((high[axis] + 1) >> SHIFT) // factor + 2, out.shape[1])
+            high[axis] = min(((high[axis] + 1) >> SHIFT) // factor + 2, size)
         samples = canvas[factor * low[1] : factor * high[1], factor * low[0] : factor * high[0]]
-        shrink(samples, factor, shades, levels, out[k, low[1] : high[1], low[0] : high[0]])
+        square = out[k, top : top + size]
+        shrink(samples, factor, shades, levels, square[low[1] : high[1], low[0] : high[0]])
         for row in range(samples.shape[0]):
             for column in range(samples.shape[1]):
                 samples[row, column] = 0

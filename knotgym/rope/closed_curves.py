@@ -206,21 +206,26 @@ def clearance(points: Array, within: float) -> float:
     """
     beads = len(points)
     best = within
+    middle, half = np.empty((beads, 3)), np.empty(beads)
     for i in range(beads):
-        a, b = points[i], points[(i + 1) % beads]
+        square = 0.0
+        for k in range(3):
+            a, b = points[i, k], points[(i + 1) % beads, k]
+            middle[i, k] = 0.5 * (a + b)
+            square += (b - a) ** 2
+        half[i] = 0.5 * np.sqrt(square)
+    for i in range(beads):
         # bead 0 and the last bead are neighbours too
         for j in range(i + 2, beads if i > 0 else beads - 1):
-            c, d = points[j], points[(j + 1) % beads]
-            far, half = 0.0, 0.0
+            # the distance of the midpoints less both half lengths is a lower bound, which rules
+            # out nearly all pairs; squared, it needs no root
+            far = 0.0
             for k in range(3):
-                far += (a[k] + b[k] - c[k] - d[k]) ** 2
-                half += (b[k] - a[k]) ** 2 + (d[k] - c[k]) ** 2
-            # The distance of the midpoints minus both half lengths is a lower bound; it is
-            # weakened to a single square root, l1 + l2 <= sqrt(2 (l1^2 + l2^2)), and skips nearly
-            # all pairs.
-            if 0.5 * np.sqrt(far) - np.sqrt(0.5 * half) >= best:
+                far += (middle[i, k] - middle[j, k]) ** 2
+            if far >= (best + half[i] + half[j]) ** 2:
                 continue
-            best = min(best, _segment_distance(a, b, c, d))
+            ends = points[i], points[(i + 1) % beads], points[j], points[(j + 1) % beads]
+            best = min(best, _segment_distance(*ends))
     return best
 
 

@@ -80,26 +80,27 @@ def forward(
 
 @numba.njit(cache=True, nogil=True)
 def transported(along: Array, order: Array, parent: Array) -> Array:
-    """Return the orientations of beads with the smallest twist, float64 (beads, 4).
+    """Return the orientations of beads with the smallest twist, float64 (n, beads, 4).
 
     Vertices alone don't determine the rotation of a bead about its own axis; each bead gets its
     parent's orientation turned by the shortest arc (parallel transport).
 
     Args:
-        along: float64 (beads, 3), unit vectors of the beads.
+        along: float64 (n, beads, 3), unit vectors of the beads.
         order, parent: the kinematic trees, see the module.
     """
-    world = np.empty((len(order), 4))
+    world = np.empty((len(along), len(order), 4))
     x_axis, arc = np.zeros(3), np.empty(4)
     x_axis[0] = 1.0
-    for k in range(len(order)):
-        bead = order[k]
-        up = parent[bead]
-        if up < 0:
-            _shortest_arc(x_axis, along[bead], world[bead])
-        else:
-            _shortest_arc(along[up], along[bead], arc)
-            _multiply(arc, world[up], world[bead])
+    for row in range(len(along)):
+        for k in range(len(order)):
+            bead = order[k]
+            up = parent[bead]
+            if up < 0:
+                _shortest_arc(x_axis, along[row, bead], world[row, bead])
+            else:
+                _shortest_arc(along[row, up], along[row, bead], arc)
+                _multiply(arc, world[row, up], world[row, bead])
     return world
 
 

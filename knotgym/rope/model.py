@@ -177,19 +177,21 @@ class Rope:
         return points.reshape(*q.shape[:-1], self.config.beads, 3), gaps.reshape(q.shape[:-1])
 
     def qpos(self, points: ArrayLike) -> Array:
-        """Return generalized positions of a configuration, with the smallest twist of its beads.
+        """Return generalized positions of configurations, with the smallest twist of their beads.
 
         Args:
-            points: float64 (beads, 3), metres, neighbours one bead length apart inside each
+            points: float64 (..., beads, 3), metres, neighbours one bead length apart inside each
                 sub-chain.
 
         Returns:
-            float64 (nq,).
+            float64 (..., nq).
         """
         p = np.ascontiguousarray(points, dtype=np.float64)
-        along = np.roll(p, -1, axis=0) - p
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-        return self.turned_qpos(p[None], transported(along, self._order, self._parent)[None])[0]
+        rows = p.reshape(-1, *p.shape[-2:])
+        along = np.roll(rows, -1, axis=1) - rows
+        along /= np.linalg.norm(along, axis=2, keepdims=True)
+        qpos = self.turned_qpos(rows, transported(along, self._order, self._parent))
+        return qpos.reshape(*p.shape[:-2], self.nq)
 
     def turned_qpos(self, points: Array, world: Array) -> Array:
         """Return generalized positions of ropes whose beads are turned as given.

@@ -70,13 +70,13 @@ def start_qpos(
         gaps = np.linalg.norm(moved[:, 0] - moved[:, -1], axis=1) - rope.config.bead_length
         closed = np.abs(gaps) < _GAP
         moved[~closed] = writable[left][~closed]
-        refused = []
-        for row, one, code, ok in zip(left, moved, label_many(moved), closed, strict=True):
-            if ok and code == codes[row] and clearance(one, bound[row]) >= bound[row]:
-                started[row] = rope.qpos(one)
-            else:
-                refused.append(row)
-        left = refused
+        kept = [
+            ok and code == codes[row] and clearance(one, bound[row]) >= bound[row]
+            for row, one, code, ok in zip(left, moved, label_many(moved), closed, strict=True)
+        ]
+        taken = np.array(kept)
+        started[np.array(left)[taken]] = rope.qpos(moved[taken])
+        left = [row for row, fits in zip(left, kept, strict=True) if not fits]
     return started
 
 

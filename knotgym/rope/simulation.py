@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
+from knotgym.common.threads import Threads
 from knotgym.rope.actions import decode_actions, encode_actions
 from knotgym.rope.model import Array, Rope
 
@@ -29,6 +30,7 @@ class Simulation(ABC):
         shares: the values that an entry of `applied_shares` can have.
         rope: the model that all ropes share.
         count: number of ropes.
+        threads: that share the work on them.
         points: float64 (count, beads, 3), metres, after the last call; the simulation's own memory,
             so copy what you keep.
         applied_shares: float64 (count,), the fraction of the requested impulse (force times time)
@@ -47,13 +49,13 @@ class Simulation(ABC):
         self.rope = rope or Rope()
         self.count = count
         self.applied_shares: Array = np.ones(count)
-        self._threads = threads
+        self.threads = Threads(threads)
 
     def __getstate__(self) -> dict[str, Any]:
         return {
             "config": self.rope.config,
             "count": self.count,
-            "threads": self._threads,
+            "threads": self.threads.count,
             "states": self.states(),
         }
 
@@ -127,7 +129,15 @@ class Simulation(ABC):
         bad = ~(np.abs(a) <= 1.0 + ROUNDING).all(axis=1)
         if bad.any():
             raise InvalidInput(f"an action's numbers must be in [-1, 1], got {a[bad][0].tolist()}")
-        return decode_actions(np.clip(a, -1.0, 1.0), self.points[where], self.rope.config)
+        clipped, beads = np.clip(a, -1.0, 1.0), np.empty(len(where), dtype=np.int64)
+        forces = np.empty((len(where), 3))
+
+        def read(rows: slice) -> None:
+            points, config = self.points[where[rows]], self.rope.config
+            beads[rows], forces[rows] = decode_actions(clipped[rows], points, config)
+
+        self.threads.spread(read, len(where))
+        return beads, forces
 
     def actions(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.float32]:
         """Return actions float32 (len(ids), 6) that `act` decodes to these beads and forces (N)."""

@@ -343,7 +343,7 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
     rope = Rope(rope_of(table["points"].shape[1]))
     try:
         codes = [GaussCode.parse(text) for text in table["gauss_code_chiral"].tolist()]
-        qpos = np.stack([rope.qpos(one) for one in table["points"].astype(np.float64)])
+        qpos = rope.qpos(table["points"].astype(np.float64))
     except ValueError as error:
         raise InvalidFile(f"a state can't be laid from its vertices: {error}") from error
     count, points = table.rows, rope.points(qpos)

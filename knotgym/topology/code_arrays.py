@@ -9,13 +9,14 @@ the most crossings, so no code is ever cut.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import NamedTuple
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
+from knotgym.common.threads import ALONE, Threads
 from knotgym.topology.crossing_kernel import scan_rows
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
@@ -32,17 +33,18 @@ class CodeArrays(NamedTuple):
 
     def objects(self) -> list[GaussCode]:
         """Return the codes with chirality; equal codes share one object."""
-        visits, signs = np.ascontiguousarray(self.visits), np.ascontiguousarray(self.signs)
-        pairs = zip(visits, signs, self.crossings.tolist(), strict=True)
-        return [_code(one[: 2 * nx].tobytes(), sign[:nx].tobytes()) for one, sign, nx in pairs]
+        return [_code(*row) for row in zip(_rows(self.visits), _rows(self.signs), strict=True)]
 
 
-def read_codes(points: NDArray[np.float64], width: int = WIDTH) -> CodeArrays:
+def read_codes(
+    points: NDArray[np.float64], width: int = WIDTH, threads: Threads = ALONE
+) -> CodeArrays:
     """Read the Gauss codes of many ropes.
 
     Args:
         points: float64 (n, beads, 3), metres.
         width: crossings that the arrays have room for, at least; WIDTH or a multiple.
+        threads: that read them.
 
     Raises:
         InvalidInput: a coordinate isn't finite.
@@ -52,7 +54,8 @@ def read_codes(points: NDArray[np.float64], width: int = WIDTH) -> CodeArrays:
     while True:
         visits = np.empty((count, 2 * width), dtype=np.int16)
         signs = np.empty((count, width), dtype=np.int8)
-        most = scan_rows(ropes, visits, signs, crossings)
+        scan = partial(_scan, (ropes, visits, signs, crossings))
+        most = max(threads.spread(scan, count), default=0)
         if count and crossings.min() < 0:
             raise InvalidInput(
                 f"no closed rope: a coordinate of rope {int(crossings.argmin())} is not finite;"
@@ -74,13 +77,47 @@ def visits_of(codes: Sequence[GaussCode], width: int = WIDTH) -> NDArray[np.int1
 
 def plain_code(visits: NDArray[np.int16]) -> GaussCode:
     """Return the code of one row of visits, without chirality."""
-    return _code(visits[: np.count_nonzero(visits)].tobytes(), None)
+    return plain_codes(visits[None])[0]
+
+
+def plain_codes(visits: NDArray[np.int16]) -> list[GaussCode]:
+    """Return the codes of rows of visits, without chirality; equal codes share one object."""
+    return [_code(row, None) for row in _rows(visits)]
+
+
+def code_texts(
+    visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None
+) -> NDArray[np.object_]:
+    """Write codes as text, with chirality if signs are given: objects (n,), of str."""
+    rows: list[Any] = _rows(visits)
+    given = [None] * len(rows) if signs is None else _rows(signs)
+    texts = np.empty(len(rows), dtype=object)
+    texts[:] = list(map(_text, rows, given))
+    return texts
+
+
+def _scan(arrays: Sequence[NDArray[Any]], rows: slice) -> int:
+    return int(scan_rows(*(array[rows] for array in arrays)))
+
+
+def _rows(array: NDArray[Any]) -> list[bytes]:
+    """Return the bytes of each row of an array (n, width)."""
+    width = array.shape[1] * array.itemsize
+    listed: list[bytes] = np.ascontiguousarray(array).view(f"V{width}")[:, 0].tolist()
+    return listed
 
 
 @lru_cache(maxsize=2**14)
 def _code(visits: bytes, signs: bytes | None) -> GaussCode:
-    walk = tuple(np.frombuffer(visits, dtype=np.int16).tolist())
+    numbers = np.frombuffer(visits, dtype=np.int16)
+    walk = tuple(numbers[numbers != 0].tolist())
     if signs is None:
         return trusted_code(walk, None if walk else "")
-    letters = [POSITIVE if sign > 0 else NEGATIVE for sign in np.frombuffer(signs, np.int8)]
-    return trusted_code(walk, "".join(letters))
+    own = np.frombuffer(signs, dtype=np.int8)[: len(walk) // 2]
+    return trusted_code(walk, "".join([POSITIVE if sign > 0 else NEGATIVE for sign in own]))
+
+
+@lru_cache(maxsize=2**14)
+def _text(visits: bytes, signs: bytes | None) -> str:
+    code = _code(visits, signs)
+    return str(code) if signs is None else code.chiral

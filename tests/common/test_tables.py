@@ -58,6 +58,12 @@ def test_a_table_comes_back_as_it_was(tmp_path: Path, pack: bool) -> None:
     assert dict(back.schema.sizes) == {"beads": 4}
 
 
+def test_columns_that_have_a_unit_name_it_in_the_file(path: Path) -> None:
+    with h5py.File(path, "r") as file:
+        units = [{**file[SCHEMA.name][name].attrs} for name in ("points", "done")]
+    assert units == [{"unit": "m"}, {}]
+
+
 def test_contiguous_columns_are_mapped_and_read_only(path: Path) -> None:
     points = read_back(path)["points"]
     assert not points.flags.owndata and not points.flags.writeable and points.flags.aligned

@@ -63,6 +63,15 @@ def synced(states_path: str) -> Callable[..., SyncVectorEnv]:
     return made
 
 
+def test_threads_change_no_byte_of_observations_codes_and_rewards(make: MakeVec) -> None:
+    """Seven ropes on three threads aren't divided evenly; episodes end and begin again."""
+    told = {"observation": "both", "views": ["top", "left"], "engine": "chain", "horizon": 2}
+    one, three = (make(num_envs=7, threads=count, **told) for count in (1, 3))
+    assert same(one.reset(seed=0), three.reset(seed=0))
+    for pull in actions(7, 4):
+        assert same(one.step(pull), three.step(pull))
+
+
 @pytest.mark.parametrize("observation", ["pixels", "state", "both", "symbolic"])
 def test_make_vec_gives_one_batched_simulation(states_path: str, observation: str) -> None:
     envs = gym.make_vec(

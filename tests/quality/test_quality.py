@@ -13,6 +13,7 @@ from knotgym.quality.limits import LEGIBLE, UNAMBIGUOUS, UNTWISTED, Limits, Qual
 from knotgym.quality.measures import base_spacing, noise_survival
 from knotgym.rendering.camera import DEFAULT
 from knotgym.rope.model import Rope
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings
 
 from ..conftest import curled, trefoil
@@ -60,6 +61,7 @@ def lowered() -> NDArray[np.float64]:
     return points
 
 
+SHIPPED_POINTS = read_states(shipped(), images=False).points
 RECTANGLE = drawn([(-30, -20, 0), (30, -20, 0), (30, 20, 0), (-30, 20, 0)])
 EYE = drawn([(-40, 30, 0), (1, -1, 0), (-1, -1, 3), (40, 30, 3)])  # the rope fills it
 LANE = drawn([(-40, 2.5, 0), (40, 2.5, 0), (40, -2.5, 0), (-40, -2.5, 0)])
@@ -130,6 +132,44 @@ def test_base_spacing_from_another_vertex_is_that_of_the_renumbered_rope() -> No
 
 def test_strands_are_not_close_where_they_cross() -> None:
     assert measure(bow_tie(30, 15)).strand_spacing > 2
+
+
+def spacing_by_graph(points: NDArray[np.float64], walk: float) -> float:
+    """Return the strand spacing by shortest paths over vertices and crossings of the picture."""
+    found, beads = find_crossings(points), len(points)
+    places = np.concatenate([np.arange(beads), found.over_place, found.under_place])
+    # a crossing's two visits are one node of the graph
+    nodes = np.concatenate([np.arange(beads), *[beads + np.arange(found.nx)] * 2])
+    order = np.argsort(places, kind="stable")
+    pixels = points[:, :2] / PIXEL
+    spots = np.stack(
+        [np.interp(places, np.arange(beads + 1), [*pixels[:, k], pixels[0, k]]) for k in range(2)],
+        axis=1,
+    )[order]
+    lengths = np.linalg.norm(np.roll(spots, -1, axis=0) - spots, axis=1)
+    here = nodes[order]
+    paths = np.full([beads + found.nx] * 2, np.inf)
+    for one, other, length in zip(here, np.roll(here, -1), lengths, strict=True):
+        paths[one, other] = paths[other, one] = min(paths[one, other], length)
+    for stop in range(len(paths)):
+        paths = np.minimum(paths, paths[:, stop, None] + paths[stop])
+    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
+    return float(apart[(paths[:beads, :beads] > walk) & ~np.eye(beads, dtype=bool)].min())
+
+
+@pytest.mark.parametrize("row", range(40, 177, 20))
+def test_strands_are_different_where_every_path_over_the_picture_is_long(row: int) -> None:
+    points = SHIPPED_POINTS[row]
+    right = spacing_by_graph(points, measures.WALK)
+    assert measure(points, quick=True).strand_spacing == pytest.approx(right, rel=1e-9)
+
+
+@pytest.mark.parametrize("row", range(40, 177, 20))
+def test_the_faces_inside_add_up_to_the_face_outside(row: int) -> None:
+    points = SHIPPED_POINTS[row]
+    pixels, crossings = points[:, :2] / PIXEL, find_crossings(points)
+    *inner, outer = np.sort(measures._faces(pixels, crossings))
+    assert sum(inner) == pytest.approx(outer, rel=1e-9)
 
 
 def test_a_coil_seen_end_on_hides_crossings() -> None:

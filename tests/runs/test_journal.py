@@ -105,6 +105,7 @@ def record(head: str, size: int = 0, content: bytes = b"") -> bytes:
         b"knotgym journal 1\n" + record("{}"),
         b"knotgym journal 1\n" + record('{"run": 3}'),
         b"knotgym journal 1\nnonsense\n",
+        b"knotgym journal 1\n" + record("5"),
         *(
             b"knotgym journal 1\n"
             + record('{"run": {"config": {"seed": 0}}}')

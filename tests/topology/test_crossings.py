@@ -307,3 +307,5 @@ def test_many_crossings_are_all_found() -> None:
     star = 2.0 * np.pi * np.arange(101) * 50 / 101
     points = np.column_stack([np.cos(star), np.sin(star), np.cos(7.0 * star)])
     assert label(points).nx == 101 * 98 // 2
+    several = label_many(np.stack([points, np.roll(points, 1, axis=0), points]))
+    assert several == [label(points), label(np.roll(points, 1, axis=0)), label(points)]

@@ -136,6 +136,20 @@ def test_a_bad_code_is_refused_in_one_short_line(text: str, problem: str) -> Non
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
 
 
+def kinks(visit: str) -> str:
+    """Return a code one crossing larger than any that is read; `visit` spells a kink's two."""
+    return ",".join(visit.format(k) for k in range(1, MOST_CROSSINGS + 2))
+
+
+@pytest.mark.parametrize("visit", ["{0}+,{0}-", "{0} -{0}", "O{0},U{0}", "O{0}+,U{0}+"])
+def test_the_largest_code_is_read_and_none_larger(visit: str) -> None:
+    text = kinks(visit)
+    with pytest.raises(InvalidInput, match="too large|too long"):
+        parse_code(text)
+    last = visit.format(MOST_CROSSINGS + 1)
+    assert parse_code(text.removesuffix(f",{last}")).nx == MOST_CROSSINGS
+
+
 @given(st.text("[](),+-acDTPX 0123456789", max_size=60))
 def test_any_text_is_a_code_or_refused(text: str) -> None:
     try:

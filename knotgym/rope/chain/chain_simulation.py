@@ -8,8 +8,6 @@ After a change run `pytest tests/rope/chain/test_chain_simulation.py`: beads end
 MuJoCo's after an action, and the same states lead to the same bytes.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-from os import cpu_count
 from typing import Any
 
 import mujoco
@@ -75,9 +73,6 @@ class ChainSimulation(Simulation):
         self._schedule = np.array(schedule, dtype=np.int64)
         # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
         self._physics = physics_of(self.rope)
-        workers = min(threads or cpu_count() or 1, -(-count // LANES))
-        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
-        self._workers = workers
         self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
         self.points = np.empty((count, self.rope.config.beads, 3))
         self.lay(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
@@ -150,31 +145,30 @@ class ChainSimulation(Simulation):
 
     def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
         where = self._all(ids)
-        states, pulled = self._states[where], np.ascontiguousarray(beads, dtype=np.int64)
+        pulled = np.ascontiguousarray(beads, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=np.float64)
-        counts = np.zeros((len(where), 4), dtype=np.int64)
+        finite, total = np.empty(len(where), dtype=bool), TICKS * int(self._schedule.sum())
+
         # Threads get whole groups of lanes. `advance` runs without the interpreter's lock, and no
         # rope's result depends on those beside it, so the number of threads changes nothing.
-        sizes = -(-len(where) // (self._workers * LANES)) * LANES
-
-        def move(first: int) -> None:
-            part = slice(first, first + sizes)
+        def move(rows: slice) -> None:
+            own = where[rows]
+            states, counts = self._states[own], np.zeros((len(own), 4), dtype=np.int64)
             advance(
-                states[part],
-                pulled[part],
-                forces[part],
+                states,
+                pulled[rows],
+                forces[rows],
                 self._physics,
                 self.rope.config.timestep * self.rope.config.frame_skip,
                 self._schedule,
-                counts[part],
+                counts,
             )
+            self._states[own], self.points[own] = states, states[:, :, POSITION]
+            self.applied_shares[own] = (total - counts[:, layout.LOST]) / total
+            finite[rows] = np.isfinite(states).all(axis=(1, 2))
 
-        firsts = range(0, len(where), sizes) if len(where) else ()
-        list((self._pool.map if self._pool else map)(move, firsts))
-        self._states[where], self.points[where] = states, states[:, :, POSITION]
-        total = TICKS * int(self._schedule.sum())
-        self.applied_shares[where] = (total - counts[:, layout.LOST]) / total
-        return np.asarray(np.isfinite(states).all(axis=(1, 2)), dtype=bool)
+        self.threads.spread(move, len(where), LANES)
+        return finite
 
 
 def physics_of(rope: Rope) -> layout.Physics:

@@ -1,0 +1,305 @@
+"""Compiled loops of `photo`: surfaces, the rope in two layers, and the camera's noise.
+
+Arithmetic is + - * / and sqrt alone, in float32 without fastmath, so that the same numbers give the
+same bytes on every processor. Pixel (row, column) has its centre at (column + 0.5, row + 0.5).
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+FAR = np.float32(1e9)  # squared distance of pixels that no piece is near
+UNDER, OVER, FIRST, LAST = 1, 2, 4, 8  # flags of a piece: its layers, and ends of the upper one
+CLOTH, WOOD, GRADIENT, NOISE = 0, 1, 2, 3
+_TURN = np.float32(6.2831853)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _smooth_noise(texture: Array, x: Any, y: Any) -> Any:
+    """Interpolate a periodic texture, float32 (64, 64), at a point."""
+    column, row = int(np.floor(x)), int(np.floor(y))
+    x, y = x - np.float32(column), y - np.float32(row)
+    c, d, r, s = column & 63, (column + 1) & 63, row & 63, (row + 1) & 63
+    upper = texture[r, c] + x * (texture[r, d] - texture[r, c])
+    lower = texture[s, c] + x * (texture[s, d] - texture[s, c])
+    return upper + y * (lower - upper)
+
+
+@njit(cache=True, nogil=True)
+def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, last: Array) -> None:
+    """Paint a surface.
+
+    Args:
+        out: uint8 (size, size, 3); overwritten.
+        kind: CLOTH, WOOD, GRADIENT or NOISE.
+        texture: float32 (64, 64), random in [0, 1).
+        axes: float32 (2, 3); (x, y, 1) of a pixel is taken to the surface's units: a thread, a ring
+            of wood, a spot of noise, the picture's side.
+        first, last: float32 (3,), RGB where the pattern is 0 and 1.
+    """
+    half, one = np.float32(0.5), np.float32(1)
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            px, py = np.float32(column) + half, np.float32(row) + half
+            x = axes[0, 0] * px + axes[0, 1] * py + axes[0, 2]
+            y = axes[1, 0] * px + axes[1, 1] * py + axes[1, 2]
+            if kind == GRADIENT:
+                value = x + half
+            elif kind == NOISE:
+                value = np.float32(0.5) * _smooth_noise(texture, x, y)
+                value += np.float32(0.3) * _smooth_noise(texture, 3 * x, 3 * y)
+                value += np.float32(0.2) * _smooth_noise(texture, 9 * x, 9 * y)
+            elif kind == CLOTH:
+                # the thread on top alternates; each is brightest along its middle
+                warp, weft = np.floor(x), np.floor(y)
+                if (int(warp) + int(weft)) & 1:
+                    off, tone = x - warp - half, texture[int(warp) & 63, 0]
+                else:
+                    off, tone = y - weft - half, texture[int(weft) & 63, 1]
+                value = np.float32(0.75) - 2 * off * off + np.float32(0.35) * (tone - half)
+            else:
+                # rings bent by slow noise: early wood turns slowly into late wood and ends at once
+                bent = y + 6 * _smooth_noise(texture, np.float32(0.03) * x, np.float32(0.25) * y)
+                phase = bent - np.floor(bent)
+                value = half * min(phase * np.float32(1.4), (one - phase) * np.float32(4))
+                value += half * _smooth_noise(texture, np.float32(0.3) * x, 6 * y)
+            value = min(max(value, np.float32(0)), one)
+            for c in range(3):
+                out[row, column, c] = np.uint8(first[c] + value * (last[c] - first[c]))
+
+
+@njit(cache=True, nogil=True)
+def shapes(
+    picture: Array, hidden: Array, outlines: Array, colours: Array, shift: Array, dark: Any
+) -> None:
+    """Paint flat convex shapes with soft shadows, one over the other.
+
+    Args:
+        picture: uint8 (size, size, 3); changed.
+        hidden: uint8 (size, size), set to 1 where a shape is.
+        outlines: float32 (n, sides + 1, 3). Row 0 is the middle x, y and the farthest corner, px;
+            the others are sides: an outward normal, and the distance from the middle to the side.
+        colours: float32 (n, 3).
+        shift: float32 (2,), of the shadows, px.
+        dark: share of light that a shadow takes.
+    """
+    size, soft = len(picture), np.float32(2) + abs(shift[0]) + abs(shift[1])
+    for k in range(len(outlines)):
+        x, y, reach = outlines[k, 0]
+        reach += 2 * soft
+        for row in range(max(int(y - reach), 0), min(int(y + reach) + 1, size)):
+            for column in range(max(int(x - reach), 0), min(int(x + reach) + 1, size)):
+                px, py = (
+                    np.float32(column) + np.float32(0.5) - x,
+                    np.float32(row) + np.float32(0.5) - y,
+                )
+                out = shade = -FAR
+                for s in range(1, outlines.shape[1]):
+                    nx, ny, off = outlines[k, s]
+                    out = max(out, nx * px + ny * py - off)
+                    shade = max(shade, nx * (px - shift[0]) + ny * (py - shift[1]) - off)
+                cover = min(max(np.float32(0.5) - out, np.float32(0)), np.float32(1))
+                lit = min(max(np.float32(0.5) - shade / soft, np.float32(0)), np.float32(1))
+                lit = 1 - np.float32(dark) * lit
+                hidden[row, column] |= cover > 0.5
+                for c in range(3):
+                    below = lit * picture[row, column, c]
+                    picture[row, column, c] = np.uint8(below + cover * (colours[k, c] - below))
+
+
+@njit(cache=True, nogil=True)
+def stamp(
+    curve: Array, after: Array, flags: Array, reach: Any, square: Array, place: Array
+) -> None:
+    """Find the nearest piece of each layer at every pixel within reach.
+
+    Args:
+        curve: float32 (n, 3), px; piece k leads from curve[k] to curve[after[k]].
+        after: int64 (n,), -1 for no piece.
+        flags: uint8 (n,), see UNDER.
+        reach: px.
+        square, place: float32 (2, size, size), squared distance, and place along the curve in
+            pieces, of the lower and the upper layer; `square` must hold FAR.
+    """
+    size, limit, half = square.shape[1], np.float32(reach * reach), np.float32(0.5)
+    for k in range(len(curve)):
+        if after[k] < 0:
+            continue
+        x0, y0 = curve[k, 0], curve[k, 1]
+        dx, dy = curve[after[k], 0] - x0, curve[after[k], 1] - y0
+        inverse = np.float32(1) / max(dx * dx + dy * dy, np.float32(1e-9))
+        left, right = int(max(min(x0, x0 + dx) - reach, 0)), int(max(x0, x0 + dx) + reach) + 1
+        top, bottom = int(max(min(y0, y0 + dy) - reach, 0)), int(max(y0, y0 + dy) + reach) + 1
+        for row in range(top, min(bottom, size)):
+            py = np.float32(row) + half - y0
+            for column in range(left, min(right, size)):
+                px = np.float32(column) + half - x0
+                t = (px * dx + py * dy) * inverse
+                # the upper layer ends square, on the lower one, which goes on below it
+                upper = flags[k] & OVER and not (
+                    (t < 0 and flags[k] & FIRST) or (t > 1 and flags[k] & LAST)
+                )
+                t = min(max(t, np.float32(0)), np.float32(1))
+                ex, ey = px - t * dx, py - t * dy
+                d = ex * ex + ey * ey
+                if d > limit:
+                    continue
+                if upper and d < square[1, row, column]:
+                    square[1, row, column], place[1, row, column] = d, np.float32(k) + t
+                if flags[k] & UNDER and d < square[0, row, column]:
+                    square[0, row, column], place[0, row, column] = d, np.float32(k) + t
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _arcsine_share(u: Any) -> Any:
+    """Return arcsin(u) / (2 pi) (Abramowitz and Stegun 4.4.45)."""
+    a, one = abs(u), np.float32(1)
+    bent = np.float32(1.5707288) + a * (
+        np.float32(-0.2121144) + a * (np.float32(0.074261) - a * np.float32(0.0187293))
+    )
+    share = (np.float32(1.5707963) - np.sqrt(max(one - a, np.float32(0))) * bent) / _TURN
+    return share if u >= 0 else -share
+
+
+@njit(cache=True, nogil=True)
+def compose(
+    picture: Array, square: Array, place: Array, curve: Array, after: Array, tangent: Array,
+    along: Array, colours: Array, radius: Any, twisted: bool, gloss: Any, ambient: Any,
+    dark: Any, light: Array, texture: Array, grown: Any, own: int,
+) -> None:  # fmt: skip
+    """Paint both layers and their shadows on a surface.
+
+    Args:
+        picture: uint8 (size, size, 3); changed.
+        square, place, curve, after: as in `stamp`.
+        tangent: float32 (n, 3), unit.
+        along: float32 (n,), length in space up to each point, in turns of the texture.
+        colours: float32 (n, 2, 3), RGB of the two strands of the twist.
+        radius: px.
+        gloss, ambient, dark: strengths of highlight, light without direction, and shadows.
+        light: float32 (3,), unit, towards the light; y points down.
+        texture: float32 (64, 64), of fibres.
+        grown: pieces; an upper piece casts no shadow on places as near along the rope.
+        own: number of points of the rope itself; those of others follow.
+    """
+    size, n, zero, one, half = (
+        len(picture),
+        len(curve),
+        np.float32(0),
+        np.float32(1),
+        np.float32(0.5),
+    )
+    radius, gloss, ambient, dark = (
+        np.float32(radius),
+        np.float32(gloss),
+        np.float32(ambient),
+        np.float32(dark),
+    )
+    hx, hy, hz = light[0], light[1], light[2] + one
+    norm = one / np.sqrt(hx * hx + hy * hy + hz * hz)
+    hx, hy, hz = hx * norm, hy * norm, hz * norm
+    # the shadow falls away from the light, about as far as the rope is thick
+    right, down = int(np.floor(radius * light[0] + half)), int(np.floor(radius * light[1] + half))
+    soft, near = np.float32(0.8) * radius + one, np.float32(0.7) * radius + one
+    colour = np.empty(3, np.float32)
+    for row in range(size):
+        for column in range(size):
+            r, c = row + down, column + right
+            lit = one
+            if 0 <= r < size and 0 <= c < size:
+                d = np.sqrt(min(square[0, r, c], square[1, r, c]))
+                s = min(max(half + (radius - d) / (2 * soft), zero), one)
+                lit -= np.float32(0.7) * dark * s * s * (3 - 2 * s)
+            low, high = np.sqrt(square[0, row, column]), np.sqrt(square[1, row, column])
+            s = min(max(one - (min(low, high) - radius) / near, zero), one)
+            lit -= np.float32(0.5) * dark * s * s * lit
+            for i in range(3):
+                colour[i] = lit * picture[row, column, i]
+            for layer in range(2):
+                d = high if layer else low
+                if d >= radius + half:
+                    continue
+                p = place[layer, row, column]
+                k = min(int(p), n - 1)
+                t, j = p - np.float32(k), after[k]
+                tx = tangent[k, 0] + t * (tangent[j, 0] - tangent[k, 0])
+                ty = tangent[k, 1] + t * (tangent[j, 1] - tangent[k, 1])
+                tz = tangent[k, 2] + t * (tangent[j, 2] - tangent[k, 2])
+                flat = np.sqrt(tx * tx + ty * ty) + np.float32(1e-6)
+                px = np.float32(column) + half - curve[k, 0] - t * (curve[j, 0] - curve[k, 0])
+                py = np.float32(row) + half - curve[k, 1] - t * (curve[j, 1] - curve[k, 1])
+                u = min(d / radius, one) if tx * py - ty * px >= 0 else -min(d / radius, one)
+                rise = np.sqrt(one - u * u)
+                groove, lean, which, edge, fibre = one, zero, 0, radius, one
+                turn = along[k] + t * (along[k + 1] - along[k])
+                if twisted:
+                    v = 2 * (turn + _arcsine_share(u))
+                    which = int(np.floor(v)) & 1
+                    v -= np.floor(v)
+                    bump = 4 * v * (one - v)
+                    groove = np.float32(0.45) + np.float32(0.55) * min(one, np.float32(1.7) * bump)
+                    lean = np.float32(0.9) * v - np.float32(0.45)
+                    edge = radius * (np.float32(0.92) + np.float32(0.08) * bump)
+                    fibre = np.float32(0.88) + np.float32(0.2) * _smooth_noise(
+                        texture, 6 * v, 9 * turn
+                    )
+                cover = min(edge - d + half, one)
+                if cover <= 0:
+                    continue
+                # normal: across the rope, out of it towards the camera, and along the twist
+                nx = -u * ty / flat - rise * tz * tx / flat + lean * tx
+                ny = u * tx / flat - rise * tz * ty / flat + lean * ty
+                nz = rise * flat + lean * tz
+                norm = one / np.sqrt(nx * nx + ny * ny + nz * nz)
+                diffuse = max((nx * light[0] + ny * light[1] + nz * light[2]) * norm, zero)
+                sheen = max((nx * hx + ny * hy + nz * hz) * norm, zero)
+                for _ in range(4):
+                    sheen *= sheen
+                sky = ambient * (half + half * rise)
+                shade = fibre * groove * (sky + (one - ambient) * np.float32(1.1) * diffuse)
+                if layer == 0 and high < radius + near:
+                    apart = abs(p - place[1, row, column])
+                    if min(apart, np.float32(own) - apart) > grown:
+                        s = min(one - (high - radius) / near, one)
+                        shade *= one - np.float32(0.95) * dark * s
+                glint = np.float32(170) * gloss * sheen * groove
+                for i in range(3):
+                    colour[i] += cover * (shade * colours[k, which, i] + glint - colour[i])
+            for i in range(3):
+                picture[row, column, i] = np.uint8(
+                    min(max(colour[i] + half, zero), np.float32(255))
+                )
+
+
+@njit(cache=True, nogil=True)
+def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int) -> None:
+    """Apply the lamp's colour and falloff, and add noise of brightness and, less, of colour.
+
+    Args:
+        picture: uint8 (size, size, 3); changed.
+        gain: float32 (3,), of RGB.
+        slope: float32 (2,), change of light over the picture, right and down, a share.
+        deviation: of the noise, levels.
+    """
+    size, byte, half = len(picture), np.uint64(255), np.float32(0.5)
+    state = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x2545F4914F6CDD1D)
+    scale = np.float32(deviation) / np.float32(147.8)  # the sum of four bytes deviates by so much
+    for row in range(size):
+        for column in range(size):
+            state ^= state << np.uint64(13)  # xorshift64 (Marsaglia, 2003)
+            state ^= state >> np.uint64(7)
+            state ^= state << np.uint64(17)
+            low = high = np.int64(-510)
+            for k in range(4):
+                low += np.int64((state >> np.uint64(8 * k)) & byte)
+                high += np.int64((state >> np.uint64(8 * k + 32)) & byte)
+            grey, tint = np.float32(low) * scale + half, half * np.float32(high) * scale
+            light = 1 + slope[0] * (np.float32(column) / size - half)
+            light += slope[1] * (np.float32(row) / size - half)
+            for c in range(3):
+                level = picture[row, column, c] * light * gain[c] + grey + (1 - c) * tint
+                picture[row, column, c] = np.uint8(min(max(level, np.float32(0)), np.float32(255)))

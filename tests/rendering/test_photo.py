@@ -1,0 +1,121 @@
+"""Photos: the answers are what an outside computation from points and camera finds."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.rendering.photo import Shot, photograph, take
+from knotgym.states.state_file import read_states, shipped
+from knotgym.topology.notation import pd_code
+
+Array = NDArray[np.float64]
+
+
+def shots(count: int, size: int, seed: int) -> list[tuple[Array, Shot]]:
+    """Photograph shipped states in random order; return their points, and their photos."""
+    rng, made = np.random.default_rng(seed), list[tuple[Array, Shot]]()
+    ropes = [read_states(shipped(one), images=False).points for one in ("readable", "bench")]
+    states = np.concatenate(ropes)
+    while len(made) < count:
+        points = states[rng.integers(len(states))]
+        if (shot := photograph(points, size, rng)) is not None:
+            made.append((points, shot))
+    return made
+
+
+def faults(points: Array, shot: Shot) -> list[str]:
+    """Compare all answers with what points, camera and picture say, without the package's code."""
+    wrong, look, answers = list[str](), shot.look, shot
+    t, h, turn = math.radians(look.tilt), math.radians(look.heading), look.turn
+
+    def about_z(a: float) -> Array:
+        return np.array([[math.cos(a), -math.sin(a), 0], [math.sin(a), math.cos(a), 0], [0, 0, 1]])
+
+    # turn the world so that the camera leans along x, tilt it so that the line of sight is z
+    tip = np.array([[math.cos(t), 0, -math.sin(t)], [0, 1, 0], [math.sin(t), 0, math.cos(t)]])
+    seen = (points - points.mean(axis=0)) @ (about_z(h) @ tip @ about_z(-h)).T
+    if not np.allclose(seen, answers.points - answers.points.mean(axis=0), atol=1e-12):
+        wrong.append("projection")
+    # every pair of segments
+    a, b = seen, np.roll(seen, -1, axis=0) - seen
+    found = list[tuple[float, float, bool, int]]()  # over place, under place, first is over, sign
+    for i in range(len(a)):
+        j = np.arange(i + 2, len(a) - (i == 0))
+        det = b[i, 0] * b[j, 1] - b[i, 1] * b[j, 0]
+        w = a[j, :2] - a[i, :2]
+        s = (w[:, 0] * b[j, 1] - w[:, 1] * b[j, 0]) / det
+        u = (w[:, 0] * b[i, 1] - w[:, 1] * b[i, 0]) / det
+        for k in np.flatnonzero((0 <= s) & (s < 1) & (0 <= u) & (u < 1)).tolist():
+            first = a[i, 2] + s[k] * b[i, 2] > a[j[k], 2] + u[k] * b[j[k], 2]
+            places = (i + s[k], j[k] + u[k]) if first else (j[k] + u[k], i + s[k])
+            found.append((*places, first, 1 if (det[k] > 0) == first else -1))
+    found.sort(key=lambda one: min(one[:2]))
+    visits = sorted(
+        [(o, k + 1) for k, (o, *_) in enumerate(found)]
+        + [(v, -k - 1) for k, (_, v, *_) in enumerate(found)]
+    )
+    if tuple(k for _, k in visits) != answers.crossings.code.visits:
+        wrong.append("code")
+        return wrong
+    if [sign for *_, sign in found] != list(answers.crossings.code.signs):
+        wrong.append("signs")
+    # the drawn line, against the beads in the picture
+    bead = float(np.linalg.norm(b, axis=1).mean())
+    scale = look.zoom * look.size / 0.66
+    back = about_z(-turn)
+    flat = (seen @ back.T)[:, :2] * (scale, -scale) + look.size / 2 + (look.right, look.down)
+    off = np.linalg.norm(answers.line[:, :2] - flat, axis=1)
+    if (
+        off.max() > 0.9 * bead * scale + 0.2
+        or np.abs(answers.line[:, 2] - seen[:, 2]).max() > 0.9 * bead
+    ):
+        wrong.append(f"line {off.max():.1f}")
+    # mask and strands, against a line drawn through it by OpenCV
+    canvas = np.full((look.size, look.size), 255, np.uint8)
+    corners = np.rint((answers.line[:, :2] - 0.5) * 64).astype(np.int32)
+    cv2.polylines(canvas, [corners], True, 0, 1, cv2.LINE_8, 6)
+    far = cv2.distanceTransform(canvas, cv2.DIST_L2, 5)
+    mask = answers.strands > 0
+    radius = 0.005 * look.width * scale
+    bow = 0.12 * bead * scale  # of the smooth line between beads
+    if far[mask].max() > radius + 1.5 + bow or (
+        not look.occluders and far[~mask].min() < radius - 1.5 - bow
+    ):
+        wrong.append("mask")
+    edges = 2 * len(found)
+    order = [k for _, k in visits]
+    for k, (x, y) in enumerate(answers.pixels.tolist(), 1):
+        into = order.index(k) + 1  # the edge that leads to the over visit
+        if answers.strands[int(y), int(x)] not in (into, into % edges + 1):
+            wrong.append("order")
+        a_, b_, c_, d_ = pd_code(answers.crossings.code)[k - 1]
+        under = order.index(-k) + 1
+        if (a_, c_) != (under, under % edges + 1) or {b_, d_} != {into, into % edges + 1}:
+            wrong.append("pd")
+    return wrong
+
+
+@pytest.mark.parametrize("size", [128, 256])
+def test_answers_are_those_of_an_outside_computation(size: int) -> None:
+    assert [faults(points, shot) for points, shot in shots(12, size, size)] == [[]] * 12
+
+
+def test_a_photo_is_taken_again_from_points_and_appearance() -> None:
+    for _, shot in shots(6, 128, 5):
+        again = take(shot.points, shot.look)
+        assert np.array_equal(again.image, shot.image)
+        assert np.array_equal(again.strands, shot.strands)
+        assert (again.contrast, again.order, again.region) == (
+            shot.contrast,
+            shot.order,
+            shot.region,
+        )
+
+
+def test_no_camera_shows_two_strands_that_lie_on_each_other() -> None:
+    there = np.column_stack([np.linspace(0, 0.3, 50), np.zeros((50, 2))])
+    back = there[::-1] + (0, 0.003, 0.002)
+    assert photograph(np.concatenate([there, back]), 128, np.random.default_rng(0)) is None
