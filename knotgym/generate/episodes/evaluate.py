@@ -114,7 +114,7 @@ def run(
     progress = progress or Progress(quiet=True)
     if out is None and (options.resume or options.restart or not options.shard.is_whole):
         raise InvalidInput(
-            "--resume, --restart and a shard need the --out of the evaluation; give it too"
+            "--resume and --restart need the --out of the evaluation, as a shard does; give it too"
         )
     _require_playable(config)
     source, results = sources_of(config), list[Result]()
