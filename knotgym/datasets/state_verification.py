@@ -109,10 +109,6 @@ def folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Ite
         if not own:
             name = file.relative_to(folder / "minari").parents[1].as_posix()
             yield from _demonstration_faults(states, name, open_episodes(file))
-    if manifest and manifest["config"].get("split_by") == "code":
-        train, test = (set(states.gauss_code[states.split == split]) for split in STATE_SPLITS)
-        for code in sorted(train & test):
-            yield f"code {code or 'loop'} is in both splits, which should share no code"
 
 
 def _demonstration_faults(

@@ -90,8 +90,7 @@ class GenerateConfig:
             random actions reach them, readable or not. The last two leave out over-twisted states,
             and their splits share no rope.
         every_code: instead of --count: number of states for every existing Gauss code.
-        split_by: "state" or "code"; with "code", train and test share no Gauss code.
-        train_share: share of states, codes or ropes in the train split.
+        train_share: share of states or ropes in the train split.
         knot: knot type of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror image
             (m3_1) or a sum (3_1#4_1).
         codes: Gauss codes to use instead of all those of `knot`, with or without chirality; `nx`
@@ -117,7 +116,6 @@ class GenerateConfig:
     count: Count = 40
     source: Literal["drawing", "play", "random-walk"] = "drawing"
     every_code: Whole = 0
-    split_by: Literal["state", "code"] = "state"
     train_share: Share = 0.5
     knot: str = UNKNOT
     codes: tuple[str, ...] = ()
@@ -159,7 +157,7 @@ class GenerateConfig:
 
     def _require_ropes(self) -> None:
         """Require what states taken from ropes allow."""
-        usual = {"every_code": 0, "split_by": "state", "knot": UNKNOT, "codes": (), "beads": _BEADS}
+        usual = {"every_code": 0, "knot": UNKNOT, "codes": (), "beads": _BEADS}
         for name, value in usual.items():
             if getattr(self, name) != value:
                 dashed = name.replace("_", "-")

@@ -130,7 +130,7 @@ def _splits(config: GenerateConfig, rows: Rows) -> NDArray[np.str_]:
         own = np.flatnonzero(rows["nx"] == nx)
         rng = generator(Stream.SPLIT, config.seed, nx)
         shown = [codes[row] for row in own]
-        assigned[own] = split(shown, config.split_by, config.train_share, rng)
+        assigned[own] = split(shown, config.train_share, rng)
     return kept_together(assigned, rows["points"], codes)
 
 
