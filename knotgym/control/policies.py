@@ -11,12 +11,11 @@ planner         plans pulls in the chain engine from the rope's current state
 mixed           draws one of random, scripted, noisy and expert for each episode
 module:name     user code, see `own_policies`; the module may lie in the current folder
 FOLDER          a learner that `knotgym train` wrote; `pretrained`, `pretrained-clone` ship
-prompt:FILE     replays the actions in the transcripts of `knotgym prompt`
 recorded:DATASET  repeats the pulls of a dataset's episodes, see `recorded_policy`
 
 `register_policy` adds a single name. A `PolicyFamily` handles every name of some form; packages
-provide families through the entry-point group `knotgym.policies`, and FOLDER and prompt:FILE are
-provided in this way by `knotgym.learn` and `knotgym.prompting`. Worker processes make their own
+provide families through the entry-point group `knotgym.policies`, as `knotgym.learn` provides
+FOLDER. Worker processes make their own
 policies, so a name must be registered in every process that uses it.
 """
 

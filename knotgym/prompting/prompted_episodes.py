@@ -2,8 +2,7 @@
 
 The model is asked once per action, or in mode open once per episode. Where an answer is invalid, or
 the actions of mode open are used up, the step is a no-op: an action without force. So a transcript
-always has a full sequence of actions, which `knotgym evaluate --policy prompt:FILE` replays to the
-same codes.
+always has a full sequence of actions.
 
 Both are recipes, see `knotgym.runs`: all episodes go on side by side, and each round of requests is
 a batch of calls. Replies are kept by the digest of their request, so a resumed run asks only for

@@ -207,7 +207,6 @@ REFUSED = [
     ("dataset replay {states} --out film.avi", "a video must end in .gif, .mp4 or .webm"),
     ("collect --split dev", "split must be one of train, test"),
     ("collect --set task.views=top,below", "views"),
-    ("collect --policy prompt:run", "give knotgym evaluate --policy prompt:run"),
     ("images --count 0", "count must be at least"),
     ("images --nx 7", "nx"),
     ("images --set test_nx=0", "test-nx takes the largest"),

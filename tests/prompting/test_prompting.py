@@ -10,12 +10,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.errors import Failed, InvalidFile, InvalidInput, InvalidPolicy, Occupied
-from knotgym.common.streams import Stream
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episodes import gauss_codes
+from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets.image_table import decode, encode
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.chat import ChatConfig
@@ -153,21 +148,6 @@ def test_a_run_is_resumed_and_the_key_is_nowhere(tmp_path: Path) -> None:
     everything = b"".join(files) + str(refused.value).encode()
     assert KEY.encode() not in everything and b"[key]" in everything
     assert not staging_folder(out).exists()
-
-
-def test_a_replay_shows_the_same_codes_and_only_of_its_own_episodes(tmp_path: Path) -> None:
-    server = ChatServer(always(PULL))
-    (told, _) = played(server, tmp_path / "run", episodes=2)
-    policy = make_policy(PolicyConfig(policy=f"prompt:{tmp_path / 'run'}"))
-    seeds = [episode_seed(0, number, Stream.EVALUATION_EPISODE) for number in range(3)]
-    task = config("http://host").task
-    again = rollouts(policy, task, seeds[:2])
-    codes = gauss_codes(again.steps["visits"]).tolist()
-    assert codes == told[0]["gauss_code"] + told[1]["gauss_code"]
-    with pytest.raises(InvalidPolicy, match="--episodes 2 --seed 0"):
-        rollouts(policy, task, seeds)
-    with pytest.raises(InvalidPolicy, match='split is "train" there and "test" here'):
-        rollouts(policy, TaskConfig(task="unknot", nx=2, horizon=4, split="test"), seeds[:2])
 
 
 def test_side_by_side_gives_the_same_transcripts(tmp_path: Path) -> None:

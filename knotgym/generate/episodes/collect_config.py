@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Annotated
 
 from knotgym.common.configuration import Count, Seed, choice, configuration
-from knotgym.common.errors import InvalidInput
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.rope.engines import MUJOCO
@@ -43,13 +42,6 @@ class CollectConfig:
     author: tuple[str, ...] = ()
     author_email: tuple[str, ...] = ()
     code_permalink: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.policy.policy.startswith("prompt:"):
-            raise InvalidInput(
-                "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
-                f" {self.policy.policy}"
-            )
 
     @property
     def seen_task(self) -> TaskConfig:
