@@ -114,9 +114,9 @@ class Session:
         self.pull(bead, offset / far * min(1.0, far / STRIDE))
         return True
 
-    def undo(self, pulls: int = 1) -> None:
-        """Take back the last pulls."""
-        kept = self.pulls[: max(0, len(self.pulls) - pulls)]
+    def undo(self) -> None:
+        """Take back the last pull."""
+        kept = self.pulls[:-1]
         self.begin(self.number)
         for pull in kept:
             self._take(pull)

@@ -43,11 +43,13 @@ def stored(recorder: Recorder) -> int:
 def test_undo_leaves_no_trace(session: Session) -> None:
     start = session.batch.simulation.states().tobytes()
     whole = played(session)
-    session.undo(2)
+    session.undo()
+    session.undo()
     session.pull(*PULLS[1])
     session.pull(*PULLS[2])
     assert session.batch.simulation.states().tobytes() == whole
-    session.undo(3)
+    for _ in range(3):
+        session.undo()
     assert session.batch.simulation.states().tobytes() == start
     assert session.left == TASK.horizon and not session.pulls
 
