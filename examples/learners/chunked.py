@@ -78,7 +78,7 @@ def fit(network: Network, given: Any, loss: Any, after: Any = None) -> None:
 def trained_flow(rows: Decisions, given: Any) -> Network:
     """Fit the velocity field to the decisions that are worth imitating."""
     own = rows.rows(rows.chosen & rows.whole)
-    seen, chunks = torch.from_numpy(own.observations), torch.from_numpy(own.chunks)
+    seen, chunks = (torch.from_numpy(x).to(given.device) for x in (own.observations, own.chunks))
     flow = Network(chunks.shape[1], chunks.shape[1])
 
     def loss() -> Tensor:
@@ -102,7 +102,7 @@ def values(critic: Network, seen: Tensor, chunks: Tensor) -> Tensor:
 
 def trained_critic(rows: Decisions, flow: Network, given: Any) -> Network:
     """Learn the values of chunks; the flow's proposals in each state are drawn once."""
-    seen, chunks = torch.from_numpy(rows.observations), torch.from_numpy(rows.chunks)
+    seen, chunks = (torch.from_numpy(x).to(given.device) for x in (rows.observations, rows.chunks))
     with torch.inference_mode():
         offered = torch.cat(
             [
@@ -110,7 +110,8 @@ def trained_critic(rows: Decisions, flow: Network, given: Any) -> Network:
                 for part in seen.split(512)
             ]
         )
-    rewards, going = torch.from_numpy(rows.rewards), torch.from_numpy(~rows.ends).float()
+    rewards = torch.from_numpy(rows.rewards).to(given.device)
+    going = torch.from_numpy(~rows.ends).float().to(given.device)
     critic, target = (Network(flow.chunk, 1) for _ in range(2))
     target.load_state_dict(critic.state_dict())
 
@@ -155,10 +156,12 @@ class FlowPolicy(ChunkPolicy):
 
 def main() -> None:
     options = decision_options(parser(__doc__ or "", ("flow", "qc")))
+    options.add_argument("--device", default="cpu", help="where it is trained, such as cuda")
     options.add_argument("--flow", type=Path, help="weights of a flow, instead of training one")
     given = options.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(given.seed)
+    torch.set_default_device(given.device)
     training = Training(f"torch {torch.__version__}", given, given.datasets)
     rows = read(given.datasets, given.chunk, given.copies, given.seed)
     if given.flow is None:
@@ -166,12 +169,13 @@ def main() -> None:
     else:
         flow = Network(rows.chunks.shape[1], rows.chunks.shape[1])
         flow.load_state_dict(torch.load(given.flow, weights_only=True))
-    torch.save(flow.state_dict(), given.out / "flow.pt")
     critic = (
         trained_critic(rows.rows(~rows.hindsight), flow, given) if given.learner == "qc" else None
     )
+    torch.set_default_device("cpu")  # where it acts
+    torch.save(flow.cpu().state_dict(), given.out / "flow.pt")
     if critic is not None:
-        torch.save(critic.state_dict(), given.out / "critic.pt")
+        torch.save(critic.cpu().state_dict(), given.out / "critic.pt")
     name = f"torch-{given.learner}"
     files = ["flow.pt"] if critic is None else ["flow.pt", "critic.pt"]
     measure(name, FlowPolicy(name, flow, critic), given, training.ended(), *files)

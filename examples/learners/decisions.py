@@ -87,7 +87,7 @@ def decision_options(options: argparse.ArgumentParser) -> argparse.ArgumentParse
 def observe(points: NDArray[np.floating], goals: list[GaussCode]) -> tuple[Floats, CanonicalFrames]:
     """Return observations float32 (n, size) of ropes (n, beads, 3), and their frames."""
     seen = mark(points, goals)
-    flat = [part.flatten(1).float() for part in inputs(seen)]
+    flat = [part.flatten(1).float() for part in inputs(seen[:4])]
     return torch.cat(flat, dim=1).numpy(), seen.frames
 
 

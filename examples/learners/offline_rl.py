@@ -56,9 +56,11 @@ RETURN = 5.0  # of an episode that reaches its goal
 class Encoder(nn.Module):
     """Encodes an observation, and perhaps a bead (one-hot, after it) or an action."""
 
-    def __init__(self, size: int, bead: bool, action_size: int = 0, hidden: int = 192) -> None:
+    def __init__(
+        self, size: int, bead: bool, action_size: int = 0, hidden: int = 192, width: int = 64
+    ) -> None:
         super().__init__()
-        self._eyes, self._size, self._bead = Eyes(), size - BEADS * bead, bead
+        self._eyes, self._size, self._bead = Eyes(width), size - BEADS * bead, bead
         self._body = nn.Sequential(
             nn.Linear(self._eyes.size + action_size, hidden),
             nn.GELU(),
@@ -75,9 +77,9 @@ class Encoder(nn.Module):
 class BeadLogits(nn.Module):
     """Encodes an observation as a number for each bead."""
 
-    def __init__(self) -> None:
+    def __init__(self, width: int) -> None:
         super().__init__()
-        self._eyes = Eyes()
+        self._eyes = Eyes(width)
 
     def forward(self, x: Tensor) -> Tensor:
         logits: Tensor = self._eyes(x).logits
@@ -90,21 +92,23 @@ class BeadEncoderFactory(EncoderFactory):
 
     Attributes:
         sees: "logits" for learners that choose a bead, "bead" where one is given, else "rope".
+        width: of the attention.
     """
 
     sees: str = "rope"
+    width: int = 64
 
     def create(self, observation_shape: Any) -> Any:
         """Make the encoder of a policy."""
         if self.sees == "logits":
-            return BeadLogits()
-        return Encoder(observation_shape[0], self.sees == "bead")
+            return BeadLogits(self.width)
+        return Encoder(observation_shape[0], self.sees == "bead", width=self.width)
 
     def create_with_action(
         self, observation_shape: Any, action_size: int, discrete_action: bool = False
     ) -> Any:
         """Make the encoder of a critic."""
-        return Encoder(observation_shape[0], False, action_size)
+        return Encoder(observation_shape[0], False, action_size, width=self.width)
 
     @staticmethod
     def get_type() -> str:
@@ -120,7 +124,8 @@ def trained(name: str, sees: str, given: Any, rows: Decisions, seen: Floats, act
         lr_scheduler_factory=d3rlpy.optimizers.CosineAnnealingLRFactory(T_max=given.steps),
     )
     kind = getattr(d3rlpy.algos, LEARNERS[name])
-    ours = {"encoder_factory": BeadEncoderFactory(sees), "optim_factory": optimizer}
+    eyes = BeadEncoderFactory(sees, given.width)
+    ours: dict[str, Any] = {"encoder_factory": eyes, "optim_factory": optimizer}
     ours |= {"learning_rate": given.rate, "target_update_interval": 200}
     settings = {
         field.name: value
@@ -128,7 +133,7 @@ def trained(name: str, sees: str, given: Any, rows: Decisions, seen: Floats, act
         for ending, value in ours.items()
         if field.name.endswith(ending)
     }
-    learner = kind(batch_size=given.batch, **settings).create(device="cpu:0")
+    learner = kind(batch_size=given.batch, **settings).create(device=given.device)
     discrete = name.startswith("discrete")
     learner.fit(
         MDPDataset(
@@ -188,6 +193,8 @@ class LearnedPolicy(ChunkPolicy):
 
 def main() -> None:
     options = decision_options(parser(__doc__ or "", tuple(LEARNERS)))
+    options.add_argument("--width", type=int, default=64, help="of the attention over beads")
+    options.add_argument("--device", default="cpu:0", help="where d3rlpy trains, such as cuda:0")
     given = options.parse_args()
     # d3rlpy logs every setting
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))

@@ -5,14 +5,13 @@ several good macro-actions doesn't get a mixture of them. Another head tells whe
 works here. All is in the canonical frame of `envs.marked`.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from knotgym.envs.marked import Marked
 from knotgym.learn.imagination import BEADS
 
 _PATCH = 10  # neighbouring beads in one token
@@ -42,15 +41,15 @@ class Inputs(NamedTuple):
     codes: Tensor
 
 
-def inputs(seen: Marked) -> Inputs:
-    """Return the network's inputs of marked states."""
-    points = torch.from_numpy(np.asarray(seen.points, dtype=np.float32))
-    marks = torch.from_numpy(np.asarray(seen.marks, dtype=np.float32))
+def inputs(seen: Sequence[Any]) -> Inputs:
+    """Return the network's inputs of the first four parts of `Marked`, arrays or tensors."""
+    points, marks, code, goal = (torch.as_tensor(one) for one in seen)
+    points, marks = points.float(), marks.float()
     tangents = points.roll(-1, 1) - points.roll(1, 1)
     beads = torch.cat([points * _POINT, tangents * _TANGENT, marks], dim=2)
     visits = marks.sum(2)
     arcs = (visits.cumsum(1) - visits).long().clamp(max=_ARCS - 1)
-    tokens = torch.from_numpy(np.stack([seen.code, seen.goal], axis=1)[:, :, :_VISITS]).long()
+    tokens = torch.stack([code, goal], dim=1)[:, :, :_VISITS].long()
     signs, partners = tokens.unbind(3)
     # an index beyond the visits that are seen, or of an empty token, has no column
     known = (partners >= 0) & (partners < _VISITS)
@@ -119,7 +118,7 @@ class CloneNetwork(nn.Module):
         whole = seen.whole[:, None].expand(-1, beads.shape[1], -1)
         query = self.query(torch.cat([_picked(seen.beads, beads), whole], dim=2))
         logits = query @ seen.beads.transpose(1, 2)
-        apart = (torch.arange(BEADS) - beads[..., None]) % BEADS
+        apart = (torch.arange(BEADS, device=beads.device) - beads[..., None]) % BEADS
         return logits + self.apart(apart)[..., 0]
 
     def sides(self, seen: MarkedInputs, beads: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
@@ -188,6 +187,6 @@ def _picked(beads: Tensor, index: Tensor) -> Tensor:
 def smoothed_loss(logits: Tensor, beads: Tensor) -> Tensor:
     """Return the cross entropy (n,) of beads (n,), with labels smoothed over their neighbours."""
     logs = functional.log_softmax(logits, dim=1)
-    rows = torch.arange(len(beads))
+    rows = torch.arange(len(beads), device=beads.device)
     losses = [-weight * logs[rows, (beads + off) % BEADS] for off, weight in _SMOOTHING]
     return torch.stack(losses).sum(0)

@@ -203,7 +203,7 @@ def _choose_block(
 ) -> NDArray[np.int64]:
     """Choose macro-actions in up to _BLOCK states; missing ones are filled up with zeros."""
     seen, count = mark(points, goals), len(points)
-    states = Inputs(*(_filled(one) for one in inputs(seen)))
+    states = Inputs(*(_filled(one) for one in inputs(seen[:4])))
     with inference():
         looked = network(states)
         macros, prior, share = network.likely(looked), torch.zeros(1, 1), 1.0

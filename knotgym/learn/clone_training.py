@@ -5,6 +5,7 @@ a few thousand decisions are learned by heart in minutes.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from knotgym.common.streams import Stream, generator
 from knotgym.learn.clone_network import CloneNetwork, inputs
-from knotgym.learn.decisions import Decisions, Examples, examples
+from knotgym.learn.decisions import Examples
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.train_config import CloneConfig
 from knotgym.learn.training import Training
@@ -33,15 +34,15 @@ class CloneTraining(Training):
 
     network: CloneNetwork
 
-    def __init__(self, config: CloneConfig, decisions: Decisions) -> None:
-        """Begin a training on decisions."""
+    def __init__(self, config: CloneConfig, data: Examples) -> None:
+        """Begin a training on examples."""
         torch.manual_seed(config.seed)
-        network = CloneNetwork(config.width, config.layers)
+        network = CloneNetwork(config.width, config.layers).to(config.device)
         super().__init__(network, config.rate, _DECAY, config.steps)
-        self._config, held = config, held_out(decisions.episodes, config.seed)
-        aside = np.flatnonzero(held)
-        self._fitted = examples(decisions.rows(~held))
-        self._aside = examples(decisions.rows(aside[:: len(aside) // _JUDGED + 1]))
+        self._config, held = config, held_out(data.episodes, config.seed)
+        aside, fitted = np.flatnonzero(held), np.flatnonzero(~held)
+        self._fitted = _tensors(data.rows(fitted), config.device)
+        self._aside = _tensors(data.rows(aside[:: len(aside) // _JUDGED + 1]), config.device)
         self._average, self._best = (_copied(network.state_dict()) for _ in range(2))
         self._least = torch.full((1,), math.inf, dtype=torch.float64)
 
@@ -52,31 +53,32 @@ class CloneTraining(Training):
 
     def advance(self) -> None:
         """Train up to the next multiple of `save_every` steps; then judge the averaged weights."""
-        config, losses = self._config, list[float]()
+        config, losses = self._config, list[Tensor]()
         self.network.train()
         for _ in range(min(config.save_every, config.steps - self.step)):
             rng = generator(Stream.LEARN_CLONE, config.seed, self.step)
-            rows = rng.integers(len(self._fitted.worked), size=config.batch)
-            loss = _loss(self.network, self._fitted.rows(rows))
+            rows = rng.integers(len(self._fitted[-1]), size=config.batch)
+            drawn = torch.from_numpy(rows).to(config.device)
+            loss = _loss(self.network, [column[drawn] for column in self._fitted])
             self.minimize(loss)
-            losses.append(loss.item())
+            losses.append(loss.detach())
             # the average forgets the first steps faster
             share = min(_AVERAGE, self.step / (self.step + 20))
             with torch.no_grad():
                 for name, own in self.network.state_dict().items():
                     self._average[name].mul_(share).add_(own, alpha=1 - share)
-        judged = losses[-1]
-        if len(self._aside.worked):
+        judged = losses[-1].item()
+        if len(self._aside[-1]):
             with torch.no_grad():
                 judged = _loss(self._made(self._average), self._aside).item()
         if judged < self._least.item():
             self._least.fill_(judged)
             self._best = _copied(self._average)
-        self.losses.append((self.step, float(np.mean(losses)), judged))
+        self.losses.append((self.step, torch.stack(losses).mean().item(), judged))
 
     def ended(self) -> CloneNetwork:
-        """Return the network with the averaged weights of least held-out loss."""
-        return self._made(self._best)
+        """Return the network with the averaged weights of least held-out loss, on the CPU."""
+        return self._made(self._best).cpu()
 
     @property
     def kept(self) -> tuple[int, float]:
@@ -85,22 +87,19 @@ class CloneTraining(Training):
         return int(step), loss
 
     def _made(self, weights: dict[str, Tensor]) -> CloneNetwork:
-        network = CloneNetwork(self._config.width, self._config.layers)
+        network = CloneNetwork(self._config.width, self._config.layers).to(self._config.device)
         network.load_state_dict(weights)
         return network.eval()
 
 
-def first_guesses(
-    network: CloneNetwork, decisions: Decisions, seed: int
-) -> dict[str, dict[str, float]]:
+def first_guesses(network: CloneNetwork, data: Examples, seed: int) -> dict[str, dict[str, float]]:
     """Compute how often the likeliest bead is the one chosen, in held-out decisions, by nx."""
-    aside = decisions.worked & held_out(decisions.episodes, seed)
-    crossings = np.array([goal.count("+") for goal in decisions.goals.tolist()])
+    aside, crossings = data.worked & held_out(data.episodes, seed), data.nx
     found = dict[str, dict[str, float]]()
     for nx in np.unique(crossings[aside]).tolist():
-        own = examples(decisions.rows(np.flatnonzero(aside & (crossings == nx))[:_JUDGED]))
+        own = data.rows(np.flatnonzero(aside & (crossings == nx))[:_JUDGED])
         with torch.no_grad():
-            guesses = network(inputs(own.seen)).logits.argmax(1).numpy()
+            guesses = network(inputs(own[:4])).logits.argmax(1).numpy()
         apart = np.abs(guesses - own.macros[:, 0])
         found[f"nx {nx}"] = {
             "decisions": len(guesses),
@@ -117,9 +116,13 @@ def held_out(episodes: NDArray[np.int64], seed: int) -> NDArray[np.bool_]:
     return np.isin(episodes, rng.permutation(numbers)[: round(_HELD_OUT * len(numbers))])
 
 
-def _loss(network: CloneNetwork, data: Examples) -> Tensor:
-    macros, worked = torch.from_numpy(data.macros), torch.from_numpy(data.worked)
-    return network.loss(inputs(data.seen), macros, worked).sum(1).mean()
+def _tensors(data: Examples, device: str) -> list[Tensor]:
+    return [torch.from_numpy(np.ascontiguousarray(one)).to(device) for one in data[:6]]
+
+
+def _loss(network: CloneNetwork, data: Sequence[Tensor]) -> Tensor:
+    *seen, macros, worked = data
+    return network.loss(inputs(seen), macros.long(), worked).sum(1).mean()
 
 
 def _copied(weights: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -1,6 +1,8 @@
 """The configurations of `knotgym train`, which can be read without torch."""
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from knotgym.common.configuration import Count, Crossings, Positive, Seed, Whole, configuration
 from knotgym.common.errors import InvalidInput
@@ -44,13 +46,14 @@ class CloneConfig(TrainConfig):
         rate: peak learning rate; it falls by a cosine.
         width: of the network.
         layers: of attention.
-        demonstrations: episodes to make of each task and nx in the chain engine, beside those in
-            datasets.
-        policy: policy that plays them; noisy also makes random passes, which aren't imitated.
+        demonstrations: searches to make for each task and nx in the chain engine, beside the
+            episodes of datasets.
+        copies: of each search that found a way, with the beads numbered from others.
         task: tasks of these demonstrations.
         nx: numbers of crossings of these demonstrations.
         split: split of their starts and goals.
         states: state file of their starts and goals, or a name of a set that ships.
+        device: where the network is trained; "cuda" rounds otherwise than "cpu".
     """
 
     steps: Count = 4000
@@ -61,11 +64,12 @@ class CloneConfig(TrainConfig):
     width: Count = 96
     layers: Count = 2
     demonstrations: Whole = 0
-    policy: Literal["expert", "noisy"] = "noisy"
+    copies: Annotated[int, Field(ge=0, le=20)] = 0
     task: tuple[Literal["tie", "convert", "unknot"], ...] = ("tie",)
     nx: Crossings = (2,)
     split: Literal["train", "train-code"] = "train"
     states: str = "readable"
+    device: Literal["cpu", "cuda"] = "cpu"
 
     def __post_init__(self) -> None:
         if self.width % 4:

@@ -10,19 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 import knotgym
 from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, derived_seed, generator
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import rollouts
+from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
-from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.checkpoint import CARD, Learned, save_reader
 from knotgym.learn.clone_policy import save_clone
 from knotgym.learn.clone_training import CloneTraining, first_guesses
-from knotgym.learn.decisions import Decisions
+from knotgym.learn.decisions import Examples, examples
+from knotgym.learn.demonstrations import TOGETHER, demonstrate
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
 from knotgym.learn.training import draw_curve, fit
@@ -34,12 +32,9 @@ from knotgym.learn.training_data import (
 )
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.identity import identity, identity_of
-from knotgym.runs.journal import Result
 from knotgym.runs.progress import Progress
 from knotgym.runs.run import Call, Recipe, checkpoint_of, run
 from knotgym.runs.run_options import RunOptions
-
-_TOGETHER = 250  # demonstrations of one call
 
 
 def train(
@@ -60,13 +55,16 @@ def train(
         progress: where to show progress.
 
     Raises:
-        InvalidInput: the datasets are unsuitable, or the training to resume has other settings.
+        InvalidInput: the datasets are unsuitable, there is no such device, or the training to
+            resume has other settings.
         Occupied: `out` exists, holds an interrupted training, or is used by another process.
         InvalidFile, MissingFile: a dataset, or the training to resume, is missing or invalid.
     """
     if progress is None:
         with Progress(options.quiet) as progress:
             return train(datasets, out, config, options, progress)
+    if getattr(config, "device", "cpu") == "cuda" and not torch.cuda.is_available():
+        raise InvalidInput("device cuda needs a GPU that torch can use; there is none, so use cpu")
     if not options.shard.is_whole:
         raise InvalidInput("a training can't be divided: leave out run.shard")
     shown, opened = progress, [columns_of(one) for one in datasets]
@@ -134,33 +132,34 @@ def _train_clone(
     card: dict[str, Any],
     progress: Progress,
 ) -> Recipe[str]:
-    parts, count = list[Decisions](), 0
+    parts, count = list[Examples](), 0
     for one in opened:
         if "macro_start" not in one.episodes.steps:
             raise InvalidInput(
                 f"{one.name} doesn't say which macro-actions its policy chose, so the clone can't"
                 " learn them; use a set of expert or noisy"
             )
-        parts.append(decisions_of(one.episodes, count))
+        parts.append(examples(decisions_of(one.episodes, count)))
         count += one.episodes.episodes.rows
     calls = _demonstrations(config)
     for made in (yield calls):
-        own = Decisions(**made)
-        parts.append(own._replace(episodes=own.episodes + count))
-        count += _TOGETHER
-    decisions = Decisions(*(np.concatenate(own) for own in zip(*parts, strict=True)))
-    if not decisions.worked.any():
+        own = Examples(**made)
+        # numbers of searches are counted anew for each task and nx
+        parts.append(own._replace(episodes=own.episodes % TOGETHER + count))
+        count += TOGETHER
+    data = Examples(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+    if not data.worked.any():
         raise InvalidInput("no episode reached its goal, so there is nothing to imitate")
-    training = CloneTraining(config, decisions)
+    training = CloneTraining(config, data)
     fit(training, checkpoint_of(place), config.save_every, "clone", progress)
     network, (kept, loss) = training.ended(), training.kept
     facts = {
         "kept_step": kept,
         "held_out_loss": loss,
-        "episodes": len(np.unique(decisions.episodes)),
-        "decisions": int(decisions.worked.sum()),
-        "decisions_not_imitated": int((~decisions.worked).sum()),
-        "held_out": first_guesses(network, decisions, config.seed),
+        "episodes": len(np.unique(data.episodes)),
+        "decisions": int(data.worked.sum()),
+        "decisions_not_imitated": int((~data.worked).sum()),
+        "held_out": first_guesses(network, data, config.seed),
     }
     save_clone(place, network, {**card, **facts})
     draw_curve(place, ("training", "held_out"), training.losses, kept)
@@ -176,22 +175,5 @@ def _demonstrations(config: CloneConfig) -> list[Call]:
     return [
         Call(f"demonstrations of {task} {nx} {first}", demonstrate, (config, task, nx, first))
         for task, nx in setups
-        for first in range(0, config.demonstrations, _TOGETHER)
+        for first in range(0, config.demonstrations, TOGETHER)
     ]
-
-
-def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
-    """Let the demonstrating policy play some episodes of a task; return the decisions' columns."""
-    numbers = range(first, min(first + _TOGETHER, config.demonstrations))
-    place = config.task.index(task), nx
-    seeds = [derived_seed(Stream.DEMONSTRATION, config.seed, *place, k) for k in numbers]
-    setup = TaskConfig(
-        task=task,
-        nx=nx,
-        split=config.split,
-        states=config.states,
-        observation="state",
-        engine="chain",
-    )
-    played = rollouts(make_policy(PolicyConfig(policy=config.policy)), setup, seeds)
-    return decisions_of(played)._asdict()

@@ -72,7 +72,7 @@ class Training(ABC):
         kept = {f"{part}/{k}": one for part, own in parts.items() for k, one in own.items()}
         kept["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 3)
         kept["step"] = torch.tensor([self.step])
-        kept = {name: own.detach().contiguous() for name, own in kept.items()}
+        kept = {name: own.detach().cpu().contiguous() for name, own in kept.items()}
         seal = torch.tensor(list(_digest(kept)), dtype=torch.uint8)
         with atomic_write(path) as part:
             part.write_bytes(save({**kept, _SEAL: seal}))

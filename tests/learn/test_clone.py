@@ -18,7 +18,11 @@ from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episodes import Episodes, differences
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.train_config import CloneConfig
+from knotgym.rope.chain.chain_simulation import ChainSimulation
+from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import WaypointFollower
 from knotgym.states.state_file import States
+from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
 from .conftest import CLONE, TASK, train, weights
@@ -82,7 +86,7 @@ def test_decisions_of_failed_episodes_are_judged_but_not_imitated(played: Episod
     assert {*own.episodes[~own.worked].tolist()} == {9}
     data = examples(own)
     losses = CloneNetwork(16, 1).loss(
-        inputs(data.seen), torch.from_numpy(data.macros), torch.from_numpy(data.worked)
+        inputs(data[:4]), torch.from_numpy(data.macros).long(), torch.from_numpy(data.worked)
     )
     assert (losses[own.worked] > 0).all()
     assert not losses[~own.worked][:, :3].any() and (losses[:, 3] > 0).all()
@@ -98,14 +102,48 @@ def test_a_set_without_macro_actions_is_refused(played: Episodes, tmp_path: Path
 
 
 def test_demonstrations_are_made_on_the_way_by_any_number_of_workers(tmp_path: Path) -> None:
-    config = replace(CLONE, demonstrations=3, policy="expert", nx=(1, 2))
+    config = replace(CLONE, demonstrations=3, copies=1, nx=(1, 2))
     one, other = (train([], tmp_path / name, config) for name in ("one", "other"))
     card = json.loads((one / "policy.json").read_text())
-    assert card["episodes"] == 6 and card["decisions"] >= 6
+    assert card["episodes"] == 6 and card["decisions"] >= 12
     curve = np.genfromtxt(one / "curve.csv", delimiter=",", names=True)
     assert card["held_out_loss"] == pytest.approx(np.min(curve["held_out"]), abs=1e-4)
     assert card["kept_step"] in curve["step"]
     assert weights(one) == weights(other)
+
+
+def test_examples_lead_where_they_say_in_any_frame_and_numbering() -> None:
+    from knotgym.learn.decisions import Examples
+    from knotgym.learn.demonstrations import demonstrate
+
+    config = replace(CLONE, demonstrations=24, copies=3, nx=(1,), states="bench")
+    data = Examples(**demonstrate(config, "tie", 1, 0))
+    one = data.rows(np.flatnonzero((data.nx == 1) & (data.code[:, 0, 0] == 0)))
+    count = len(one.worked)
+    assert count > 60 and len(np.unique(one.goal, axis=0)) == 1  # the frame makes both kinks one
+    ropes, follower = ChainSimulation(count), WaypointFollower(count, MacroActionConfig())
+    ropes.lay_points(one.points.astype(np.float64), np.zeros((count, 100, 3)))
+    passes = np.column_stack([one.macros[:, :2], 2 * one.macros[:, 2].astype(int) - 1])
+    ids, goal = np.arange(count), GaussCode.parse("1+,1-")
+    follower.begin_passes(ids, passes, ropes.points)
+    reached = np.zeros(count, bool)
+    for _ in range(10):
+        follower.arrive(ropes.points, ids)
+        forces = follower.forces(ropes.points, ids).astype(np.float64)
+        ropes.step(follower.beads, forces * ropes.max_force)
+        reached |= [code.matches(goal) for code in label_many(ropes.points)]
+    # ropes are laid at rest, and where they moved a close call goes the other way
+    works, in_vain = reached[one.worked].mean(), reached[~one.worked].mean()
+    assert works > 0.6 and works > in_vain + 0.2
+
+
+def test_a_device_that_is_not_there_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(InvalidInput, match="needs a GPU"):
+        train([], tmp_path / "none", replace(CLONE, demonstrations=1, device="cuda"))
+    assert not any(tmp_path.iterdir())
 
 
 def test_settings_that_do_not_fit_are_one_line() -> None:
@@ -113,6 +151,8 @@ def test_settings_that_do_not_fit_are_one_line() -> None:
         ({"width": 18}, "multiple of 4"),
         ({"split": "test"}, "split must be 'train' or 'train-code'"),
         ({"hindsight": 1}, "no field 'hindsight'"),
+        ({"copies": 21}, "copies"),
+        ({"device": "tpu"}, "device must be 'cpu' or 'cuda'"),
     ):
         with pytest.raises(InvalidInput, match=message):
             CloneConfig(**changes)
