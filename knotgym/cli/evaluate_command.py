@@ -14,6 +14,7 @@ from knotgym.generate.episodes.evaluate_config import EvaluateConfig
         "policy", list[str], ("random",), f"{field_help(PolicyConfig, 'policy')} May be repeated."
     ),
     extra("out", Path),
+    extra("video", Path),
     lines=False,
 )
 def evaluate(given: Given) -> None:
@@ -29,6 +30,8 @@ def evaluate(given: Given) -> None:
 
     Args:
         out: JSON file to write.
+        video: Film of the first episodes of each setup: .gif, or with the extra video .mp4 or
+            .webm.
     """
     from knotgym.generate.episodes.evaluate import run
 
@@ -39,4 +42,4 @@ def evaluate(given: Given) -> None:
             for name in given["policy"]
         ]
     config = given.config(EvaluateConfig, more)
-    run(config, given.run, out=given["out"], progress=given.progress)
+    run(config, given.run, out=given["out"], video=given["video"], progress=given.progress)

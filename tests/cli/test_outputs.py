@@ -51,6 +51,7 @@ COMMANDS = {
     "train": Command("train --data {episodes} --out {out}/a", "a", True, "torch"),
     "prompt": Command("prompt --model x --out {out}/a", "a", True, "openai"),
     "evaluate": Command("evaluate --episodes 1 --out {out}/a.json", "a.json", True),
+    "video": Command("evaluate --episodes 1 --video {out}/a.gif", "a.gif"),
     "gallery": Command("dataset gallery {states} --out {out}/a.png", "a.png"),
     "page": Command("dataset page {states} --out {out}/a.html", "a.html"),
     "replay": Command("dataset replay {episodes} --out {out}/a.gif", "a.gif"),

@@ -127,10 +127,20 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     assert not kept & scored
     # learners that train online seed rope i with s + i: below any seed of an evaluation
     assert min(scored) > 2**32
-    played = from_result(evaluating.play(PolicyConfig(), CHAIN, range(2), 0))
+    played = from_result(evaluating.play(PolicyConfig(), CHAIN, range(2), 0, True))
     assert played.episodes["seed"].tolist() == [
         episode_seed(0, number, Stream.EVALUATION_EPISODE) for number in range(2)
     ]
+
+
+def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
+    import cv2
+
+    run(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
+    reel, frames = cv2.VideoCapture(str(tmp_path / "film.gif")), []
+    while (read := reel.read())[0]:
+        frames.append(read[1])
+    assert len(frames) >= 3 and np.ptp(frames[0]) > 0
 
 
 def test_a_film_shows_every_view_in_colours() -> None:

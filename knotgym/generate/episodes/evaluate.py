@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common.atomic_files import atomic_write, require_output
+from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.common.streams import Stream
 from knotgym.common.tables import Table
 from knotgym.control.policies import make_policy, training_card
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episodes import Episodes, goal_reached, merged
+from knotgym.datasets.episodes import STEPS, Episodes, goal_reached, merged
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result
@@ -42,33 +43,42 @@ from knotgym.runs.run_options import RunOptions
 _TRAINING = ("weights_sha256", "seconds", "episodes")
 
 
-def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int) -> Kept:
-    """Play a block of episodes; their steps aren't kept."""
+def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, film: bool) -> Kept:
+    """Play a block of episodes; keep their steps only to film them."""
     seeds = [episode_seed(seed, number, Stream.EVALUATION_EPISODE) for number in numbers]
-    return as_result(rollouts(make_policy(policy), task, seeds, keep=None))
+    return as_result(rollouts(make_policy(policy), task, seeds, keep=STEPS if film else None))
 
 
-def evaluation(config: EvaluateConfig) -> Recipe[list[Result]]:
-    """Play every setup; return the results in the order of `config.setups`."""
+Evaluation = tuple[list[Result], list[Episodes]]  # a result and a film of each setup
+
+
+def evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
+    """Play every setup, in the order of `config.setups`, and its first episodes for a film."""
     setups = list(config.setups())
     numbers = blocks(config.episodes, config.task)
-    parts = yield [
-        Call(f"setup {setup} {few.start}-{few.stop - 1}", play, (*one, few, config.seed))
+    calls = [
+        Call(f"setup {setup} {few.start}-{few.stop - 1}", play, (*one, few, config.seed, False))
         for setup, one in enumerate(setups, 1)
         for few in numbers
     ]
+    films = [
+        Call(f"film {setup}", play, (*one, range(filmed), config.seed, True))
+        for setup, one in enumerate(setups, 1)
+        if filmed
+    ]
+    parts = [from_result(part) for part in (yield [*calls, *films])]
     results = []
     for setup, one in enumerate(setups):
-        own = parts[setup * len(numbers) : (setup + 1) * len(numbers)]
-        results.append(_result_of(*one, merged([from_result(part) for part in own]).episodes))
-    return results
+        played = merged(parts[setup * len(numbers) : (setup + 1) * len(numbers)])
+        results.append(_result_of(*one, played.episodes))
+    return results, parts[len(calls) :]
 
 
 def evaluate(config: EvaluateConfig, workers: int = 1) -> list[Result]:
     """Play every setup and write nothing; return the results in the order of `config.setups`."""
     _require_playable(config)
     with executor(workers) as pool:
-        return compute(evaluation(config), pool=pool)
+        return compute(evaluation(config), pool=pool)[0]
 
 
 def _require_playable(config: EvaluateConfig) -> None:
@@ -93,6 +103,7 @@ def run(
     options: RunOptions,
     *,
     out: Path | None = None,
+    video: Path | None = None,
     progress: Progress | None = None,
 ) -> list[Result]:
     """Evaluate, print the results, and write the requested files.
@@ -101,27 +112,38 @@ def run(
         config: what to evaluate.
         options: how to execute the run; with `resume`, a finished evaluation is only printed.
         out: JSON file to write, see `report`; a shard writes its journal beside it.
+        video: film to write, of `config.filmed` episodes per setup.
         progress: where progress is shown.
 
     Returns:
         The results; none for a shard.
 
     Raises:
-        InvalidInput: resume, restart or a shard is requested without `out`.
+        InvalidInput: resume, restart or a shard is requested without `out`, or a film of a shard.
         InvalidPolicy, InvalidInput: as in `_require_playable`.
-        InvalidInput, Occupied, Failed: as in `runs.run.run`.
+        InvalidInput, Occupied, Failed: as in `runs.run.run`, and for `video`.
     """
     progress = progress or Progress(quiet=True)
-    if out is None and (options.resume or options.restart or not options.shard.is_whole):
-        raise InvalidInput(
-            "--resume and --restart need the --out of the evaluation, as a shard does; give it too"
-        )
+    if out is None and (options.resume or options.restart):
+        raise InvalidInput("--resume and --restart need the --out of the evaluation; give it too")
+    if not options.shard.is_whole and (out is None or video is not None):
+        wrong = "needs the --out of the evaluation" if out is None else "can't be filmed"
+        raise InvalidInput(f"a shard {wrong}")
+    if video is not None:
+        from knotgym.rendering.video import require_film
+
+        require_film(video)
     _require_playable(config)
-    source, results = sources_of(config), list[Result]()
+    source, results, films = sources_of(config), list[Result](), list[Episodes]()
 
     def recipe(place: Path | None) -> Recipe[str]:
-        nonlocal results
-        results = yield from evaluation(config)
+        nonlocal results, films
+        if video is not None:
+            require_output(video, folder=False, overwrite=options.overwrite)
+        filmed = 0 if video is None else config.filmed
+        results, films = yield from evaluation(config, filmed)
+        if video is not None:  # before the output, which says that all is done
+            _write_film(config, films, video, options.overwrite)
         if place is not None:
             text = as_text(report(config, results, source))
             place.write_text(text, encoding="utf-8")
@@ -148,8 +170,16 @@ def run(
         if not results:  # it was finished already
             with evaluation_in(out) as (_, results):
                 pass
+        if video is not None and not video.exists():
+            raise Occupied(
+                f"{out} is finished already, but the film {video} isn't there; --overwrite without"
+                " --resume makes both again"
+            )
     if not options.quiet:
         show(results, progress.console, config.task.engine)
+    if video is not None:
+        count = sum(one.episodes.rows for one in films)
+        progress.say(f"{video}: {count} episodes")
     return results
 
 
@@ -206,6 +236,21 @@ def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.
         goal_reached(one, task),
         task.views,
     )
+
+
+def _write_film(
+    config: EvaluateConfig, films: Sequence[Episodes], video: Path, overwrite: bool
+) -> None:
+    from knotgym.rendering.video import write_film
+
+    frames = [
+        frame
+        for (_, task), one in zip(config.setups(), films, strict=True)
+        for row in range(one.episodes.rows)
+        for frame in film(one, task, row)
+    ]
+    with atomic_write(video, overwrite=overwrite) as temporary:
+        write_film(temporary, frames)
 
 
 def _result_of(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:

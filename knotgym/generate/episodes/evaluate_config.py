@@ -22,6 +22,7 @@ class EvaluateConfig:
             policy.
         seed: random seed; the same seed gives the same episodes, and none of them is in a dataset.
         task: settings shared by all environments; its task, nx and split are not used.
+        filmed: episodes per setup in a film.
     """
 
     policies: tuple[PolicyConfig, ...] = (PolicyConfig(),)
@@ -31,6 +32,7 @@ class EvaluateConfig:
     episodes: Count = 256
     seed: Seed = 0
     task: TaskConfig = TaskConfig(task="tie", observation="state")
+    filmed: Count = 2
 
     def __post_init__(self) -> None:
         if not all((self.policies, self.tasks, self.nx, self.splits)):
