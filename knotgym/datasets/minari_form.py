@@ -329,8 +329,8 @@ def _minari_episodes(
 
 def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:
     """Return an episode's observations by path."""
-    from knotgym.envs.observations import observe, picture_config, pixels  # needs OpenCV
-    from knotgym.rendering.picture import draw
+    # needs OpenCV
+    from knotgym.envs.observations import alone, looks, observe, picture_config, pixels
 
     task, (own, table), offsets = dataset.task, dataset.episodes, dataset.episodes.offsets
     rows = slice(offsets[k], offsets[k + 1])
@@ -338,8 +338,10 @@ def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:
     goal, wanted = own["goal_points"][k].astype(np.float64), own["goal_visits"][[k] * len(visits)]
 
     def pictures() -> NDArray[np.uint8]:
-        picture = picture_config(task)
-        return pixels(points, [draw(goal, picture)] * len(points), picture)
+        picture, own_look = picture_config(task), looks(task, [(int(own["goal"][k]), goal)])
+        shown = alone(goal[None], own_look, picture)[0]
+        many = len(points)
+        return pixels(points, [shown] * many, picture, looks=own_look * many)
 
     shown = observe(task, points, visits, goal, wanted, pictures)
     if not isinstance(shown, dict):

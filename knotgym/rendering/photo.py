@@ -224,6 +224,23 @@ def take(points: Array, look: Photo) -> Shot:
     return _developed(rope, view, look, view.region(), texture, ground, rng)
 
 
+def episode_look(points: Array, size: int, number: int) -> Photo:
+    """Draw an appearance in which every state of an episode can be shown.
+
+    The camera is vertical and tape marks the base, so that picture and code agree. The scale is
+    that of `PictureConfig`, the rope as thick as it is, and nothing lies on it.
+
+    Args:
+        points: float64 (beads, 3), metres; the rope's colour stands out from the ground beside it.
+        size: side of the picture, pixels.
+        number: of the appearance.
+    """
+    rng = generator(Stream.EPISODE_LOOK, 0, number)
+    look = replace(_looks(Photo(size=size), rng), marked=True, occluders=0)
+    ground = _ground(look, generator(Stream.IMAGE_GRAIN, look.seed))[1]
+    return _coloured(look, _View(_Rope(points, size), look), ground, rng)
+
+
 class _Rope:
     """The smooth rope and its crossings; `parts` pieces for each bead."""
 

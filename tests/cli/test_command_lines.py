@@ -195,6 +195,10 @@ REFUSED = [
     ("collect --task plait", "must be one of unknot, tie, convert or a list, got 'plait'"),
     ("collect --workers -1", "workers must be at least 0, got -1"),
     ("collect --resume --restart", "give only one of them"),
+    (
+        "collect --set task.appearance=photo --set task.depth=true",
+        'appearance "photo" is the orthographic top view, without depth and not drawn by MuJoCo;',
+    ),
     ("collect --set task.hold=99", "hold 99 is longer than the horizon of 50 steps"),
     ("collect --set policy.noise=nan", "policy.noise must be a finite number"),
     ("collect --policy nowhere:act", "nowhere"),
