@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.common.streams import Stream, generator
-from knotgym.datasets.cards.citation import write_text
-from knotgym.datasets.cards.image_card import card
+from knotgym.datasets.finished_folders import finish_images
 from knotgym.datasets.image_rows import PictureRow, drawn
 from knotgym.datasets.image_table import arrow, shard_name
-from knotgym.datasets.manifest import write_manifest
 from knotgym.generate.images.choice import Chooser, Quota
 from knotgym.generate.images.frames import PicturedRope, frames_of
 from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
@@ -148,8 +146,7 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     for path, result in zip(files, results, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
-    write_text(place / "README.md", card(place, waves.report(), made["config"]))
-    write_manifest(place, "knotgym-images-manifest", made, waves.report())
+    finish_images(place, waves.report(), made)
     return f"{len(waves.chooser.chosen)} pictures"
 
 
@@ -267,6 +264,6 @@ def _files(config: ImagesConfig, waves: _Waves) -> dict[str, list[PictureRow]]:
                     "seed": config.seed,
                     "row": number,
                 }
-                files[name].append(PictureRow(chosen[at].points, split, source))
+                files[name].append(PictureRow(chosen[at].points, split, source, chosen[at].camera))
                 number += 1
     return files
