@@ -150,12 +150,12 @@ def table_text(rows: Sequence[Row]) -> str:
 
 
 def page(rows: Sequence[Row]) -> str:
-    """docs/benchmark.md: a table for each set of states, split and kind of action."""
+    """docs/benchmark.md: a table for each set of states, split, engine and kind of action."""
     setups = list(product(SUITE["tasks"], SUITE["nx"]))
     head = ("learner", "seeds", *(f"{task} {nx}" for task, nx in setups))
     lines = [HEAD]
     for track in sorted({_track(row) for row in rows if row["learner"]}):
-        in_macros, states, split = track
+        in_macros, states, split, in_chain = track
         body: list[tuple[object, ...]] = []
         own = [row for row in rows if row["learner"] and _track(row) == track]
         for learner in sorted({row["learner"] for row in own}):
@@ -165,16 +165,19 @@ def page(rows: Sequence[Row]) -> str:
                     cells.setdefault((row["task"], row["nx"]), []).append(row)
             seeds = max(map(len, cells.values()))
             body.append((learner, seeds, *(_rate(cells.get(setup, [])) for setup in setups)))
-        if not in_macros:
+        if not in_macros and not in_chain:
             body += [(f"*{name}, published*", "", *own) for name, own in SUITE["published"].items()]
-        title = f"## States {states}, {split} split" + (", macro-actions" if in_macros else "")
+        title = f"## States {states}, {split} split" + ", chain engine" * in_chain
+        title += ", macro-actions" * in_macros
         lines += [title, "", *table(head, body), ""]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
-def _track(row: Row) -> tuple[bool, str, str]:
-    """What has a table of its own: whether actions are macro-actions, the states and the split."""
-    return 'action="macro"' in row["settings"].split("; "), row["states"], row["split"]
+def _track(row: Row) -> tuple[bool, str, str, bool]:
+    """What has a table of its own: whether actions are macro-actions, states, split, engine."""
+    settings = row["settings"].split("; ")
+    in_macros, in_chain = ('action="macro"' in settings), ('engine="chain"' in settings)
+    return in_macros, row["states"], row["split"], in_chain
 
 
 def _rate(seeds: Sequence[Row]) -> str:
