@@ -1,7 +1,7 @@
 """Write a dataset in LeRobot's format, by LeRobot's own library (0.4 or newer).
 
-    python examples/to_lerobot.py knotgym/unknot-nx2/expert-v0 --out unknot-lerobot
-    python examples/to_lerobot.py knotgym/unknot-nx2/expert-v0 --out unknot-video --video
+    python examples/to_lerobot.py knotgym/tie-nx2/expert-v0 --out tie-lerobot
+    python examples/to_lerobot.py knotgym/tie-nx2/expert-v0 --out tie-video --video
 
 A frame holds an observation, the action taken and its outcome. The last state of an episode has no
 action and therefore no frame. The task is a sentence with the Gauss code of the goal. LeRobot's

@@ -1,5 +1,6 @@
-"""Every line of the README, run in order as it stands by a newcomer: a fresh copy of the checkout,
-a fresh virtual environment and home folder, no display. `pytest -m slow tests/test_readme.py`.
+"""Every line of the README and of the newcomer's five pages, run in order as it stands: a fresh
+copy of the checkout, a fresh virtual environment and home folder, no display. It prints the seconds
+that each line took. `pytest -m slow -s tests/test_readme.py`.
 """
 
 from __future__ import annotations
@@ -7,25 +8,34 @@ from __future__ import annotations
 import os
 import re
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+PAGES = (
+    "README.md",
+    *(f"docs/{name}.md" for name in "index environment data learning commands".split()),
+)
 TESTS = ".venv/bin/pip install '.[test]' && .venv/bin/pytest"  # a step of .ci/run by itself
+UPLOADS = "hf upload "  # needs an account
 
 
 def steps(text: str) -> list[tuple[str, str]]:
     """The commands and Python blocks of a page, in order, as ("sh" or "python", lines)."""
-    found = re.findall(r"^```python\n(.*?)^```$|^ {4}(\S[^\n]*)$", text, re.M | re.S)
-    return [("python", block) if block else ("sh", line) for block, line in found]
+    found = re.findall(r"^```(\w+)\n(.*?)^```$|^ {4}(\S(?:[^\n]*\\\n)*[^\n]*)$", text, re.M | re.S)
+    return [(kind or "sh", block or line) for kind, block, line in found if kind in ("", "python")]
 
 
 def test_commands_and_blocks_are_found_in_order() -> None:
-    page = "One.\n\n    first a\n    second b\n\n```python\nif x:\n    y\n```\n\n    third\n"
+    page = (
+        "One.\n\n    first a\n    second \\\n        b\n\n```python\nif x:\n    y\n```\n\n"
+        "```toml\na = 1\n    b\n```\n\n    third\n"
+    )
     assert steps(page) == [
         ("sh", "first a"),
-        ("sh", "second b"),
+        ("sh", "second \\\n        b"),
         ("python", "if x:\n    y\n"),
         ("sh", "third"),
     ]
@@ -48,16 +58,28 @@ def test_every_line_runs_as_it_stands(tmp_path: Path) -> None:
     if settings.is_file():
         environment.setdefault("PIP_CONFIG_FILE", str(settings))
     environment["HOME"] = str(home)
-    for kind, text in steps((checkout / "README.md").read_text(encoding="utf-8")):
-        if text == TESTS:
-            continue
-        words = ["bash", "-euo", "pipefail", "-c", text]
-        if kind == "python":
-            words = [".venv/bin/python", "-c", text]
-        ended = subprocess.run(
-            words, cwd=checkout, env=environment, capture_output=True, text=True, timeout=1800
-        )
-        assert ended.returncode == 0, f"{text}\n{ended.stdout[-1000:]}\n{ended.stderr[-2000:]}"
-        assert "Traceback" not in ended.stderr, text
+    environment["PATH"] = f"{checkout / '.venv/bin'}{os.pathsep}{environment['PATH']}"
+    run = {TESTS}
+    for page in PAGES:
+        for kind, text in steps((checkout / page).read_text(encoding="utf-8")):
+            # a page may repeat a line of an earlier one, whose output is there already
+            plain = re.sub(r"\.venv/bin/|\s+#.*", "", text).replace(
+                "knotgym-generate", "knotgym generate"
+            )
+            if plain in run or text.startswith(UPLOADS):
+                continue
+            run |= {plain, *plain.split(" && ")}
+            words = ["bash", "-euo", "pipefail", "-c", text]
+            if kind == "python":
+                if module := re.match(r"# (\w+\.py)\n", text):
+                    (checkout / module[1]).write_text(text, encoding="utf-8")
+                words = ["python", "-c", text]
+            began = time.monotonic()
+            ended = subprocess.run(
+                words, cwd=checkout, env=environment, capture_output=True, text=True, timeout=1800
+            )
+            print(f"{time.monotonic() - began:6.1f} s  {page}: {text.splitlines()[0]}", flush=True)
+            said = f"{page}: {text}\n{ended.stdout[-1000:]}\n{ended.stderr[-2000:]}"
+            assert ended.returncode == 0 and "Traceback" not in ended.stderr, said
     assert (checkout / "knotgym-data/nx3/states.h5").is_file()
     assert (checkout / "clone" / "policy.json").is_file()

@@ -1,6 +1,6 @@
 """Behaviour cloning of an expert on state observations, in torch; takes half a minute.
 
-    python examples/learners/clone.py --data knotgym/unknot-nx2/expert-v0 --out cloned.pt
+    python examples/learners/clone.py --data knotgym/tie-nx2/expert-v0 --out cloned.pt
 
 The policy chooses the bead by classification and the force by regression. Beside the network it
 writes a module with its policy: `knotgym evaluate --policy cloned:act`, in the same folder.
@@ -48,9 +48,7 @@ class Policy(nn.Module):
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--data", default="knotgym/unknot-nx2/expert-v0", help="Minari id or folder"
-    )
+    parser.add_argument("--data", default="knotgym/tie-nx2/expert-v0", help="Minari id or folder")
     parser.add_argument("--epochs", type=int, default=60)
     parser.add_argument("--out", type=Path, default=Path("cloned.pt"), help="TorchScript file")
     options = parser.parse_args()

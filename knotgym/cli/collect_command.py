@@ -13,7 +13,7 @@ MINARI_ROOT = extra("out", Path, help="Minari root to write to; Minari's own by 
 @command(
     {"": CollectConfig},
     "episodes policy.policy task.split keep_failed=--keep-failed/--drop-failed"
-    f" dataset_id=--id task.states task.observation task.engine {RUN}",
+    f" dataset_id=--id form task.states task.observation task.engine {RUN}",
     extra("task", tuple[str, ...], ("tie",)),
     extra("nx", tuple[int, ...], (2,)),
     MINARI_ROOT,

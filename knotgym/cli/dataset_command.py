@@ -143,11 +143,12 @@ def export(given: Given) -> None:
     """Convert a dataset to another format, or to a folder ready to upload.
 
     Args:
-        out: Output: a file for curves; an .h5 file for compact and recording, or a folder of them
-            for several datasets; a folder for all other formats.
-        to: Format: compact (one compressed file, pictures are rendered on loading), recording
-            (starts and pulls alone) or ogbench; huggingface or minari for a folder ready to upload;
-            curves for the closed curves of states as .csv, .obj or .npz.
+        out: Output: a file for curves; an .h5 file for compact, columns and recording, or a folder
+            of them for several datasets; a folder for all other formats.
+        to: Format: compact (one compressed file, pictures are rendered on loading), columns (the
+            same uncompressed, for loaders to map), recording (starts and pulls alone) or ogbench;
+            huggingface or minari for a folder ready to upload; curves for the closed curves of
+            states as .csv, .obj or .npz.
     """
     from knotgym.control.verification import replay
     from knotgym.datasets.exports.exporters import export as convert

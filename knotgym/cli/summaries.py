@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from textwrap import fill, wrap
+from textwrap import TextWrapper, fill
 from typing import Any
 
 from rich.console import Console
@@ -21,6 +21,8 @@ from knotgym.runs.narrow_tables import narrow_table
 from knotgym.states.state_file import read_states
 
 _LISTED = 24  # entries of a mapping that are printed, at most
+# paths stay whole, to be copied
+_FACTS = TextWrapper(80, subsequent_indent=" " * 21, break_on_hyphens=False, break_long_words=False)
 
 
 def print_states(path: str, file: Path, console: Console) -> None:
@@ -68,7 +70,7 @@ def _print_facts(facts: Mapping[str, Any], console: Console) -> None:
     """Print a line for each fact that is known."""
     for name, value in facts.items():
         if text := _in_words(value):
-            for line in wrap(f"{name:20} {text}", 80, subsequent_indent=" " * 21):
+            for line in _FACTS.wrap(f"{name:20} {text}"):
                 _say(console, line)
 
 

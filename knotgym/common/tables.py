@@ -366,15 +366,21 @@ def format_of(path: str | os.PathLike[str]) -> str | None:
         return None
 
 
-def digest(table: Table) -> str:
-    """Hash the names, types, shapes and values of all columns (SHA-256, hexadecimal)."""
+def digest(*parts: Table) -> str:
+    """Hash the names, types, shapes and values of all columns (SHA-256, hexadecimal).
+
+    Args:
+        parts: of one table; they are hashed as if they were `joined`.
+    """
     whole = hashlib.sha256()
-    for name, values in sorted(table.items()):
-        text = values.dtype.kind == "U"
-        header = [name, "text" if text else values.dtype.str, values.shape]
-        whole.update(json.dumps([*header, values.tolist()] if text else header).encode())
-        if not text:
-            whole.update(np.ascontiguousarray(values).data if values.size else b"")
+    for name, values in sorted(parts[0].items()):
+        text, shape = values.dtype.kind == "U", (sum(p.rows for p in parts), *values.shape[1:])
+        header = [name, "text" if text else values.dtype.str, shape]
+        if text:
+            header.append([value for part in parts for value in part[name].tolist()])
+        whole.update(json.dumps(header).encode())
+        for part in parts if not text else ():
+            whole.update(np.ascontiguousarray(part[name]).data if part[name].size else b"")
     return whole.hexdigest()
 
 

@@ -12,6 +12,8 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
     rope        fingerprint of the rope model
     versions    package -> version that wrote the file
     digest      SHA-256 of starts and pulls, the same in both forms
+    expansion   SHA-256 of all columns that stepping gives, see `expansion_digest`; a recording has
+                it from the columns that it was made of
     metadata    of the Minari dataset, see `MinariMetadata`; left out in single files
     run         facts about the run that made it, such as its configuration; may be left out
     selection   the selections that it went through, oldest first; may be left out
@@ -42,6 +44,7 @@ from knotgym.common.errors import (
 )
 from knotgym.datasets.episodes import (
     EPISODES,
+    NOT_STEPPED,
     PULLS,
     RECORDED,
     STEPS,
@@ -220,7 +223,7 @@ def columns_of(source: Any) -> EpisodeDataset:
     if opened.episodes.is_recording:
         raise InvalidInput(
             f"{opened.path} is a recording, of starts and pulls alone; play it again with knotgym"
-            " dataset export --to compact"
+            " dataset export --to columns"
         )
     return opened
 
@@ -272,6 +275,8 @@ def write_episodes(
         "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
         "digest": content_digest(merged([part.recording() for part in same])),
     }
+    if not parts[0].is_recording:
+        attributes["expansion"] = expansion_digest(same)
     rows, steps = [part.episodes for part in same], [part.steps for part in same]
     tables.write(path, [rows, steps], attributes, format=FORMAT, pack=pack)
 
@@ -280,6 +285,19 @@ def content_digest(episodes: Episodes) -> str:
     """Hash the starts and pulls of episodes, from which everything else follows (SHA-256)."""
     kept = fitted([episodes.recording()])[0]
     return hashlib.sha256("".join(map(tables.digest, kept)).encode()).hexdigest()
+
+
+def expansion_digest(parts: Sequence[Episodes]) -> str:
+    """Hash the columns that stepping gives from starts and pulls, with these (SHA-256).
+
+    Args:
+        parts: columns, as wide as each other (`fitted`), which are hashed as one set.
+    """
+    found = []
+    for tables_of in zip(*parts, strict=True):
+        kept = [name for name in tables_of[0] if name not in NOT_STEPPED]
+        found.append(tables.digest(*(table.only(*kept) for table in tables_of)))
+    return hashlib.sha256("".join(found).encode()).hexdigest()
 
 
 def episode_file(source: Any) -> Path:
@@ -291,11 +309,14 @@ def episode_file(source: Any) -> Path:
             that Minari would find.
 
     Raises:
+        InvalidInput: the source is nothing of these.
         MissingFile: there is no such file.
         InvalidFile: a run has demonstrations of several crossing numbers.
     """
     if hasattr(source, "storage"):
         source = source.storage.data_path
+    if not isinstance(source, (str, os.PathLike)):
+        raise InvalidInput(f"a dataset is an id, a folder or a file, got {source!r}")
     tried = [Path(source)]
     if not leads_out(source):
         tried.append(minari_root() / str(source))

@@ -13,8 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import as_json
-from knotgym.common.errors import KnotgymError, MissingFile, one_line
-from knotgym.datasets.episode_dataset import EpisodeDataset, content_digest, open_episodes
+from knotgym.common.errors import InvalidFile, KnotgymError, MissingFile, one_line
+from knotgym.datasets.episode_dataset import (
+    EpisodeDataset,
+    content_digest,
+    expansion_digest,
+    open_episodes,
+)
 from knotgym.datasets.episodes import Episodes, differences, distinct, gauss_codes, merged
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
@@ -38,6 +43,9 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     """Return a dataset with all columns, made by playing its episodes again.
 
     The numbers of planned pulls can't be recomputed: the dataset's own stay.
+
+    Raises:
+        InvalidFile: a recording's pulls aren't those that were written, or lead to other states.
     """
     parts, task = [], dataset.task
     if not ships(task.states):
@@ -50,7 +58,17 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
         made = replay(some, task)
         own = made.episodes.replaced(planned=some.episodes["planned"])
         parts.append(made._replace(episodes=own))
-    return replace(dataset, episodes=merged(parts) if parts else dataset.episodes)
+    whole = merged(parts) if parts else dataset.episodes
+    if dataset.episodes.is_recording and dataset.rows is None and parts:
+        told, path = dataset.attributes, dataset.path
+        if told.get("digest") != content_digest(dataset.episodes):
+            raise InvalidFile(f"{path}: its starts and pulls don't match its digest")
+        if told.get("expansion", found := expansion_digest([whole])) != found:
+            raise InvalidFile(
+                f"{path} can't be expanded to the bit: played again, its pulls lead to other states"
+                " here than where it was recorded"
+            )
+    return replace(dataset, episodes=whole)
 
 
 def verify_episodes(source: Any, replay: Replay, *, count: Count = uncounted) -> Iterator[str]:

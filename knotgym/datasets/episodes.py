@@ -74,7 +74,7 @@ STEPS = Schema("steps", (*_PULLS, *_FRAMES), "a state, the pull made in it, and 
 MACROS = ("macro_start", "macro_bead", "macro_target", "macro_side")
 
 _CODES = ("visits", "signs", "goal_visits")  # columns as wide as the longest code
-_NOT_COMPARED = frozenset({"planned"})  # a replay plans nothing
+NOT_STEPPED = frozenset({"planned", "expert_action"})  # a replay plans nothing and asks no expert
 RELABEL = ("last", "all")
 
 
@@ -159,7 +159,7 @@ def differences(one: Episodes, other: Episodes) -> list[str]:
         return [f"{other.episodes.rows} episodes, should be {one.episodes.rows}"]
     one, other = fitted([one, other])
     found: list[tuple[int, int, str]] = []
-    for name in one.episodes.keys() & other.episodes.keys() - _NOT_COMPARED:
+    for name in one.episodes.keys() & other.episodes.keys() - NOT_STEPPED:
         rows = _differing(one.episodes[name], other.episodes[name])
         found += [(row, -1, f"episode {row}: {name} differs") for row in rows.tolist()]
     # steps are compared where episodes have as many

@@ -107,10 +107,11 @@ def publish(
     states: str | os.PathLike[str] | None = None,
     facts: Mapping[str, Any] | None = None,
     overwrite: bool = False,
+    form: str = "",
 ) -> Path:
     """Write episodes as a Minari dataset; the folder appears when it is complete.
 
-    It has Minari's own files too, unless it is a recording or has more than MINARI_STEPS pulls.
+    It has Minari's own files too, unless it is a recording or `form` says otherwise.
 
     Args:
         parts: sets of episodes, which are appended.
@@ -120,6 +121,7 @@ def publish(
         out: root folder of Minari datasets; None for Minari's own.
         states: a state file to include.
         facts: further attributes of the episode file: run, selection.
+        form: "minari", "columns", or "", which is minari for up to MINARI_STEPS pulls.
 
     Returns:
         The dataset's folder.
@@ -140,7 +142,8 @@ def publish(
         write_episodes(data / FILE, parts, task, own)
         if states is not None:
             copy_file(Path(states), data / "states.h5")
-        if pulls <= MINARI_STEPS and not any(part.is_recording for part in parts):
+        wanted = form == "minari" or (not form and pulls <= MINARI_STEPS)
+        if wanted and not any(part.is_recording for part in parts):
             write_minari(open_episodes(data / FILE), data)
     return folder
 
@@ -243,19 +246,19 @@ def _environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
 
 
 def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -> list[str]:
-    """Return the two lines of Python that load a dataset, with Minari and as arrays.
+    """Return the lines of Python that load a dataset: with Minari, if it has that form, as arrays.
 
-    >>> for line in loading_lines("knotgym/tie-nx3/expert-v0", "data"):
+    >>> for line in loading_lines("knotgym/large-v0", "data"):
     ...     print(line)
-    minari.load_dataset("knotgym/tie-nx3/expert-v0")  # with MINARI_DATASETS_PATH=data
-    knotgym.loaders.arrays("data/knotgym/tie-nx3/expert-v0", observation="state")
+    knotgym.loaders.arrays("data/knotgym/large-v0", observation="state")
+    # Minari's own files: knotgym dataset export data/knotgym/large-v0 --to minari --out FOLDER
     """
     named = dataset_id if root is None else (Path(root) / dataset_id).as_posix()
     where = "" if root is None else f"  # with MINARI_DATASETS_PATH={Path(root).as_posix()}"
-    return [
-        f'minari.load_dataset("{dataset_id}"){where}',
-        f'knotgym.loaders.arrays("{named}", observation="state")',
-    ]
+    ours = f'knotgym.loaders.arrays("{named}", observation="state")'
+    if (Path(root or minari_root()) / dataset_id / "data" / METADATA).is_file():
+        return [f'minari.load_dataset("{dataset_id}"){where}', ours]
+    return [ours, f"# Minari's own files: knotgym dataset export {named} --to minari --out FOLDER"]
 
 
 def dataset_files(data: Path) -> list[Path]:

@@ -58,7 +58,7 @@ class CloneConfig(TrainConfig):
 
     steps: Count = 4000
     batch: Count = 128
-    save_every: Count = 250
+    save_every: Count = 100
     guided: bool = False
     rate: Positive = 1e-3
     width: Count = 96

@@ -20,6 +20,7 @@ train split); or a list of them, which is read into memory as one. The other arg
                     byte for byte
     window          a `Window`: n-step returns, chunks of actions, stacks of observations, a history
                     of actions, and goals sampled as in OGBench (`GoalSampling`)
+    reward          a function of an episode and its steps that returns your own rewards
 
 Torch, d3rlpy and TensorDict are imported only by the loaders that need them, and the names below
 only when first used.

@@ -8,6 +8,7 @@ that it reached. All of it is index arithmetic on the columns of the dataset:
     transition t   of segment s leads from state t + s to state t + s + 1
 """
 
+from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any, TypedDict
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
+from knotgym.common.tables import Table
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import codes_held, goals_reached, ranges
 from knotgym.envs.tasks import ACTIONS
@@ -33,6 +35,7 @@ class Opening(TypedDict, total=False):
     labels: bool
     cache: Any
     window: Window | None
+    reward: Callable[[dict[str, Any], Table], ArrayLike] | None
 
 
 class Transitions:
@@ -66,6 +69,7 @@ class Transitions:
         labels: bool = False,
         cache: Any = None,
         window: Window | None = None,
+        reward: Callable[[dict[str, Any], Table], ArrayLike] | None = None,
     ) -> None:
         """Open a dataset.
 
@@ -84,6 +88,9 @@ class Transitions:
             cache: a folder to keep uncompressed pictures in; see `knotgym.loaders`.
             window: steps, chunks, stacks, histories and sampled goals of `batch`; None for single
                 transitions.
+            reward: a function of an episode, as a dict of its row of the table of episodes, and of
+                its T + 1 rows of steps, that returns the rewards (T,) of its pulls; None for those
+                of the dataset. Ends stay as they are.
 
         Raises:
             InvalidInput: these settings don't go together, or the dataset lacks what they need.
@@ -98,10 +105,11 @@ class Transitions:
             "labels": labels,
             "cache": cache,
             "window": window,
+            "reward": reward,
         }
         self.task, self.window = self.dataset.task, window
         self.action = self.task.action if action is None else action
-        self._labels, self._relabelled = labels, relabel is not None
+        self._labels, self._relabelled, self._reward = labels, relabel is not None, reward
         self._check()
         self._frames = DrawnFrames(
             self.dataset, observation or self.task.observation, picture, cache
@@ -131,6 +139,8 @@ class Transitions:
     def _check(self) -> None:
         """Refuse settings that don't go together or that the dataset has no columns for."""
         steps, window, path = self.dataset.episodes.steps, self.window, self.dataset.path
+        if window is not None and not isinstance(window, Window):
+            raise InvalidInput(f"window must be such as Window(n_step=5), got {window!r}")
         goals = window is not None and window.goals is not None
         chunk = window is not None and window.chunk is not None
         refusals = {
@@ -153,6 +163,9 @@ class Transitions:
             ),
             "the expert's actions don't follow one another: leave out chunk": (
                 chunk and self._labels
+            ),
+            "other goals bring their own rewards: leave out reward": (
+                self._reward is not None and (goals or self._relabelled)
             ),
         }
         for refusal, refused in refusals.items():
@@ -212,11 +225,29 @@ class Transitions:
         """float64 (N,)."""
         if self._relabelled:
             return np.where(self.terminals, self.task.success_reward, 0.0)
-        rewards = self.dataset.episodes.steps["reward"]
+        rewards = self._pull_rewards()
         if self.action != "macro":
             return rewards[self._before]
         between = np.stack([self._before, self._after], axis=1).ravel()
         return np.add.reduceat(rewards, between)[::2] if len(between) else np.zeros(0)
+
+    def _pull_rewards(self) -> NDArray[np.float64]:
+        """Return the reward of the pull in each row of steps."""
+        episodes, steps = self.dataset.episodes
+        if self._reward is None:
+            return steps["reward"]
+        found = np.zeros(steps.rows)
+        for number, first in enumerate(self._offsets[:-1].tolist()):
+            own = {name: column[number] for name, column in episodes.items()}
+            last = first + int(own["length"])
+            rewards = np.asarray(self._reward(own, steps.take(slice(first, last + 1))))
+            if rewards.shape != (last - first,) or rewards.dtype.kind not in "biuf":
+                raise InvalidInput(
+                    f"reward must return {last - first} numbers for an episode of as many pulls,"
+                    f" got {rewards.dtype} of shape {rewards.shape}"
+                )
+            found[first:last] = rewards
+        return found
 
     @cached_property
     def terminals(self) -> NDArray[np.bool_]:

@@ -168,6 +168,7 @@ REFUSED = [
     ("--x", 'Unknown command "--x"'),
     ("\x1b[2J", r"Unknown command"),
     ("collect --episode 3", "Unknown option: --episode. Did you mean --episodes?"),
+    ("collect --form zarr", "form"),
     ("collect surplus", "Unused Tokens: ['surplus']"),
     ("collect --nx", "requires an argument"),
     ("collect --nx 2 --nx 3", "specified multiple times"),

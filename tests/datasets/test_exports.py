@@ -11,12 +11,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
-from knotgym.control.verification import replay
+from knotgym.control.verification import replay, verify
 from knotgym.datasets import open_episodes, select, write_episodes
 from knotgym.datasets.cards.citation import citation_file
 from knotgym.datasets.episodes import differences, gauss_codes
@@ -61,12 +62,27 @@ def output_of(script: str, folder: Path, **variables: str) -> str:
     return run.stdout
 
 
-def test_a_recording_and_its_compact_form_are_the_columns_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", ["compact", "columns"])
+def test_a_recording_is_the_columns_again(form: str, tmp_path: Path) -> None:
     export(EXPERT, tmp_path / "r.h5", "recording", replay)
     assert open_episodes(tmp_path / "r.h5").episodes.is_recording
-    export(str(tmp_path / "r.h5"), tmp_path / "c.h5", "compact", replay)
+    export(str(tmp_path / "r.h5"), tmp_path / "c.h5", form, replay)
     one, other = (open_episodes(path).episodes for path in (EXPERT, tmp_path / "c.h5"))
     assert differences(one, other) == []
+    is_mapped = not other.steps["observation"].flags.owndata
+    assert is_mapped == (form == "columns")
+
+
+@pytest.mark.parametrize("of", ["digest", "expansion"])
+def test_a_recording_that_is_not_what_was_written_is_not_expanded(of: str, tmp_path: Path) -> None:
+    """`expansion` differs where a machine rounds otherwise: its states would be other ones."""
+    recording, out = tmp_path / "r.h5", tmp_path / "c.h5"
+    export(EXPERT, recording, "recording", replay)
+    with h5py.File(recording, "r+") as file:
+        file.attrs[of] = np.array(b"0" * 64, h5py.string_dtype("utf-8", 64))
+    with pytest.raises(InvalidFile, match="their digest|its digest|other states here"):
+        export(str(recording), out, "columns", replay)
+    assert not out.exists() and verify(recording)
 
 
 def test_several_datasets_become_a_folder_of_files(root: Path, tmp_path: Path) -> None:

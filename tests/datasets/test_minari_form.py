@@ -17,6 +17,7 @@ from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.minari_form import (
     MinariMetadata,
+    loading_lines,
     metadata_of,
     minari_faults,
     publish,
@@ -119,9 +120,16 @@ def test_large_sets_and_recordings_have_no_minari_form(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("knotgym.datasets.minari_form.MINARI_STEPS", 2)
-    for made in (episodes([3]), episodes([1]).recording()):
-        folder = publish([made], TASK, METADATA, tmp_path, overwrite=True)
-        assert [path.name for path in (folder / "data").iterdir()] == ["episodes.h5"]
+    for made, form, has_it in (
+        (episodes([3]), "", False),
+        (episodes([1]).recording(), "", False),
+        (episodes([1]), "columns", False),
+        (episodes([3]), "minari", True),
+    ):
+        folder = publish([made], TASK, METADATA, tmp_path, overwrite=True, form=form)
+        lines = loading_lines(METADATA.dataset_id, tmp_path)
+        assert len([*(folder / "data").iterdir()]) == (3 if has_it else 1)
+        assert ("minari.load_dataset" in lines[0]) == has_it == ("--to minari" not in lines[1])
 
 
 def test_a_state_file_is_carried_and_found_by_the_id(tmp_path: Path) -> None:

@@ -2,7 +2,9 @@
 
 import importlib.util
 import json
+import os
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +50,30 @@ with_arrow = pytest.mark.skipif(
 
 def test_no_example_is_left_out() -> None:
     assert sorted(SCRIPTS + MODULES) == sorted(FOLDER.rglob("*.py"))
+
+
+def test_the_notebook_and_the_page_of_learning_have_the_lines_of_the_readme() -> None:
+    book = json.loads((FOLDER / "quickstart.ipynb").read_text(encoding="utf-8"))
+    cells = "".join("".join(cell["source"]) for cell in book["cells"])
+    page = (ROOT / "docs/learning.md").read_text(encoding="utf-8")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").split("## Train on it")[1]
+    lines = re.findall(r"^    \.venv/bin/(knotgym .+)$", readme, re.M)
+    assert len(lines) == 3 and all(line in cells and line in page for line in lines)
+
+
+@pytest.mark.clients
+def test_the_notebook_ends_with_a_clone_that_beats_random_actions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nbclient = pytest.importorskip("nbclient")
+    for library in ("ipykernel", "torch"):
+        pytest.importorskip(library)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    book = pytest.importorskip("nbformat").read(FOLDER / "quickstart.ipynb", as_version=4)
+    place = {"metadata": {"path": str(tmp_path)}}
+    nbclient.NotebookClient(book, timeout=1800, resources=place).execute()  # asserts it
+    assert (tmp_path / "clone.gif").is_file()
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)

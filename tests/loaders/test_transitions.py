@@ -60,7 +60,11 @@ BEFORE = np.concatenate([np.arange(n) + k + sum(LENGTHS[:k]) for k, n in enumera
 OWNERS = np.repeat(np.arange(S), LENGTHS)
 
 
-def test_arrays_are_aligned(made: Episodes, path: Path) -> None:
+@pytest.mark.parametrize("block", [5, 1024])
+def test_arrays_are_aligned(
+    made: Episodes, path: Path, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("knotgym.loaders.drawn_frames._BLOCK", block)  # of states that are copied
     held = arrays(path)
     goals = made.episodes["goal_points"][OWNERS]
     np.testing.assert_array_equal(held["observations"], state_of(made, BEFORE, goals))
@@ -212,6 +216,7 @@ def test_labels_take_the_place_of_actions(tmp_path: Path) -> None:
         ({"cache": "c"}, "a cache keeps pictures"),
         ({"labels": True, "relabel": "all"}, "without relabel"),
         ({"labels": True, "action": "macro"}, "are pulls"),
+        ({"relabel": "all", "reward": len}, "leave out reward"),
     ],
 )
 def test_what_does_not_go_together_is_refused(
@@ -219,6 +224,19 @@ def test_what_does_not_go_together_is_refused(
 ) -> None:
     with pytest.raises(InvalidInput, match=says):
         Transitions(path, **opening)
+
+
+def test_rewards_of_my_own_reach_every_window(made: Episodes, path: Path) -> None:
+    def fewer(episode: dict[str, Any], steps: Table) -> Any:
+        assert len(steps["crossings"]) == episode["length"] + 1
+        return -steps["crossings"][1:]
+
+    own = -made.steps["crossings"][BEFORE + 1].astype(float)
+    np.testing.assert_array_equal(arrays(path, reward=fewer)["rewards"], own)
+    two = Transitions(path, reward=fewer, window=Window(n_step=2, discount=0.5)).batch([0])
+    assert two["rewards"] == own[0] + 0.5 * own[1]
+    with pytest.raises(InvalidInput, match=rf"must return {LENGTHS[0]} numbers .* of shape \(\)"):
+        arrays(path, reward=lambda episode, steps: 1.0)
 
 
 def test_a_recording_is_refused(tmp_path: Path, made: Episodes) -> None:

@@ -11,8 +11,9 @@ from knotgym.common.atomic_files import (
     require_writable,
 )
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_dataset import open_episodes, write_episodes
+from knotgym.datasets.episode_dataset import expansion_digest, open_episodes, write_episodes
 from knotgym.datasets.episode_verification import Replay, expanded
+from knotgym.datasets.episodes import fitted
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.exports.ogbench_export import to_ogbench
@@ -26,8 +27,7 @@ def export(named: str, out: Path, form: str, replay: Replay, *, overwrite: bool 
 
     Args:
         named: a path or an id.
-        out: a file for one dataset in format compact or recording, and for curves; otherwise a
-            folder.
+        out: a file for one dataset in a format of _FILES, and for curves; otherwise a folder.
         form: the format, one of EXPORTERS.
         replay: plays recordings again, `control.verification.replay`.
         overwrite: replace what is there.
@@ -44,12 +44,12 @@ def export(named: str, out: Path, form: str, replay: Replay, *, overwrite: bool 
     if form in _OF_EPISODES and not given.episodes:
         raise InvalidInput(f"{given.title} contains no trajectories")
     if form in _FILES:
-        return _files(given, out, overwrite, form == "recording", replay)
+        return _files(given, out, overwrite, form, replay)
     return _OTHERS[form](given, out, overwrite)
 
 
-def _files(given: Located, out: Path, overwrite: bool, recording: bool, replay: Replay) -> str:
-    """Write packed files of episodes, without pictures; a folder of them for several datasets."""
+def _files(given: Located, out: Path, overwrite: bool, form: str, replay: Replay) -> str:
+    """Write files of episodes, without pictures; a folder of them for several datasets."""
     datasets = [open_episodes(path) for path in given.episodes]
     refuse_minaris_folder(out)
     several = len(datasets) > 1
@@ -58,13 +58,18 @@ def _files(given: Located, out: Path, overwrite: bool, recording: bool, replay: 
         if several:
             target.mkdir()
         for path, one in zip(given.episodes, datasets, strict=True):
-            if recording:
+            facts = {**one.facts}
+            if form == "recording":
+                if not one.episodes.is_recording:
+                    facts["expansion"] = expansion_digest(fitted([one.episodes]))
+                elif "expansion" in one.attributes:
+                    facts["expansion"] = one.attributes["expansion"]
                 one = replace(one, episodes=one.episodes.recording())
             elif one.episodes.is_recording:
                 one = expanded(one, replay)
             # named by the end of its id, such as tie-nx3-demonstrations-v0
             file = target / f"{'-'.join(path.with_suffix('').parts[-2:])}.h5" if several else target
-            write_episodes(file, [one.episodes], one.task, one.facts, pack=True)
+            write_episodes(file, [one.episodes], one.task, facts, pack=form != "columns")
         files = sorted(target.iterdir()) if several else [target]
         size = sum(file.stat().st_size for file in files)
     episodes = sum(one.episodes.episodes.rows for one in datasets)
@@ -81,7 +86,7 @@ def _curves(given: Located, out: Path, overwrite: bool) -> str:
     return f"{len(points)} curves"
 
 
-_FILES = ("compact", "recording")  # one file, or a folder of them
+_FILES = ("compact", "columns", "recording")  # one file, or a folder of them
 _OF_EPISODES = (*_FILES, "ogbench", "minari")
 _OTHERS: dict[str, Callable[[Located, Path, bool], str]] = {
     "ogbench": to_ogbench,

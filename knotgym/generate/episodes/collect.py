@@ -224,7 +224,15 @@ def _publish(
     digests = {**source, "versions": made_by["versions"], "rope": made_by["rope"]}
     metadata = replace(_metadata(config, total), digests=digests)
     root = place.with_name(f"{place.name}-root")
-    made = publish(parts, config.task, metadata, root, states=carried, facts={"run": facts})
+    made = publish(
+        parts,
+        config.task,
+        metadata,
+        root,
+        states=carried,
+        facts={"run": facts},
+        form=config.form,
+    )
     made.rename(place)
     failed = total["played"] - total["succeeded"]
     return (

@@ -29,6 +29,8 @@ class CollectConfig:
         seen: observation given to functions and objects of your own; "" for the stored one.
         dataset_id: Minari id; "" for `collect.distinct_id`, for example knotgym/tie-nx3/expert-v0,
             with a mark for each setting that changes the data, as in expert-state-seed1-v0.
+        form: files to write: columns, or minari for Minari's own beside them; by default these are
+            written for at most 100,000 pulls.
         author: author of the dataset; may be repeated.
         author_email: author's email; may be repeated.
         code_permalink: URL of the code that made it.
@@ -43,6 +45,7 @@ class CollectConfig:
     labels: Annotated[str, choice("", "expert")] = ""
     seen: Annotated[str, choice("", *OBSERVATIONS)] = ""
     dataset_id: str = ""
+    form: Annotated[str, choice("", "columns", "minari")] = ""
     author: tuple[str, ...] = ()
     author_email: tuple[str, ...] = ()
     code_permalink: str | None = None
