@@ -51,6 +51,7 @@ class Stream(IntEnum):
     DRAWING = 40  # nx, code, number of the drawing
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
     SELECTION = 43  # which rows (0) or codes (2) are sampled, or how rows are split (1)
+    EPISODE_LOOK = 42  # goal row: the appearance of its photos; the seed is always 0
     IMPORT = 44  # nx, number of the curve: its noise survival
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_PLACES = 52  # the start positions of ropes that are kept
@@ -61,6 +62,7 @@ class Stream(IntEnum):
     PASS_PLAY = 61  # round, episode of that play
     DEMONSTRATED = 66  # state, attempt: the seed of the episode that ends in its code
     SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
+    IMAGE_CAMERA = 72  # rope, pulls: the camera of a photo
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

@@ -62,7 +62,7 @@ FILE = "episodes.h5"
 # settings of the environment that loaders read; datasets that are loaded together share them
 _READ = {
     *("beads", "observation", "action", "hold", "tow_limit", "success_reward"),
-    *("image_size", "views", "depth", "layout", "camera", "renderer"),
+    *("image_size", "views", "depth", "layout", "camera", "appearance", "renderer"),
 }
 
 

@@ -35,8 +35,7 @@ from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.common.tables import new_hdf5
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
-from knotgym.datasets.episode_outcomes import goal_reached
-from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes
+from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes, goal_reached
 from knotgym.datasets.minari_recording import MAIN
 from knotgym.envs.tasks import TaskConfig
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
@@ -330,8 +329,8 @@ def _minari_episodes(
 
 def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:
     """Return an episode's observations by path."""
-    from knotgym.envs.observations import observe, picture_config, pixels  # needs OpenCV
-    from knotgym.rendering.picture import draw
+    # needs OpenCV
+    from knotgym.envs.observations import alone, looks, observe, picture_config, pixels
 
     task, (own, table), offsets = dataset.task, dataset.episodes, dataset.episodes.offsets
     rows = slice(offsets[k], offsets[k + 1])
@@ -339,8 +338,10 @@ def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:
     goal, wanted = own["goal_points"][k].astype(np.float64), own["goal_visits"][[k] * len(visits)]
 
     def pictures() -> NDArray[np.uint8]:
-        picture = picture_config(task)
-        return pixels(points, [draw(goal, picture)] * len(points), picture)
+        picture, own_look = picture_config(task), looks(task, [(int(own["goal"][k]), goal)])
+        shown = alone(goal[None], own_look, picture)[0]
+        many = len(points)
+        return pixels(points, [shown] * many, picture, looks=own_look * many)
 
     shown = observe(task, points, visits, goal, wanted, pictures)
     if not isinstance(shown, dict):

@@ -13,11 +13,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.envs.observations import SYMBOLS, cut, observe, picture_config, pixels
+from knotgym.envs.observations import (
+    SYMBOLS,
+    alone,
+    cut,
+    looks,
+    observe,
+    picture_config,
+    pixels,
+)
 from knotgym.envs.reward import Outcome, outcome
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.picture import draw
 from knotgym.rope.action_views import ActionView
 from knotgym.rope.engines import simulation
 from knotgym.rope.model import Array, Rope
@@ -78,7 +85,8 @@ class EpisodeBatch:
         }
         self._other_goals: dict[tuple[int, str], NDArray[np.int64]] = {}
         self._clearances: dict[int, float] = {}
-        self._goal_images: dict[int, NDArray[np.uint8]] = {}
+        # goal row -> its picture, and how its episodes look
+        self._goal_images: dict[int, tuple[NDArray[np.uint8], Any]] = {}
         self.number, self.seed = np.full((2, count), -1, dtype=np.int64)
         self.start_row, self.goal_row = np.full((2, count), -1, dtype=np.int64)
         self.start_qpos = np.zeros((count, self.simulation.rope.nq))
@@ -376,10 +384,13 @@ class EpisodeBatch:
     def _pictures(self, ids: Ids) -> NDArray[np.uint8]:
         goals = self.goal_row[ids].tolist()
         for goal in set(goals) - self._goal_images.keys():
-            self._goal_images[goal] = draw(self.goals.points[goal], self._picture)
-        pictures = [self._goal_images[goal] for goal in goals]
+            rope = self.goals.points[[goal]]
+            shown = looks(self.task, [(goal, rope[0])])
+            self._goal_images[goal] = alone(rope, shown, self._picture)[0], shown[0]
+        pictures = [self._goal_images[goal][0] for goal in goals]
+        each = [self._goal_images[goal][1] for goal in goals]
         points, threads = self.simulation.points[ids], self.simulation.threads
-        return pixels(points, pictures, self._picture, threads)
+        return pixels(points, pictures, self._picture, threads, each)
 
     def _choose(
         self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator

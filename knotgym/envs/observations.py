@@ -4,8 +4,10 @@ The environment, the datasets and the loaders all use this module, so that store
 the environment's byte for byte.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +19,9 @@ from knotgym.rendering.camera import PictureConfig, picture_of
 from knotgym.rendering.picture import draw_many
 from knotgym.topology.code_arrays import plain_codes
 
+if TYPE_CHECKING:
+    from knotgym.rendering.photo import Photo
+
 SYMBOLS = 64  # visits of a code in an observation, two per crossing
 
 
@@ -26,11 +31,43 @@ def picture_config(task: TaskConfig) -> PictureConfig:
     return picture_of(task.beads, size=task.image_size, views=task.views, depth=task.depth, **drawn)
 
 
+def looks(task: TaskConfig, goals: Iterable[tuple[int, ArrayLike]]) -> list[Photo | None]:
+    """Return the appearance of each episode's pictures; None for the published one.
+
+    Args:
+        task: settings of the environment.
+        goals: of each episode, the row of its goal state, and that state's points.
+    """
+    if task.appearance == "published":
+        return [None for _ in goals]
+    from knotgym.rendering.photo import episode_look
+
+    return [episode_look(_stored(points), task.image_size, row) for row, points in goals]
+
+
+def alone(
+    points: ArrayLike, looks: Sequence[Photo | None], picture: PictureConfig
+) -> NDArray[np.uint8]:
+    """Draw ropes (n, beads, 3), metres, each as its episode looks; see `draw_many`."""
+    if all(look is None for look in looks):
+        return draw_many(points, picture)
+    from knotgym.rendering.photo import take
+
+    ropes = zip(_stored(points), looks, strict=True)
+    return np.stack([take(rope, look).image for rope, look in ropes if look is not None])
+
+
+def _stored(points: ArrayLike) -> NDArray[np.float64]:
+    """Round points as datasets do."""
+    return np.asarray(points, dtype=np.float32).astype(np.float64)
+
+
 def pixels(
     points: ArrayLike,
     goal_pictures: Sequence[NDArray[np.uint8]],
     picture: PictureConfig,
     threads: Threads = ALONE,
+    looks: Sequence[Photo | None] = (),
 ) -> NDArray[np.uint8]:
     """Draw ropes on the left and their goals on the right; views are stacked vertically.
 
@@ -39,6 +76,7 @@ def pixels(
         goal_pictures: uint8 (views * size, size, 3 or 4) each, the goals as `draw` draws them.
         picture: settings of the pictures.
         threads: that draw them; MuJoCo's renderer works on one.
+        looks: of each rope, see `looks`; all published by default.
 
     Returns:
         uint8 (n, views * size, 2 size, 3); 4 channels with depth.
@@ -47,7 +85,10 @@ def pixels(
     seen = np.empty((len(goal_pictures), height, 2 * size, picture.channels), dtype=np.uint8)
 
     def part(rows: slice) -> None:
-        draw_many(ropes[rows], picture, out=seen[rows])
+        if any(looks):
+            seen[rows, :, :size] = alone(ropes[rows], looks[rows], picture)
+        else:
+            draw_many(ropes[rows], picture, out=seen[rows])
         for one, goal in zip(seen[rows], goal_pictures[rows], strict=True):
             one[:, size:] = goal
 

@@ -182,10 +182,23 @@ class DrawnFrames:
 
     def _drawn(self, ids: Ids) -> NDArray[np.uint8]:
         # imported here, so that loading vertices doesn't need OpenCV
-        from knotgym.rendering.picture import draw_many
+        from knotgym.envs.observations import alone
 
         points = self._column(ids, "observation", "goal_points").astype(np.float64)
-        return draw_many(points, self._style)
+        of = self._dataset.episodes.offsets
+        episodes = np.searchsorted(of, np.minimum(ids, self._rows - 1), side="right") - 1
+        episodes = np.where(ids >= self._rows, ids - self._rows, episodes)
+        return alone(points, [self._looks[k] for k in episodes], self._style)
+
+    @cached_property
+    def _looks(self) -> list[Any]:
+        from knotgym.envs.observations import looks
+
+        own = self._dataset.episodes.episodes
+        if self._picture is not None:
+            return [None] * own.rows
+        goals = zip(own["goal"].tolist(), own["goal_points"], strict=True)
+        return looks(self._dataset.task, goals)
 
     @cached_property
     def _style(self) -> Any:
@@ -222,6 +235,7 @@ class DrawnFrames:
         decides = {
             "episodes": content_digest(self._dataset.episodes),
             "picture": asdict(self._style),
+            "looks": [look and asdict(look) for look in self._looks],
             "versions": {"knotgym": knotgym.__version__, "opencv": cv2.__version__},
         }
         # repr stands in for values that JSON can't hold, such as the rope model of a picture

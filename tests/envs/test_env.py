@@ -21,6 +21,7 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS, cut
 from knotgym.envs.task_states import task_sides
 from knotgym.rendering.camera import PictureConfig
+from knotgym.rendering.photo import episode_look, take
 from knotgym.rendering.picture import draw
 from knotgym.states.state_file import States, merge_states, write_states
 from knotgym.topology.crossings import label
@@ -135,6 +136,21 @@ def test_pictures_show_the_rope_left_and_the_goal_right(
     assert same(env.render(), picture[..., :3])
     assert np.array_equal(picture[:, :64], draw(env.episodes.simulation.points[0], config))
     assert np.array_equal(picture[:, 64:], draw(states.points[info["goal"]], config))
+
+
+def test_a_photo_keeps_its_table_for_an_episode_and_marks_the_base(make: Make) -> None:
+    env = make("convert", nx=3, observation="pixels", image_size=96, appearance="photo")
+    first, info = env.reset(seed=0)
+    second = env.step(IDLE)[0]
+    assert first.shape == (96, 192, 3)
+    corner = np.s_[:8, :8]
+    assert np.abs(first[corner].astype(int) - second[corner]).mean() < 12
+    look = episode_look(env.episodes.goals.points[info["goal"]], 96, info["goal"])
+    points = env.episodes.goals.points[info["goal"]].astype(np.float32).astype(np.float64)
+    assert look.marked and not look.occluders and look.tilt == 0
+    assert np.array_equal(first[:, 96:], take(points, look).image)
+    others = {episode_look(points, 96, row).background for row in range(6)}
+    assert len(others) == 6
 
 
 def test_states_hold_the_rope_and_then_the_goal(make: Make, states: States) -> None:

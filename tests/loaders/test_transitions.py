@@ -128,6 +128,16 @@ def test_observations_are_those_of_the_environment(observation: str) -> None:
     np.testing.assert_allclose(seen, np.stack(right), rtol=0, atol=near)
 
 
+def test_photos_are_those_of_the_environment() -> None:
+    opened = open_episodes(TINY["expert"])
+    dataset = replace(opened, task=replace(opened.task, observation="pixels", appearance="photo"))
+    (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
+    env = KnotEnv(**vars(dataset.task))
+    right = [env.reset(seed=int(own["seed"][1]))[0]]
+    right += [env.step(action)[0] for action in steps["action"][offsets[1] : offsets[2] - 1]]
+    np.testing.assert_array_equal(Transitions(dataset).observations(1), np.stack(right))
+
+
 def test_pictures_of_another_size_are_drawn() -> None:
     small = arrays(TINY["expert"], observation="pixels", picture=PictureConfig(size=16))
     assert small["observations"].shape[1:] == (16, 32, 3)

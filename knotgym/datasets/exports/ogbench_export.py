@@ -72,11 +72,12 @@ def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
     if look == "state":
         seen = steps["observation"].reshape(steps.rows, -1)
     else:
-        from knotgym.envs.observations import picture_config
-        from knotgym.rendering.picture import draw_many
+        from knotgym.envs.observations import alone, looks, picture_config
 
-        points = steps["observation"].astype(np.float64)
-        seen = draw_many(points, picture_config(dataset.task))
+        points, own = steps["observation"].astype(np.float64), dataset.episodes.episodes
+        shown = looks(dataset.task, zip(own["goal"].tolist(), own["goal_points"], strict=True))
+        each = [look for look, n in zip(shown, own["length"], strict=True) for _ in range(n + 1)]
+        seen = alone(points, each, picture_config(dataset.task))
     return {"observations": seen, "actions": steps["action"], "terminals": terminals}
 
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.tables import Column, Schema, Table
 from knotgym.datasets.episode_dataset import EpisodeDataset
-from knotgym.datasets.episode_outcomes import goal_reached
-from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
+from knotgym.datasets.episodes import STEPS, gauss_codes, goal_reached, ranges
 from knotgym.datasets.image_table import SHOWS_IMAGE, arrow, encode, picture_column
 
 _AT_ONCE = 256  # episodes converted at once
@@ -68,13 +67,14 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
         "goal_points": own["goal_points"][episode],
     }
     if pictures:
-        from knotgym.envs.observations import picture_config, pixels
-        from knotgym.rendering.picture import draw
+        from knotgym.envs.observations import alone, looks, picture_config, pixels
 
-        picture = picture_config(part.task)
-        goals = [draw(goal, picture) for goal in own["goal_points"].astype(np.float64)]
+        picture, ropes = picture_config(part.task), own["goal_points"].astype(np.float64)
+        shown = looks(part.task, zip(own["goal"].tolist(), ropes, strict=True))
+        goals = alone(ropes, shown, picture)
         points = steps["observation"].astype(np.float64)
-        columns["image"] = pixels(points, [goals[k] for k in episode], picture)[..., :3]
+        each, look = [goals[k] for k in episode], [shown[k] for k in episode]
+        columns["image"] = pixels(points, each, picture, looks=look)[..., :3]
     return Table(ROWS_OF_STEPS, columns)
 
 
