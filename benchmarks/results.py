@@ -57,11 +57,11 @@ Clones choose a bead and a strand instead of six numbers, so their scores have a
 Offline learners are trained on episodes like those of [the suite](suite.md).
 [Learners by libraries](library-learners.md) says on which, and what else was tried.
 
-On [`bench`](sets.md), with 256 starts and up to 256 goals a cell, 1,024 episodes make intervals of 2
-to 5 points. Its rows are in the chain engine. All learners of one size saw the same episodes, so the
-rows compare how an action is chosen: *bc* regresses where to pull and the forces, *discrete-bc*
-classifies the bead and regresses the forces, the clone classifies bead and strand. None of them had
-levelled ([updates](library-learners.md#on-bench)).
+On [`bench`](sets.md), with 256 starts and up to 256 goals a cell, 1,024 episodes make intervals of
+5 points to either side, or less. Its rows are in the chain engine. Learners of one size saw the same
+episodes, so the rows compare how an action is chosen: *bc* regresses where to pull and the forces,
+*discrete-bc* classifies the bead and regresses the forces, clones classify bead and strand. None of
+the learners had levelled ([updates](library-learners.md#on-bench)).
 
 ## Intervals
 
