@@ -21,7 +21,7 @@ from knotgym.topology.symmetry import Symmetry
 from .conftest import curled
 
 Points = NDArray[np.float64]
-ALL = Symmetry(reflect=True, switch=True, turn=1.0, reverse=True, base_shift=3)
+ALL = Symmetry(mirror=True, switch=True, turn=1.0, reverse=True, base_shift=3)
 FUNCTIONS: dict[str, Callable[[Points], Any]] = {
     "code": label,
     "crossings": find_crossings,
@@ -31,7 +31,7 @@ FUNCTIONS: dict[str, Callable[[Points], Any]] = {
     "diagram": draw_diagram,
     "curve": Rope().from_curve,
     "qpos": Rope().qpos,
-    "symmetry": ALL.configuration,
+    "symmetry": ALL.vertices,
     "noise": lambda points: noised(points[None], 0.1, [np.random.default_rng(0)]),
     "proposal": lambda points: propose(points, np.random.default_rng(0), MacroActionConfig()),
 }

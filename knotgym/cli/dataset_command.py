@@ -148,7 +148,8 @@ def export(given: Given) -> None:
         to: Format: compact (one compressed file, pictures are rendered on loading), columns (the
             same uncompressed, for loaders to map), recording (starts and pulls alone) or ogbench;
             huggingface or minari for a folder ready to upload; curves for the closed curves of
-            states as .csv, .obj or .npz.
+            states as .csv, .obj or .npz; webdataset for pictures as tar files, and coco for photos
+            with masks and keypoints.
     """
     from knotgym.control.verification import replay
     from knotgym.datasets.exports.exporters import export as convert

@@ -27,6 +27,8 @@ def images(given: Given) -> None:
 
         knotgym images --nx 3,4 --count 100 --style knotbench
 
+        knotgym images --nx 1-4 --count 1000 --style photo --size 256
+
     Args:
         out: Folder to write; by default knotgym-data/images-nx0-4 for --nx 0-4.
         states: Start from a states.h5; by default from the included states.

@@ -24,7 +24,15 @@ from knotgym.datasets.episode_dataset import (
     write_episodes,
 )
 from knotgym.datasets.episodes import Episodes, gauss_codes
-from knotgym.datasets.image_table import COLUMNS, arrow, parquet, points_of, read_table, shards
+from knotgym.datasets.image_table import (
+    COLUMNS,
+    PHOTO_COLUMNS,
+    arrow,
+    parquet,
+    points_of,
+    read_table,
+    shards,
+)
 from knotgym.datasets.located import locate_own, refuse_minaris_folder, root_of
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.states.near_duplicates import families
@@ -77,8 +85,11 @@ class StateRows:
 class _PictureRows:
     def __init__(self, path: Path) -> None:
         self.path, self.digested = path, shards(path)[0]
+        stored = arrow("pyarrow.parquet").read_schema(self.digested).names
         flat = [
-            name for name, kind in COLUMNS.items() if name != "image" and not isinstance(kind, list)
+            name
+            for name, kind in (COLUMNS | PHOTO_COLUMNS).items()
+            if kind != "image" and not isinstance(kind, list) and name in (*COLUMNS, *stored)
         ]
         self.table = read_table(path, columns=[*flat, "points"])
         stored = (self.table.schema.metadata or {}).get(b"selection", b"[]")
@@ -91,7 +102,8 @@ class _PictureRows:
     def columns(self) -> dict[str, NDArray[Any]]:
         out: dict[str, NDArray[Any]] = {}
         for name in self.table.column_names:
-            values, kind = self.table[name].combine_chunks(), COLUMNS[name]
+            values = self.table[name].combine_chunks()
+            kind = (COLUMNS | PHOTO_COLUMNS)[name]
             if isinstance(kind, dict):
                 plain = [inner for inner, of in kind.items() if isinstance(of, str)]
                 out |= {f"{name}.{one}": np.array(values.field(one).to_pylist()) for one in plain}

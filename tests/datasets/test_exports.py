@@ -224,6 +224,7 @@ def test_what_has_no_place_in_a_form_is_refused(tmp_path: Path, states_path: str
         (one, "minari", "not a Minari dataset"),
         (one, "curves", "no states"),
         (states_path, "compact", "no trajectories"),
+        (one, "coco", "contains no pictures"),
         (one, "poem", "formats are compact"),
     ):
         with pytest.raises(InvalidInput, match=says):

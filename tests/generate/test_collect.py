@@ -13,7 +13,7 @@ from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.rollouts import episode_seed
 from knotgym.control.verification import verify
-from knotgym.datasets.episode_dataset import columns_of, open_episodes
+from knotgym.datasets.episode_dataset import columns_of, content_digest, open_episodes
 from knotgym.datasets.episodes import differences
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import metadata_of
@@ -73,6 +73,22 @@ def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(
             assert terminated == own.steps["terminated"][step]
             assert truncated == own.steps["truncated"][step]
             assert info["bead"] == own.steps["bead"][step]
+
+
+def test_a_set_of_more_steps_begins_with_that_of_fewer(tmp_path: Path) -> None:
+    made = {
+        (steps, form): open_episodes(
+            collect(
+                config(steps=steps, form=form, dataset_id=f"a/{form}{steps}-v0"), tmp_path, QUIET
+            )
+        ).episodes
+        for steps, form in ((40, "columns"), (130, "columns"), (130, "recording"))
+    }
+    few, many, pulls = made.values()
+    lengths = few.episodes["length"]
+    assert lengths.sum() - lengths[-1] < 40 <= lengths.sum()
+    assert differences(few, many.select(np.arange(len(lengths)))) == []
+    assert pulls.is_recording and content_digest(pulls) == content_digest(many)
 
 
 @pytest.mark.parametrize("episodes", [1, 63, 200, 5000, 100_000])

@@ -1,6 +1,9 @@
 """Photos: the answers are what an outside computation from points and camera finds."""
 
 import math
+import sys
+from collections import Counter
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -14,16 +17,16 @@ from knotgym.topology.notation import pd_code
 Array = NDArray[np.float64]
 
 
-def shots(count: int, size: int, seed: int) -> list[tuple[Array, Shot]]:
-    """Photograph shipped states in random order; return their points, and their photos."""
-    rng, made = np.random.default_rng(seed), list[tuple[Array, Shot]]()
+def photos(count: int, size: int, seed: int) -> Iterator[tuple[Array, Shot]]:
+    """Photograph shipped states in random order; yield their points, and their photos."""
+    rng = np.random.default_rng(seed)
     ropes = [read_states(shipped(one), images=False).points for one in ("readable", "bench")]
     states = np.concatenate(ropes)
-    while len(made) < count:
+    while count:
         points = states[rng.integers(len(states))]
         if (shot := photograph(points, size, rng)) is not None:
-            made.append((points, shot))
-    return made
+            yield points, shot
+            count -= 1
 
 
 def faults(points: Array, shot: Shot) -> list[str]:
@@ -100,11 +103,11 @@ def faults(points: Array, shot: Shot) -> list[str]:
 
 @pytest.mark.parametrize("size", [128, 256])
 def test_answers_are_those_of_an_outside_computation(size: int) -> None:
-    assert [faults(points, shot) for points, shot in shots(12, size, size)] == [[]] * 12
+    assert [faults(points, shot) for points, shot in photos(12, size, size)] == [[]] * 12
 
 
 def test_a_photo_is_taken_again_from_points_and_appearance() -> None:
-    for _, shot in shots(6, 128, 5):
+    for _, shot in photos(6, 128, 5):
         again = take(shot.points, shot.look)
         assert np.array_equal(again.image, shot.image)
         assert np.array_equal(again.strands, shot.strands)
@@ -119,3 +122,12 @@ def test_no_camera_shows_two_strands_that_lie_on_each_other() -> None:
     there = np.column_stack([np.linspace(0, 0.3, 50), np.zeros((50, 2))])
     back = there[::-1] + (0, 0.003, 0.002)
     assert photograph(np.concatenate([there, back]), 128, np.random.default_rng(0)) is None
+
+
+if __name__ == "__main__":  # python tests/rendering/test_photo.py COUNT
+    count, wrong, crossings = int(sys.argv[1]), Counter[str](), 0
+    for size in (128, 256, 512):
+        for points, shot in photos(count // 2 if size == 128 else count // 4, size, 7 * size):
+            crossings += shot.crossings.nx
+            wrong.update(faults(points, shot))
+    print(f"{count} photos, {crossings} crossings; wrong: {dict(wrong) or 0}")

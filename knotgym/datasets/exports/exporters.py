@@ -17,6 +17,7 @@ from knotgym.datasets.episodes import fitted
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.exports.ogbench_export import to_ogbench
+from knotgym.datasets.exports.picture_exports import to_coco, to_webdataset
 from knotgym.datasets.located import Located, locate_own, refuse_minaris_folder
 from knotgym.rope.curve_files import write_curves
 from knotgym.states.state_file import read_states
@@ -93,5 +94,7 @@ _OTHERS: dict[str, Callable[[Located, Path, bool], str]] = {
     "huggingface": to_huggingface,
     "minari": to_minari,
     "curves": _curves,
+    "coco": to_coco,
+    "webdataset": to_webdataset,
 }
 EXPORTERS = (*_FILES, *_OTHERS)

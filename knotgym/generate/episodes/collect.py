@@ -5,6 +5,7 @@ the seed and its number, so the dataset's bytes don't depend on blocks, lanes or
 """
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -22,7 +23,7 @@ from knotgym.control.policies import compile_planning, make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_dataset import FILE, open_episodes
-from knotgym.datasets.episodes import Episodes, merged
+from knotgym.datasets.episodes import PULLS, STEPS, Episodes, merged
 from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
@@ -166,11 +167,40 @@ def _episodes_of(
     block: Callable[[CollectConfig, range], Result],
 ) -> Recipe[str]:
     """Play a collection's episodes and publish them as the folder `place`; return a summary."""
-    parts = yield [
-        Call(f"episodes {few.start}-{few.stop - 1}", block, (config, few))
-        for few in blocks(config.episodes, config.task)
-    ]
-    return _publish(config, [from_result(part) for part in parts], source, place)
+    parts = list[Episodes]()
+    played = steps = 0
+    while coming := _coming(config, played, steps):
+        results = yield [
+            Call(f"episodes {few.start}-{few.stop - 1}", block, (config, few))
+            for few in blocks(coming, config.task, played)
+        ]
+        played += coming
+        parts += [from_result(result) for result in results]
+        steps = sum(int(part.episodes["length"].sum()) for part in parts)
+    if config.steps:
+        parts = _first_steps(parts, config.steps)
+    return _publish(config, parts, source, place)
+
+
+def _coming(config: CollectConfig, played: int, steps: int) -> int:
+    """Return how many episodes to play next, after so many with so many steps; 0 at the end."""
+    if not config.steps:
+        return config.episodes - played
+    # at first as many as are needed if none ends early, then as many as by their mean length
+    mean = steps / played if played else config.task.horizon
+    return max(0, math.ceil((config.steps - steps) / mean))
+
+
+def _first_steps(parts: list[Episodes], steps: int) -> list[Episodes]:
+    """Cut off the episodes that aren't needed for so many steps."""
+    lengths = np.concatenate([part.episodes["length"] for part in parts])
+    needed = int(np.searchsorted(np.cumsum(lengths), steps)) + 1
+    kept = list[Episodes]()
+    for part in parts:
+        own = min(part.episodes.rows, needed)
+        kept += [part if own == part.episodes.rows else part.select(np.arange(own))] * (own > 0)
+        needed -= own
+    return kept
 
 
 def play(config: CollectConfig, numbers: range) -> Result:
@@ -178,8 +208,9 @@ def play(config: CollectConfig, numbers: range) -> Result:
     policy = make_policy(config.policy)
     adviser = make_policy(replace(config.policy, policy="expert")) if config.labels else None
     seeds = [episode_seed(config.seed, number) for number in numbers]
+    kept = PULLS if config.form == "recording" else STEPS
     tried = [
-        rollouts(policy, config.seen_task, seeds, attempt=attempt, adviser=adviser)
+        rollouts(policy, config.seen_task, seeds, keep=kept, attempt=attempt, adviser=adviser)
         for attempt in range(config.attempts)
     ]
     return as_result(_best(tried))

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Annotated
 
-from knotgym.common.configuration import Count, Seed, choice, configuration
+from knotgym.common.configuration import Count, Seed, Whole, choice, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
@@ -20,6 +20,8 @@ class CollectConfig:
         task: the environment; its `observation` is stored in Minari's form.
         policy: the acting policy.
         episodes: episodes to play for each dataset.
+        steps: keep as many episodes as it takes for so many steps, instead of `episodes`; 0 for
+            `episodes`. More steps only add episodes.
         seed: random seed; the same seed gives the same bytes. Episode i has
             `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
@@ -30,7 +32,8 @@ class CollectConfig:
         dataset_id: Minari id; "" for `collect.distinct_id`, for example knotgym/tie-nx3/expert-v0,
             with a mark for each setting that changes the data, as in expert-state-seed1-v0.
         form: files to write: columns, or minari for Minari's own beside them; by default these are
-            written for at most 100,000 pulls.
+            written for at most 100,000 pulls. Or recording: starts and pulls alone, a sixth of the
+            bytes or less; `knotgym dataset export --to compact` gets the columns by stepping.
         author: author of the dataset; may be repeated.
         author_email: author's email; may be repeated.
         code_permalink: URL of the code that made it.
@@ -39,13 +42,14 @@ class CollectConfig:
     task: TaskConfig = TaskConfig(task="tie", observation=OBSERVATION)
     policy: PolicyConfig = PolicyConfig(policy="expert")
     episodes: Count = 200
+    steps: Whole = 0
     seed: Seed = 0
     keep_failed: bool = True
     attempts: Count = 1
     labels: Annotated[str, choice("", "expert")] = ""
     seen: Annotated[str, choice("", *OBSERVATIONS)] = ""
     dataset_id: str = ""
-    form: Annotated[str, choice("", "columns", "minari")] = ""
+    form: Annotated[str, choice("", "recording", "columns", "minari")] = ""
     author: tuple[str, ...] = ()
     author_email: tuple[str, ...] = ()
     code_permalink: str | None = None

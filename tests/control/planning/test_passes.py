@@ -80,7 +80,7 @@ def test_a_pass_that_lands_elsewhere_in_the_engine_that_counts_is_not_taken() ->
 
 def test_a_template_on_an_image_is_the_image_of_the_pass(curve: Array) -> None:
     turned = Symmetry(switch=True, reverse=True)
-    here, there = see(np.array([curve, turned.configuration(curve)]))
+    here, there = see(np.array([curve, turned.vertices(curve)]))
     for template in templates(here.diagram.nx)[::37]:
         before, after = template.on(here, 0), template.on(there, 0b110)
         wanted = turned.beads(np.array(before[:2]), len(curve))
