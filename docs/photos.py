@@ -17,9 +17,9 @@ from knotgym.common.errors import Failed
 from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.rendering.photo import Shot, photograph
 from knotgym.states.state_file import read_states, shipped
+from knotgym.topology.diagrams import uniform_code
 from knotgym.topology.notation import pd_text
 from knotgym.topology.symmetry import diagram_form
-from knotgym.topology.uniform_codes import uniform_code
 
 PAGES = Path(__file__).parent
 _SIDE, _GAP, _ACROSS = 152, 2, 8  # pixels of a tile and between tiles; tiles

@@ -43,5 +43,5 @@ def images(given: Given) -> None:
     config = given.config(ImagesConfig, usual=usual)
     marks = ["" if states is None else f"-from-{states.absolute().parent.name}"]
     marks += ["-varied" if config.appearance.vary else ""]
-    folder = given.folder(f"images-nx{as_typed(config.nx)}{''.join(marks)}", "nx", "count")
+    folder = given.folder(f"images-nx{as_typed(config.nx)}{''.join(marks)}")
     make_images(config, folder, given.run, states=states, progress=given.progress)
