@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from knotgym.quality.measures import measure
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import draw
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import propose
 from knotgym.rope.model import Rope
 from knotgym.rope.reset_noise import noised
@@ -33,7 +32,7 @@ FUNCTIONS: dict[str, Callable[[Points], Any]] = {
     "qpos": Rope().qpos,
     "symmetry": ALL.vertices,
     "noise": lambda points: noised(points[None], 0.1, [np.random.default_rng(0)]),
-    "proposal": lambda points: propose(points, np.random.default_rng(0), MacroActionConfig()),
+    "proposal": lambda points: propose(points, np.random.default_rng(0)),
 }
 
 

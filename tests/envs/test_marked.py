@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.marked import TOKENS, Marked, join, mark, size, split
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import WaypointFollower
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
@@ -90,7 +89,7 @@ def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Sy
             (tangles(40), ours),
             (np.stack([symmetry.vertices(one) for one in tangles(40)]), theirs),
         ):
-            follower = WaypointFollower(len(rows), MacroActionConfig())
+            follower = WaypointFollower(len(rows))
             passes = np.stack([led, past, way], axis=1)[rows]
             follower.begin_passes(np.arange(len(rows)), passes, ropes[rows])
             forces = follower.forces(ropes[rows], np.arange(len(rows)))

@@ -114,16 +114,6 @@ def test_labels_are_the_expert_s_and_change_nothing_that_is_played(tmp_path: Pat
     assert differences(plain, labelled) == [] and labelled.steps["expert_action"].any()
 
 
-def test_of_several_attempts_the_shortest_success_is_kept(tmp_path: Path) -> None:
-    task = TaskConfig(task="unknot", nx=1, engine="chain", observation="state", horizon=12)
-    many = config(task=task, policy="scripted", episodes=8, attempts=3)
-    kept = columns_of(collect(many, tmp_path, QUIET)).episodes.episodes
-    first = collecting.play(replace(many, attempts=1), range(8))
-    once = first["episodes/success"]
-    assert (kept["success"] >= once).all() and kept["success"].sum() > once.sum()
-    assert (kept["length"][once] <= first["episodes/length"][once]).all()
-
-
 def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> None:
     task = TaskConfig(task="unknot", nx=1, engine="chain", observation="state", horizon=12)
     asked = config(task=task, policy="scripted", episodes=12, keep_failed=False)
@@ -196,7 +186,6 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
     others = [
         replace(usual, seed=1),
         replace(usual, keep_failed=False),
-        replace(usual, attempts=2),
         replace(usual, labels="expert"),
         replace(usual, policy=budget),
         *(
@@ -246,7 +235,7 @@ def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
     merge([f"knotgym/{one}" for one in apart], None, "knotgym/merged-v0")
     for name in ("one", "merged"):
         assert verify(f"knotgym/{name}-v0") == []
-    chosen = select("knotgym/merged-v0", where="task = 'tie' and nx = 3", dataset_id="knotgym/c-v0")
+    chosen = select("knotgym/merged-v0", tmp_path.parent / "c.h5", where="task = 'tie' and nx = 3")
     assert open_episodes(chosen).episodes.episodes.rows == 9
 
 

@@ -390,3 +390,24 @@ def test_hugging_face_reads_every_column_of_every_split(
         for seen, row in zip(found[name], own, strict=True):
             assert np.array_equal(np.asarray(seen.pop("image")), decode(row["image"]))
             assert seen == {column: value for column, value in row.items() if column != "image"}
+
+
+@pytest.mark.clients
+def test_croissant_of_pictures_is_valid_and_a_picture_comes_back(folder: Path) -> None:
+    croissant = pytest.importorskip("mlcroissant")
+    one = croissant.Dataset(jsonld=str(folder / "croissant.json"))
+    assert not one.metadata.ctx.issues.errors
+    where = next(record.name for record in one.metadata.record_sets)
+    row = next(iter(one.records(where)))
+    assert row[f"{where}/image"].size in ((64, 64), (128, 128))
+
+
+@pytest.mark.thorough
+def test_photos_are_the_same_for_any_workers(tmp_path: Path) -> None:
+    photos = ImagesConfig(
+        nx=(1, 2), count=4, engine="chain", appearance=AppearanceConfig(style="photo")
+    )
+    one, two = (made(tmp_path / str(n), photos, workers=n) for n in (1, 2))
+    for file in one.glob("data/*.parquet"):
+        assert file.read_bytes() == (two / "data" / file.name).read_bytes()
+    assert [*image_faults(one)] == []

@@ -26,8 +26,7 @@ from knotgym.generate.states.wanted_codes import WantedCodes
 from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope.model import Rope
 from knotgym.runs.run import compute
-from knotgym.runs.run_options import RunOptions
-from knotgym.runs.shards import Shard
+from knotgym.runs.run_options import RunOptions, Shard
 from knotgym.states.near_duplicates import pairs_within
 from knotgym.states.state_file import States, read_states
 from knotgym.topology.crossings import label

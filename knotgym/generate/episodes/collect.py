@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import require_output, sha256
 from knotgym.common.configuration import as_json, differences
@@ -24,7 +23,7 @@ from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_dataset import FILE, open_episodes
 from knotgym.datasets.episodes import PULLS, STEPS, Episodes, merged
-from knotgym.datasets.machine import machine
+from knotgym.datasets.manifest import machine
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result
@@ -73,7 +72,6 @@ def distinct_id(config: CollectConfig) -> str:
         "" if task.observation == OBSERVATION else task.observation,
         f"seed{seed}" if seed else "",
         "" if config.keep_failed else "successes",
-        f"best{config.attempts}" if config.attempts > 1 else "",
         "labelled" if config.labels else "",
         digest,
     )
@@ -209,28 +207,7 @@ def play(config: CollectConfig, numbers: range) -> Result:
     adviser = make_policy(replace(config.policy, policy="expert")) if config.labels else None
     seeds = [episode_seed(config.seed, number) for number in numbers]
     kept = PULLS if config.form == "recording" else STEPS
-    tried = [
-        rollouts(policy, config.seen_task, seeds, keep=kept, attempt=attempt, adviser=adviser)
-        for attempt in range(config.attempts)
-    ]
-    return as_result(_best(tried))
-
-
-def _best(tried: list[Episodes]) -> Episodes:
-    """Return each episode's shortest successful rollout, or else its first.
-
-    Its number of planned pulls is the sum over all rollouts of the episode.
-    """
-    if len(tried) == 1:
-        return tried[0]
-    success = np.stack([one.episodes["success"] for one in tried])
-    lengths = np.stack([one.episodes["length"] for one in tried])
-    # a successful one before any other; where none is, the first
-    chosen = np.argmin(np.where(success, lengths, lengths.max() + 1), axis=0)
-    count = len(chosen)
-    best = merged(tried).select(chosen * count + np.arange(count))
-    planned: NDArray[np.int64] = np.sum([one.episodes["planned"] for one in tried], axis=0)
-    return best._replace(episodes=best.episodes.replaced(planned=planned))
+    return as_result(rollouts(policy, config.seen_task, seeds, keep=kept, adviser=adviser))
 
 
 def _publish(
@@ -315,14 +292,13 @@ def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata
     task, policy = config.task, config.policy
     measured = task.engine == MUJOCO and task.rope == RopeConfig() and not task.endless
     scores = reference_scores().get(task.name, {}) if measured else {}
-    tried = f", the best of {config.attempts} attempts each" * (config.attempts > 1)
     labels = " At every state stands what an expert would do there (infos/expert_action)."
     planned = total["planned"] / max(total["played"], 1)
     planning = f" Planning took {planned:.0f} simulated pulls an episode."
     text = (
         f"KnotGym, task {' or '.join(task.tasks)} with"
         f" {' or '.join(map(str, task.crossings))} crossings, {task.split} split, engine"
-        f" {task.engine}: {total['kept']} episodes of policy {policy.policy}{tried}, seed"
+        f" {task.engine}: {total['kept']} episodes of policy {policy.policy}, seed"
         f" {config.seed}. {total['succeeded']} of {total['played']} episodes played reached the"
         f" goal within {task.horizon} steps; failed ones are"
         f" {'kept' if config.keep_failed else 'dropped'}.{labels * bool(config.labels)}"

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Annotated
 
 from knotgym.common.configuration import Count, Seed, Whole, choice, configuration
-from knotgym.common.errors import InvalidInput
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.rope.engines import MUJOCO
@@ -25,8 +24,6 @@ class CollectConfig:
         seed: random seed; the same seed gives the same bytes. Episode i has
             `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
-        attempts: rollouts per episode; the shortest one that reaches the goal is kept, or else the
-            first.
         labels: "expert" stores the expert's action at every state.
         seen: observation given to functions and objects of your own; "" for the stored one.
         dataset_id: Minari id; "" for `collect.distinct_id`, for example knotgym/tie-nx3/expert-v0,
@@ -45,7 +42,6 @@ class CollectConfig:
     steps: Whole = 0
     seed: Seed = 0
     keep_failed: bool = True
-    attempts: Count = 1
     labels: Annotated[str, choice("", "expert")] = ""
     seen: Annotated[str, choice("", *OBSERVATIONS)] = ""
     dataset_id: str = ""
@@ -53,13 +49,6 @@ class CollectConfig:
     author: tuple[str, ...] = ()
     author_email: tuple[str, ...] = ()
     code_permalink: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.policy.policy.startswith("prompt:"):
-            raise InvalidInput(
-                "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
-                f" {self.policy.policy}"
-            )
 
     @property
     def seen_task(self) -> TaskConfig:

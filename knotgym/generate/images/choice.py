@@ -26,11 +26,13 @@ class Chosen(NamedTuple):
         points: float64 (beads, 3), metres.
         split: one of IMAGE_SPLITS.
         source: rope, pulls, and the symmetry that was applied to the frame.
+        camera: tilt and heading of the camera in whose axes they were before that, degrees.
     """
 
     points: Array
     split: str
     source: dict[str, Any]
+    camera: tuple[float, float]
 
 
 class Chooser:
@@ -95,7 +97,8 @@ class Chooser:
             "reflect": symmetry.mirror,
             **{name: getattr(symmetry, name) for name in names},
         }
-        self.chosen.append(Chosen(points, split, source))
+        tilt, heading = frames["camera"][row].tolist()
+        self.chosen.append(Chosen(points, split, source, (tilt, heading)))
         return True
 
     def _refuse(self, reason: str) -> bool:

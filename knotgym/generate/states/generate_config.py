@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _BEADS = 100  # of the rope that demonstrations are made with
 # Settings that states taken from ropes need.
-_OF_ROPES = {"every_code": 0, "split_by": "state", "knot": UNKNOT, "codes": (), "beads": _BEADS}
+_OF_ROPES = {"every_code": 0, "knot": UNKNOT, "codes": (), "beads": _BEADS}
 # Drawings of one code resemble each other: beyond so many, most are refused as near duplicates.
 _DRAWN = 20
 
@@ -95,8 +95,7 @@ class GenerateConfig:
             that more than 20 states of each are asked for, else drawing. Play and random-walk leave
             out over-twisted states, and their splits share no rope.
         every_code: instead of --count: number of states for every existing Gauss code.
-        split_by: "state" or "code"; with "code", train and test share no Gauss code.
-        train_share: share of states, codes or ropes in the train split.
+        train_share: share of states or ropes in the train split.
         knot: knot type of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror image
             (m3_1) or a sum (3_1#4_1).
         codes: Gauss codes to use instead of all those of `knot`, with or without chirality; `nx`
@@ -122,7 +121,6 @@ class GenerateConfig:
     count: Count = 40
     source: Literal["auto", "drawing", "play", "random-walk"] = "auto"
     every_code: Whole = 0
-    split_by: Literal["state", "code"] = "state"
     train_share: Share = 0.5
     knot: str = UNKNOT
     codes: tuple[str, ...] = ()

@@ -5,6 +5,7 @@ rows = drawing and play | random-walk      (rows that pass the filter and are ne
 """
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,17 +58,19 @@ def make_states(
     asked = {name: value for name, value in as_json(config).items() if name not in _PATIENCE}
     made_by = identity(asked)
 
-    def prepare(progress: Progress) -> None:
-        plan = compile_planning if config.demonstrations else None
-        compile_first(progress, config.engine_used, options.workers, draws=True, plan=plan)
-
     return run(
         lambda place: state_recipe(config, place, made_by),
         Path(out),
         made_by,
         options,
         progress,
-        prepare=prepare,
+        prepare=partial(
+            compile_first,
+            engine=config.engine_used,
+            workers=options.workers,
+            draws=True,
+            plan=compile_planning if config.demonstrations else None,
+        ),
     )
 
 
@@ -138,7 +141,7 @@ def _splits(config: GenerateConfig, rows: Rows) -> NDArray[np.str_]:
         own = np.flatnonzero(rows["nx"] == nx)
         rng = generator(Stream.SPLIT, config.seed, nx)
         shown = [codes[row] for row in own]
-        assigned[own] = split(shown, config.split_by, config.train_share, rng)
+        assigned[own] = split(shown, config.train_share, rng)
     return kept_together(assigned, rows["points"], codes)
 
 
