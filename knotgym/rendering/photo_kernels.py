@@ -171,7 +171,8 @@ def stamp(
                 upper = flags[k] & OVER and not (
                     (t < 0 and flags[k] & FIRST) or (t > 1 and flags[k] & LAST)
                 )
-                t = min(max(t, np.float32(0)), np.float32(1))
+                # a place belongs to this piece, not to the beginning of the next
+                t = min(max(t, np.float32(0)), np.float32(0.9999))
                 ex, ey = px - t * dx, py - t * dy
                 d = ex * ex + ey * ey
                 if d > limit:

@@ -402,6 +402,7 @@ def test_croissant_of_pictures_is_valid_and_a_picture_comes_back(folder: Path) -
     assert row[f"{where}/image"].size in ((64, 64), (128, 128))
 
 
+@pytest.mark.thorough
 def test_photos_are_the_same_for_any_workers(tmp_path: Path) -> None:
     photos = ImagesConfig(
         nx=(1, 2), count=4, engine="chain", appearance=AppearanceConfig(style="photo")
