@@ -1,4 +1,4 @@
-"""Measure a set of a million states: bytes, opening, stretches of states, batches of transitions.
+"""Measure a set of a million states: bytes, opening, stretches, batches, arrays, expansion.
 
     python benchmarks/columns.py
 
@@ -17,9 +17,11 @@ import numpy as np
 from knotgym.control.policies import make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
+from knotgym.control.verification import replay
 from knotgym.datasets.episode_dataset import open_episodes, write_episodes
+from knotgym.datasets.episode_verification import expanded
 from knotgym.envs.tasks import TaskConfig
-from knotgym.loaders import Sequences, Transitions
+from knotgym.loaders import Sequences, Transitions, arrays
 
 TASK = TaskConfig(task="tie", engine="chain", observation="state")
 LENGTH, EPISODES, REPEATED = 50, 400, 50
@@ -66,6 +68,17 @@ def main() -> None:
         opened = Transitions(path)
         batches = rate(lambda: opened.batch(rng.integers(len(opened), size=256)))
         print(f"Transitions.batch of 256: {256 * batches:.0f} transitions a CPU second")
+        for turn in ("first", "second"):
+            began = time.process_time()
+            held = arrays(path)
+            spent, size = time.process_time() - began, sum(one.nbytes for one in held.values())
+            print(f"arrays, {turn} call: {spent:.1f} s of CPU time, {size / 1e9 / spent:.2f} GB/s")
+            del held
+        recording = Path(room) / "recording.h5"
+        write_episodes(recording, [part.recording()], TASK)
+        began = time.process_time()
+        made = expanded(open_episodes(recording), replay).episodes.steps.rows - EPISODES
+        print(f"expansion: {made / (time.process_time() - began):.0f} pulls a CPU second")
 
 
 if __name__ == "__main__":

@@ -33,8 +33,8 @@ from rich.console import Console
 from knotgym.cli.main import COMMANDS, application, main
 from knotgym.datasets.episode_dataset import FILE
 
-DATASET = "show verify gallery replay page select split delete merge import export".split()
-NAMES = [*(name for name in COMMANDS if name not in ("dataset", "compile", "play", "demo"))]
+DATASET = "show verify gallery replay page select split merge import export".split()
+NAMES = [*(name for name in COMMANDS if name not in ("dataset", "play", "demo"))]
 NAMES += [f"dataset {name}" for name in DATASET]
 OPTION = re.compile(r"^ *\*? +(--[a-z-]+)(?: (--[a-z-]+))?(?: ([A-Z,]+))?", re.MULTILINE)
 ARGUMENT = re.compile(r"^ (?:\*  | *)([A-Z][A-Z-]+)  ", re.MULTILINE)
@@ -51,7 +51,7 @@ SETTINGS = [
     "task.views=x",
     "a=b",
 ]
-SETTINGS += ["task.image_size=1000000", "run.executor=dask", "x", "=", "task=3", "task.horizon=1e9"]
+SETTINGS += ["task.image_size=1000000", "x", "=", "task=3", "task.horizon=1e9"]
 FILES = "missing empty noise link pipe folder states.h5 cut.h5 episodes.h5 minari curve.csv".split()
 FILES += ["table.json", "deep/er/out", "set", "set/states.h5", "x" * 300, ".", "..", ""]
 # more than a few would be honest work for hours; at most one in ten commands asks for it

@@ -36,6 +36,7 @@ from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.envs.tasks import TaskConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.session import Session
+from knotgym.states.state_file import read_states
 
 sys.path.append(str(Path(__file__).parents[1]))
 from tests.prompting.chat_server import ChatServer  # noqa: E402
@@ -70,13 +71,11 @@ KINDS = {
     "prompt": Kind("prompt --task unknot --nx 1 --episodes 2 --set task.horizon=4 --seed {n}"
                    " --set task.image_size=32 --model m --base-url {url} --out {o}"),
     "play": Kind(""),
-    "select": Kind(f"dataset select {{s}}/sets/{ID} --sample 4 --out {{o}} --id knotgym/x-v0"),
+    "select": Kind(f"dataset select {{s}}/sets/{ID} --sample 4 --out {{o}}.h5"),
     "split": Kind("dataset split {s}/set --parts train=0.5,test=0.5 --out {o}.h5"),
-    "delete": Kind("dataset delete {s}/set --rows 0 --out {o}.h5"),
     "merge": Kind(f"dataset merge {{s}}/sets/{ID} {{s}}/sets/{OTHER} --out {{o}}"
                   " --id knotgym/x-v0"),
-    "import": Kind("dataset import {s}/curves.csv --out {o}.h5"),
-    "curves": Kind("dataset export {s}/set --to curves --out {o}.csv"),
+    "import": Kind("dataset import {s}/curves.npz --out {o}.h5"),
     "compact": Kind("dataset export {s}/set --to compact --out {o}"),
     "recording": Kind(f"dataset export {{s}}/sets/{ID} --to recording --out {{o}}.h5"),
     "ogbench": Kind(f"dataset export {{s}}/sets/{ID} --to ogbench --out {{o}}"),
@@ -93,7 +92,6 @@ SOURCES = (
     f"collect {TASK} --episodes 6 --observation state --seed {{n}} --id {ID} --out {{o}}/sets",
     f"collect {TASK} --episodes 6 --observation state --seed 3{{n}} --id {OTHER} --out {{o}}/sets",
     f"collect {READER} --seed {{n}} --id knotgym/tie-nx2/three-v0 --out {{o}}/sets",
-    "dataset export {o}/set --to curves --out {o}/curves.csv",
 )
 
 
@@ -253,6 +251,9 @@ def main() -> None:
         sources, kills = Path(name) / "sources", math.ceil(given.kills / len(given.kinds))
         for number, words in product("01", SOURCES):
             subprocess.run(typed(words, n=number, o=sources / number), check=True)
+        for number in "01":
+            points = read_states(sources / number / "set/states.h5").points
+            np.savez(sources / number / "curves.npz", *points)
         for kind in given.kinds:
             if kind in told:
                 continue

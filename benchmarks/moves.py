@@ -150,7 +150,7 @@ class Watching(Scripted):
     """Random macro-actions, whose changes of code are counted."""
 
     def player(self, batch: EpisodeBatch) -> "WatchingPlayer":
-        return WatchingPlayer(self, batch)
+        return WatchingPlayer(batch)
 
 
 class WatchingPlayer(ScriptedPlayer):
@@ -159,8 +159,8 @@ class WatchingPlayer(ScriptedPlayer):
     examples = defaultdict[tuple[Diagram, Diagram], list[Example]](list)
     most_examples = 8
 
-    def __init__(self, policy: Scripted, batch: EpisodeBatch) -> None:
-        super().__init__(policy, batch)
+    def __init__(self, batch: EpisodeBatch) -> None:
+        super().__init__(batch)
         # by lane and base bead: the code before, its image and the example; codes counted since
         self._before: dict[tuple[int, int], tuple[Diagram, int, Example]] = {}
         self._met: dict[tuple[int, int], set[GaussCode]] = {}

@@ -2,6 +2,7 @@
 rope.
 
     python benchmarks/step.py [--out step.json] [--steps 50] [--repeats 12] [--vector-steps 12]
+                              [--threads 1,2]
 
 The raw share of a mode is the time that `mujoco.batch` alone takes for the same forces from the
 same start (24 substeps an action; the qpos at the end are compared bit for bit) over the time of
@@ -10,6 +11,9 @@ seconds, so that what else runs on the machine hits both alike; medians over the
 
 A second table has the vector environment on one thread, for both engines: labels, rewards, infos,
 observations and autoreset, beside the same actions on the ropes alone. Episodes end at all times.
+A third has the chain engine's on more threads, in turn: steps a second of the wall's clock, and the
+share of the CPU time that one thread needs alone, which bounds what more threads can gain and can
+be measured on a busy machine too.
 """
 
 import argparse
@@ -82,23 +86,52 @@ def measured(env: Any, actions: NDArray[np.float32]) -> tuple[float, float]:
     return ours / len(actions), theirs / len(actions)
 
 
-def vector_rates(
-    task: str, mode: str, engine: str, ropes: int, steps: int, nx: int
-) -> tuple[float, float]:
-    """Steps a CPU second of `make_vec` on one thread, and of the ropes alone; medians."""
+def vector(task: str, mode: str, engine: str, ropes: int, nx: int, threads: int = 1) -> Any:
+    """Return a vector environment whose episodes are at random steps."""
     envs: Any = gym.make_vec(
         f"knotgym/{task.capitalize()}-v0",
         num_envs=ropes,
         vectorization_mode="vector_entry_point",
         observation=mode,
         engine=engine,
-        threads=1,
+        threads=threads,
         nx=nx,
     )
     envs.reset(seed=0)
+    drawn = np.random.default_rng(0).integers(0, envs.unwrapped.config.horizon, ropes)
+    envs.unwrapped.episodes.steps[:] = drawn
+    return envs
+
+
+def thread_rates(
+    task: str, mode: str, ropes: int, steps: int, nx: int, counts: list[int]
+) -> list[dict[str, Any]]:
+    """Steps a second by the wall's clock on each number of threads, and the share of one thread."""
+    every = {count: vector(task, mode, "chain", ropes, nx, count) for count in counts}
+    rng, times = np.random.default_rng(1), {count: list[list[float]]() for count in counts}
+    for _ in range(steps + 1):
+        actions = rng.uniform(-1, 1, (ropes, 6)).astype(np.float32)
+        for count, envs in every.items():
+            clocks = time.perf_counter, time.thread_time, time.process_time
+            began = [clock() for clock in clocks]
+            envs.step(actions)
+            times[count].append([c() - b for c, b in zip(clocks, began, strict=True)])
+    rows = []
+    for count in counts:
+        wall, own, cpu = np.median(times[count][1:], axis=0).tolist()
+        names = ("observation", "threads", "steps_per_second", "serial_share")
+        share = own / cpu if count > 1 else None  # the pool is idle
+        rows.append(dict(zip(names, (mode, count, ropes / wall, share), strict=True)))
+    return rows
+
+
+def vector_rates(
+    task: str, mode: str, engine: str, ropes: int, steps: int, nx: int
+) -> tuple[float, float]:
+    """Steps a CPU second of `make_vec` on one thread, and of the ropes alone; medians."""
+    envs = vector(task, mode, engine, ropes, nx)
     rng = np.random.default_rng(0)
     episodes = envs.unwrapped.episodes
-    episodes.steps[:] = rng.integers(0, envs.unwrapped.config.horizon, ropes)
     alone = simulation(engine, ropes, episodes.simulation.rope)
     times = []
     for _ in range(steps + 1):
@@ -127,6 +160,7 @@ def main() -> None:
         help="where the ropes start: tie, a plain loop; unknot, nx crossings",
     )
     parser.add_argument("--nx", type=int, default=2)
+    parser.add_argument("--threads", default="1,2", help="numbers of threads of make_vec")
     parser.add_argument("--states", help="state file, instead of the one that ships")
     parser.add_argument("--out", type=Path, default=Path("step.json"))
     args = parser.parse_args()
@@ -135,6 +169,14 @@ def main() -> None:
             "--steps, --repeats and --vector-steps must be at least 1, got"
             f" {args.steps}, {args.repeats} and {args.vector_steps}"
         )
+    counts = [int(count) for count in args.threads.split(",")]
+    threaded = [
+        row
+        for mode in MODES[:2]
+        for row in thread_rates(
+            args.task, mode, args.ropes or VECTOR["chain"], args.vector_steps, args.nx, counts
+        )
+    ]
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     # no episode ends early
@@ -170,14 +212,16 @@ def main() -> None:
             "own_ms": 1000 * statistics.median(ours - theirs for ours, theirs in pairs),
             "bar": BARS.get(mode),
         }
-    vector = []
+    many_rates = []
     for engine, usual in VECTOR.items():
         ropes = args.ropes or usual
         for mode in MODES:
             rate, alone = vector_rates(args.task, mode, engine, ropes, args.vector_steps, args.nx)
             bar = VECTOR_BARS.get(mode) if engine == "chain" else None
             names = ("engine", "ropes", "observation", "steps_per_second", "ropes_alone", "bar")
-            vector.append(dict(zip(names, (engine, ropes, mode, rate, alone, bar), strict=True)))
+            many_rates.append(
+                dict(zip(names, (engine, ropes, mode, rate, alone, bar), strict=True))
+            )
     table = Table("observation", "steps/s", "raw steps/s", "share of raw", "ms of our own", "bar")
     for mode, row in rows.items():
         forms = {
@@ -191,7 +235,7 @@ def main() -> None:
         )
     Console().print(table)
     many = Table("engine", "ropes", "observation", "steps/s", "ropes alone", "bar")
-    for cell in vector:
+    for cell in many_rates:
         many.add_row(
             *(
                 f"{value:.0f}" if isinstance(value, float) else str(value or "")
@@ -199,6 +243,12 @@ def main() -> None:
             )
         )
     Console().print(many)
+    on_threads = Table("observation", "threads", "steps/s", "one thread's share of CPU time")
+    for cell in threaded:
+        name, count, per_second, serial = cell.values()
+        shown = "" if serial is None else f"{serial:.3f}"
+        on_threads.add_row(name, str(count), f"{per_second:.0f}", shown)
+    Console().print(on_threads)
     versions = {
         "knotgym": knotgym.__version__,
         "python": platform.python_version(),
@@ -208,7 +258,14 @@ def main() -> None:
     given = {name: value for name, value in vars(args).items() if name != "out"}
     args.out.write_text(
         json.dumps(
-            {"versions": versions, "settings": given, "modes": rows, "make_vec": vector}, indent=1
+            {
+                "versions": versions,
+                "settings": given,
+                "modes": rows,
+                "make_vec": many_rates,
+                "threads": threaded,
+            },
+            indent=1,
         )
         + "\n"
     )

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from knotgym.quality.measures import measure
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import draw
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import propose
 from knotgym.rope.model import Rope
 from knotgym.rope.reset_noise import noised
@@ -21,7 +20,7 @@ from knotgym.topology.symmetry import Symmetry
 from .conftest import curled
 
 Points = NDArray[np.float64]
-ALL = Symmetry(reflect=True, switch=True, turn=1.0, reverse=True, base_shift=3)
+ALL = Symmetry(mirror=True, switch=True, turn=1.0, reverse=True, base_shift=3)
 FUNCTIONS: dict[str, Callable[[Points], Any]] = {
     "code": label,
     "crossings": find_crossings,
@@ -31,9 +30,9 @@ FUNCTIONS: dict[str, Callable[[Points], Any]] = {
     "diagram": draw_diagram,
     "curve": Rope().from_curve,
     "qpos": Rope().qpos,
-    "symmetry": ALL.configuration,
+    "symmetry": ALL.vertices,
     "noise": lambda points: noised(points[None], 0.1, [np.random.default_rng(0)]),
-    "proposal": lambda points: propose(points, np.random.default_rng(0), MacroActionConfig()),
+    "proposal": lambda points: propose(points, np.random.default_rng(0)),
 }
 
 

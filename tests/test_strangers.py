@@ -72,8 +72,8 @@ def test_a_set_shares_no_file_with_the_states_it_was_made_from(
     words = f"collect {PLAY} --policy random --episodes 1 --set task.horizon=2 --id a/b-v0"
     assert typed(*words.split(), "--states", states_path, "--out", tmp_path) == 0
     made = tmp_path / "a" / "b-v0"
-    select = f"dataset select {made} --sample 1 --id a/c-v0 --out {tmp_path} --quiet"
-    assert typed(*select.split()) == 0
+    merge = f"dataset merge {made} --id a/c-v0 --out {tmp_path} --quiet"
+    assert typed(*merge.split()) == 0
     own = [
         Path(states_path),
         *(path / "data" / "states.h5" for path in (made, made.parent / "c-v0")),
@@ -134,7 +134,7 @@ def test_a_selection_of_another_form_is_one_line(
         dataset = open_episodes(TINY["random"])
         facts = {**dataset.facts, "selection": selection}
         write_episodes(path, [dataset.episodes], dataset.task, facts)
-    for words in ("select --sample 1", "split --parts a=0.5,b=0.5", "delete --rows 0"):
+    for words in ("select --sample 1", "split --parts a=0.5,b=0.5"):
         assert typed("dataset", *words.split(), path, "--out", tmp_path / "out.h5") == 2
         (line,) = capfd.readouterr().err.splitlines()
         assert "its selection should be a list of objects" in line
@@ -149,14 +149,13 @@ def test_a_state_file_is_not_by_vertices_because_it_says_so(
     assert any("quality/margin is missing" in fault for fault in found)
 
 
-@pytest.mark.parametrize("command", ["merge {0} --id a/b-v0", "select {0} --sample 1 --id a/b-v0"])
 def test_states_that_a_file_names_elsewhere_are_not_published(
-    command: str, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     dataset = open_episodes(TINY["random"])
     task = replace(dataset.task, states=states_path)  # as if it were a private file of the user
     write_episodes(tmp_path / "set.h5", [dataset.episodes], task)
-    words = command.format(tmp_path / "set.h5").split()
+    words = ("merge", tmp_path / "set.h5", "--id", "a/b-v0")
     assert typed("dataset", *words, "--out", tmp_path / "out") == 2
     (line,) = capfd.readouterr().err.splitlines()
     assert "names states outside of it" in line and not (tmp_path / "out").exists()

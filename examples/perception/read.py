@@ -32,7 +32,7 @@ from torch.nn import functional
 
 from knotgym.datasets.image_table import GRADES
 from knotgym.loaders import images
-from knotgym.prompting.reading_scores import HEAD, reading_scores, score_rows
+from knotgym.prompting.summary import HEAD, reading_scores, score_rows
 from knotgym.topology.gauss import GaussCode
 
 BEADS = 100

@@ -22,7 +22,7 @@ from misread import Misread, page
 from numpy.typing import NDArray
 
 from knotgym.datasets.image_table import decode, read_rows
-from knotgym.prompting.reading_scores import HEAD, reading_scores, score_rows
+from knotgym.prompting.summary import HEAD, reading_scores, score_rows
 from knotgym.rendering.camera import bead_colours
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode

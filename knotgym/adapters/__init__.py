@@ -18,9 +18,8 @@ else:
     __getattr__, __dir__, __all__ = lazy_exports(
         __name__,
         {
-            "GoalEnv": "knotgym.adapters.goal_environment",
-            "OGBenchEnv": "knotgym.adapters.ogbench_environment",
-            "goal_env": "knotgym.adapters.goal_environment",
-            "sb3_vec_env": "knotgym.adapters.sb3",
+            "knotgym.adapters.goal_environment": "GoalEnv goal_env",
+            "knotgym.adapters.ogbench_environment": "OGBenchEnv",
+            "knotgym.adapters.sb3": "sb3_vec_env",
         },
     )

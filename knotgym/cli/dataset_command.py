@@ -2,7 +2,6 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from cyclopts import App
 
@@ -17,15 +16,7 @@ _SOURCE = extra(
     "A run's folder or its minari folder, a states.h5, an episode file, a folder of pictures, or a"
     " Minari dataset id; show also takes transcripts.",
 )
-_TARGET = (
-    extra(
-        "out",
-        Path,
-        help="Output: a file if the dataset is a file or episodes, else a folder. With --id: the"
-        " Minari root, Minari's own by default.",
-    ),
-    extra("id", str, "", "Write episodes as a Minari dataset with this id."),
-)
+_FILE = extra("out", Path, ..., "File to write: .h5, or .parquet for pictures.")
 _SEED = extra("seed", int, 0, "Seed of the random choice.")
 
 
@@ -77,7 +68,7 @@ def verify(given: Given) -> None:
     progress.say(f"{path}: {checked(path)}: no faults")
 
 
-@_command("run.overwrite", extra("SOURCES", list[str]), *_TARGET)
+@_command("run.overwrite", extra("SOURCES", list[str]), extra("out", Path), extra("id", str, ""))
 def merge(given: Given) -> None:
     """Merge datasets of one kind. Data is copied, not encoded again.
 
@@ -92,6 +83,8 @@ def merge(given: Given) -> None:
 
     Args:
         sources: State files or their folders; or episodes of one task.
+        out: File to write; with --id the Minari root, Minari's own by default.
+        id: Write episodes as a Minari dataset with this id.
     """
     sources = given["sources"] or ()
     if not sources:
@@ -143,12 +136,12 @@ def export(given: Given) -> None:
     """Convert a dataset to another format, or to a folder ready to upload.
 
     Args:
-        out: Output: a file for curves; an .h5 file for compact, columns and recording, or a folder
-            of them for several datasets; a folder for all other formats.
+        out: Output: an .h5 file for compact, columns and recording, or a folder of them for several
+            datasets; a folder for all other formats.
         to: Format: compact (one compressed file, pictures are rendered on loading), columns (the
             same uncompressed, for loaders to map), recording (starts and pulls alone) or ogbench;
-            huggingface or minari for a folder ready to upload; curves for the closed curves of
-            states as .csv, .obj or .npz.
+            huggingface or minari for a folder ready to upload; webdataset for pictures as tar
+            files, and coco for photos with masks and keypoints.
     """
     from knotgym.control.verification import replay
     from knotgym.datasets.exports.exporters import export as convert
@@ -158,39 +151,35 @@ def export(given: Given) -> None:
     given.progress.say(f"{out}: {convert(path, out, to, replay, overwrite=given.run.overwrite)}")
 
 
-@_command(
-    "run.overwrite",
-    _SOURCE,
-    extra("where", str, ""),
-    extra("sample", int),
-    _SEED,
-    *_TARGET,
-)
+@_command("run.overwrite", _SOURCE, extra("where", str, ""), extra("sample", int), _SEED, _FILE)
 def select(given: Given) -> None:
-    """Write the states, episodes or pictures that fulfil a condition as a new dataset.
+    """Write the states, episodes or pictures that fulfil a condition as a new file.
+
+    `dataset merge` makes a Minari dataset of it.
 
     Examples:
 
         knotgym dataset select runs/nx3 --where "split = 'train'" --out train.h5
 
-        knotgym dataset select knotgym/a-v0 --where "length < 9" --id knotgym/b-v0
+        knotgym dataset select knotgym/a-v0 --where "length < 9" --out short.h5
 
     Args:
         where: Condition on the columns in SQL, such as "success and length < 30 and policy in
-            ('expert', 'play')". An unknown column lists those that there are. Needs the extra
-            select.
+            ('expert', 'play')", or "row not in (3, 7)" to leave rows out. An unknown column lists
+            those that there are. Needs the extra select.
         sample: Keep this many of the rows, drawn at random.
     """
     from knotgym.datasets import subsets
 
     given.progress.stage("selecting")
-    chosen = {name: given[name] for name in ("where", "sample", "seed")}
-    _say_kept(given, subsets.select(given["path_or_id"], **chosen, **_target(given)))
+    chosen = {name: given[name] for name in ("where", "sample", "seed", "out")}
+    made = subsets.select(given["path_or_id"], **chosen, overwrite=given.run.overwrite)
+    given.progress.say(f"{made}: {subsets.kept(made)}")
 
 
-@_command("run.overwrite", _SOURCE, extra("parts", str, ...), _SEED, *_TARGET)
+@_command("run.overwrite", _SOURCE, extra("parts", str, ...), _SEED, _FILE)
 def split(given: Given) -> None:
-    """Write a dataset as several, OUT-NAME each, by fractions of its rows.
+    """Write a dataset as several files, OUT-NAME each, by fractions of its rows.
 
     Near-duplicates, rows of one walk, and episodes with a common start or goal state stay together.
 
@@ -200,22 +189,9 @@ def split(given: Given) -> None:
     from knotgym.datasets import subsets
 
     given.progress.stage("splitting")
-    path, parts, seed = given["path_or_id"], given["parts"], given["seed"]
-    _say_kept(given, *subsets.split(path, parts, seed=seed, **_target(given)))
-
-
-@_command("run.overwrite", _SOURCE, extra("rows", str, ...), *_TARGET)
-def delete(given: Given) -> None:
-    """Write a dataset without some of its rows.
-
-    Args:
-        rows: Which, such as 3,7-9: rows of states, numbers of episodes, or source.row of pictures.
-    """
-    from knotgym.datasets import subsets
-
-    given.progress.stage("deleting")
-    rows = subsets.row_numbers(given["rows"])
-    _say_kept(given, subsets.delete(given["path_or_id"], rows, **_target(given)))
+    chosen = {name: given[name] for name in ("parts", "seed", "out")}
+    for made in subsets.split(given["path_or_id"], **chosen, overwrite=given.run.overwrite):
+        given.progress.say(f"{made}: {subsets.kept(made)}")
 
 
 @_command("run.overwrite", extra("CURVES", list[str]), extra("out", Path, ...))
@@ -228,8 +204,8 @@ def import_(given: Given) -> None:
     and the exit status is then 1, or 2 if there is no other curve.
 
     Args:
-        curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat, .xyz),
-            .obj, .vect, .json, .npy or .npz.
+        curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat), .vect,
+            .npy or .npz.
         out: State file to write, such as states.h5.
     """
     if not given["curves"]:
@@ -252,7 +228,7 @@ def import_(given: Given) -> None:
 
 
 dataset = App(name="dataset", help="Inspect, check and convert datasets.", help_epilogue="", **APP)
-for _one in (show, gallery, verify, merge, replay, page, export, select, split, delete, import_):
+for _one in (show, gallery, verify, merge, replay, page, export, select, split, import_):
     dataset.command(_one)
 
 
@@ -267,15 +243,3 @@ def _out(given: Given, name: str) -> Path:
     from knotgym.datasets.located import locate
 
     return given["out"] or locate(given["path_or_id"]).folder / name
-
-
-def _target(given: Given) -> dict[str, Any]:
-    """Return where `subsets` writes."""
-    return {"out": given["out"], "dataset_id": given["id"], "overwrite": given.run.overwrite}
-
-
-def _say_kept(given: Given, *made: Path) -> None:
-    from knotgym.datasets.subsets import kept
-
-    for one in made:
-        given.progress.say(f"{one}: {kept(one)}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from importlib.resources import files
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,8 @@ def generate(given: Given) -> None:
     if "nx" not in given.typed:
         nx = str(diagram_of(knot).nx) if knot != UNKNOT else "3"
     usual = {"nx": numbers(nx)}
-    folder = given.folder(f"nx{nx}-{codes.stem}" if codes else f"nx{nx}", "nx", "count")
+    marks = [f"nx{nx}", *([codes.stem] if codes else []), *([knot] if knot != UNKNOT else [])]
+    folder = given.folder("-".join(marks))
     more: dict[str, Any] = {}
     if codes is not None:
         wanted = numbers(nx) if "nx" in given.typed else None
@@ -79,9 +81,9 @@ def code_list(
     """Read Gauss, PD or DT codes from a file; see `code_texts`.
 
     Args:
-        path: the file, of any size, or HARD_UNKNOTS for the one that ships.
+        path: the file, of at most MOST_CODES codes, or HARD_UNKNOTS for the one that ships.
         nx: keep codes with these numbers of crossings; all if None.
-        count: keep a random sample of so many; all if None, up to MOST_CODES.
+        count: keep a random sample of so many, in their order; all if None.
         rng: source of the sample.
 
     Raises:
@@ -91,29 +93,17 @@ def code_list(
         path = Path(str(files("knotgym.topology") / "data/hard-unknots.txt"))
     if path.exists() and not path.is_file():
         raise InvalidInput(f"--codes {path} is not a regular file")
-    kept: dict[int, GaussCode] = {}  # slot -> code; the sample is in the order of the file
-    seen, most = 0, count or MOST_CODES
     try:
         with open(path, encoding="utf-8-sig") as lines:
-            for text in code_texts(lines):
-                code = parse_code(text)
-                if nx is not None and code.nx not in nx:
-                    continue
-                # reservoir sampling: code k stays with probability count / k, so that one pass
-                # over a list of any length gives every code the same chance
-                seen += 1
-                slot = seen - 1 if seen <= most else int(rng.integers(seen))
-                if count is None and seen > most:
-                    raise InvalidInput(
-                        f"--codes {path} has more than {MOST_CODES} codes; --count 1000 takes a"
-                        " random sample of 1000"
-                    )
-                if slot < most:
-                    kept.pop(slot, None)
-                    kept[slot] = code
+            found = [parse_code(text) for text in islice(code_texts(lines), MOST_CODES + 1)]
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"--codes {path} can't be read: {error}") from error
+    if len(found) > MOST_CODES:
+        raise InvalidInput(f"--codes {path} has more than {MOST_CODES} codes: split it")
+    kept = [code for code in found if nx is None or code.nx in nx]
     if not kept:
         of = "" if nx is None else f" with nx {', '.join(map(str, nx))}"
         raise InvalidInput(f"--codes {path} contains no code{of}")
-    return list(kept.values())
+    if count is None or count >= len(kept):
+        return kept
+    return [kept[row] for row in sorted(rng.choice(len(kept), count, replace=False))]

@@ -27,6 +27,8 @@ def images(given: Given) -> None:
 
         knotgym images --nx 3,4 --count 100 --style knotbench
 
+        knotgym images --nx 1-4 --count 1000 --style photo --size 256
+
     Args:
         out: Folder to write; by default knotgym-data/images-nx0-4 for --nx 0-4.
         states: Start from a states.h5; by default from the included states.
@@ -41,5 +43,5 @@ def images(given: Given) -> None:
     config = given.config(ImagesConfig, usual=usual)
     marks = ["" if states is None else f"-from-{states.absolute().parent.name}"]
     marks += ["-varied" if config.appearance.vary else ""]
-    folder = given.folder(f"images-nx{as_typed(config.nx)}{''.join(marks)}", "nx", "count")
+    folder = given.folder(f"images-nx{as_typed(config.nx)}{''.join(marks)}")
     make_images(config, folder, given.run, states=states, progress=given.progress)

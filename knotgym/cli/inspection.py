@@ -21,8 +21,7 @@ from knotgym.datasets.gallery import episode_tiles, picture_tiles, state_tiles, 
 from knotgym.datasets.image_table import read_table
 from knotgym.datasets.located import locate, locate_own, root_of
 from knotgym.datasets.manifest import read_manifest
-from knotgym.datasets.page.page_data import page_data
-from knotgym.datasets.page.page_writer import page_html
+from knotgym.datasets.page.page_data import page_data, page_html
 from knotgym.generate.episodes.evaluate import film as film_of
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film

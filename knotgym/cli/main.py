@@ -25,12 +25,11 @@ COMMANDS = {
     "suite": "Make the fixed benchmark of offline datasets, or a part of it.",
     "train": "Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`.",
     "evaluate": "Measure the success rates of policies, with 95 % confidence intervals.",
-    "play": "Pull the rope by hand in a browser, or watch a dataset's episodes.",
+    "play": "Pull the rope by hand in a browser.",
     "images": "Generate labelled pictures for perception.",
     "prompt": "Evaluate a vision-language model on episodes, or on reading Gauss codes from"
     " pictures.",
     "dataset": "Inspect, check and convert datasets.",
-    "compile": "Compile the numerical kernels ahead of time, in about a minute of CPU time.",
 }
 
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130

@@ -140,7 +140,7 @@ def command(
 
         run.__annotations__ = {one.name: one.annotation for one in parameters}
         vars(run).update(__signature__=inspect.Signature(parameters), sections=sections)
-        help = reflowed(doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
+        help = _reflowed(doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
         name = function.__name__.rstrip("_").replace("_", "-")
         app = App(name=name, help=help[0], help_epilogue=help[2], **APP)
         app.default(run)
@@ -174,7 +174,7 @@ class Given:
             value = values.get(option.key)
             if value is not None:
                 self.typed.add(option.path)
-                value = read_value(value, option.kind, option.typed.partition("/")[0])
+                value = _read_value(value, option.kind, option.typed.partition("/")[0])
             if option.is_field and value is not None:
                 fields[option.path] = value
             elif not option.is_field:
@@ -185,7 +185,7 @@ class Given:
             if not sign:
                 raise InvalidInput(f"--set takes name=value, such as task.horizon=30, got {one!r}")
             field = _field(sections, path)
-            value = read_value(text, field.kind, f"--set {path}") if field else text
+            value = _read_value(text, field.kind, f"--set {path}") if field else text
             settings = merged(settings, _nested({path: value}))
         self._settings = merged(settings, _nested(fields))
 
@@ -227,21 +227,9 @@ class Given:
             own = {name: one for name, one in self._settings.items() if name not in self._sections}
         return from_json(kind, merged(merged(_nested(usual or {}), own), _nested(more or {})))
 
-    def folder(self, name: str, *named: str) -> Path:
-        """Return --out, or else a folder named after every setting that was typed or set.
-
-        Args:
-            name: how the default name begins, such as nx3.
-            named: paths of the settings that it tells or that it need not tell.
-        """
-        marks = [name]
-        for path, value in sorted(_leaves(self._settings)):
-            field = _field(self._sections, path)
-            told = path in named or path.startswith("run.")
-            if field is not None and value != field.default and not told:
-                marks.append(_mark(path.rpartition(".")[2].replace("_", "-"), value))
-        plain = re.sub(r"[^\w.,-]", "-", "-".join(marks))
-        return self["out"] or Path("knotgym-data") / plain
+    def folder(self, name: str) -> Path:
+        """Return --out, or else the folder of this name among those of all runs."""
+        return self["out"] or Path("knotgym-data") / re.sub(r"[^\w.,-]", "-", name)
 
     @property
     def run(self) -> RunOptions:
@@ -283,10 +271,10 @@ def settings_named(sections: Sections, name: str) -> Iterator[str]:
         yield from below(kind, f"{section}." if section else "")
 
 
-def reflowed(doc: str) -> str:
+def _reflowed(doc: str) -> str:
     """Join the lines of each paragraph, which a terminal breaks by its own width.
 
-    >>> reflowed("One\\nsentence.\\n\\nExamples:\\n\\n    knotgym demo")
+    >>> _reflowed("One\\nsentence.\\n\\nExamples:\\n\\n    knotgym demo")
     'One sentence.\\n\\nExamples:\\n\\n    knotgym demo'
     """
     return re.sub(r"(?<=\S)\n(?=\S)", " ", doc)
@@ -315,7 +303,7 @@ def _described(doc: str, heading: str, name: str) -> str:
     return ""
 
 
-def read_value(value: Any, hint: Any, name: str) -> Any:
+def _read_value(value: Any, hint: Any, name: str) -> Any:
     """Convert what was typed to the type of a field.
 
     Args:
@@ -326,7 +314,7 @@ def read_value(value: Any, hint: Any, name: str) -> Any:
     Raises:
         InvalidInput: the text isn't of this type.
 
-    >>> read_value("0-2,4", tuple[int, ...], "--nx")
+    >>> _read_value("0-2,4", tuple[int, ...], "--nx")
     (0, 1, 2, 4)
     """
     if not isinstance(value, str):
@@ -338,7 +326,7 @@ def read_value(value: Any, hint: Any, name: str) -> Any:
         (kind, *_) = get_args(hint)
         if kind is int:
             return numbers(value, name)
-        return tuple(read_value(word.strip(), kind, name) for word in value.split(","))
+        return tuple(_read_value(word.strip(), kind, name) for word in value.split(","))
     reader, expected = _READERS.get(hint, (str, ""))
     try:
         return reader(value)
@@ -397,17 +385,6 @@ def as_typed(value: Any) -> str:
     return ",".join(map(str, value))
 
 
-def _mark(name: str, value: Any) -> str:
-    """Return what a setting is called in a folder's name.
-
-    >>> _mark("knot", "3_1"), _mark("seed", 1), _mark("demonstrations", False)
-    ('3_1', 'seed1', 'no-demonstrations')
-    """
-    if isinstance(value, bool):
-        return name if value else f"no-{name}"
-    return value if isinstance(value, str) else name + as_typed(value)
-
-
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return {"task": {"nx": 3}} for {"task.nx": 3}."""
     found: dict[str, Any] = {}
@@ -416,15 +393,6 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
             value = {name: value}
         found = merged(found, value)
     return found
-
-
-def _leaves(settings: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the paths of nested settings with their values, lists as tuples."""
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{path}{name}.")
-        else:
-            yield path + name, tuple(value) if isinstance(value, list) else value
 
 
 def _value_at(settings: Any, path: str) -> Any:

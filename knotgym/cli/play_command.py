@@ -14,13 +14,12 @@ from knotgym.play.page_config import PageConfig
 @command(
     {"": PageConfig},
     "task.task task.nx policy port",
-    extra("DATASET", str),
     extra("record", bool),
     extra("id", str),
     MINARI_ROOT,
 )
 def play(given: Given) -> None:
-    """Pull the rope by hand in a browser, or watch a dataset's episodes.
+    """Pull the rope by hand in a browser.
 
     Episodes are those that `knotgym evaluate` plays with the same seed, so that a recording is
     scored by `knotgym evaluate --policy recorded:DATASET`.
@@ -29,10 +28,7 @@ def play(given: Given) -> None:
 
         knotgym play --task tie --nx 3 --record
 
-        knotgym play knotgym/tie-nx2/expert-v0
-
     Args:
-        dataset: A dataset to watch, by path or id; without one, you pull the rope.
         record: Write finished and abandoned episodes to a Minari dataset, which later sessions
             continue.
         id: Its id; by default such as knotgym/tie-nx3/human-v0.
@@ -42,14 +38,13 @@ def play(given: Given) -> None:
     from knotgym.play.hand import HandTab
     from knotgym.play.page import Page
     from knotgym.play.recorder import Recorder
-    from knotgym.play.watch import watching
     from knotgym.runs.compilation import compile_first
 
-    config, dataset, progress = given.config(PageConfig), given["dataset"], given.progress
+    config, progress = given.config(PageConfig), given.progress
     compile_first(progress, config.task.engine)
     with ExitStack() as stack:
         recorder = None
-        if dataset is None and given["record"]:
+        if given["record"]:
             task = config.task
             mark = "" if task.split == "train" else f"-{task.split}"
             wanted = given["id"] or f"knotgym/{task.task}-nx{task.nx}/human{mark}-v0"
@@ -60,10 +55,8 @@ def play(given: Given) -> None:
             if recorder.recovered:
                 progress.say(f"stored {recorder.recovered} episodes of an interrupted session")
         tab = partial(HandTab, config=config, recorder=recorder)
-        page = stack.enter_context(Page(config, tab if dataset is None else watching(dataset)))
+        page = stack.enter_context(Page(config, tab))
         progress.say(f"open {page.address} in a browser; Ctrl-C ends it")
-        if page.token:
-            progress.say(f"token: {page.token}")
         with suppress(KeyboardInterrupt):
             while True:
                 time.sleep(3600)

@@ -58,8 +58,7 @@ def prompt(given: Given) -> None:
         config = given.config(PromptConfig, more, usual=usual)
     task, model = config.task, config.chat.model
     subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
-    told = ("mode", "chat.model", "chat.base_url", "task.task", "task.nx", "episodes")
-    folder = given.folder(f"prompt-{config.mode}-{subject}-{model}", *told)
+    folder = given.folder(f"prompt-{config.mode}-{subject}-{model}")
 
     run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
     if not given.quiet:

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from knotgym.cli.collect_command import MINARI_ROOT
 from knotgym.cli.options import RUN, Given, command, extra
 from knotgym.common.errors import InvalidInput
-from knotgym.generate.episodes.suite_config import SuiteConfig
+from knotgym.generate.episodes.suite_config import POLICIES, SuiteConfig
 
 
 @command(
     {"": SuiteConfig},
-    f"tasks=--task nx policies=--policy splits=--split states recorded {RUN}",
+    f"tasks=--task nx policies=--policy splits=--split states size recorded {RUN}",
     MINARI_ROOT,
     extra("episodes", tuple[str, ...]),
 )
@@ -20,9 +20,12 @@ def suite(given: Given) -> None:
     It has episodes of four policies for each of nine setups, on two sets of states and two splits,
     and one card for all. With --recorded, datasets are rebuilt from the pulls that are included,
     which takes minutes; if this machine gets other episodes, the exit status is 1. With --resume,
-    finished datasets are kept and the others are made.
+    finished datasets are kept and the others are made. With --states bench it has tiers of a
+    --size of six policies instead, from hundreds of starts, in the chain engine.
 
     Examples:
+
+        knotgym suite --states bench --size 100k --task tie --nx 2-5
 
         knotgym suite --recorded --task tie --nx 2
 
@@ -34,7 +37,7 @@ def suite(given: Given) -> None:
     """
     from knotgym.generate.episodes.suite import make_suite
 
-    words, policies = given["episodes"], given.get("policies")
+    words, policies = given["episodes"], given.get("policies") or POLICIES
     more = {"episodes": _sizes(words, policies)} if words else {}
     make_suite(given.config(SuiteConfig, more), given["out"], given.run, progress=given.progress)
 

@@ -14,10 +14,9 @@ from knotgym.datasets.cards.fact_tables import CardTable
 from knotgym.datasets.episode_verification import show_episodes
 from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.manifest import read_manifest
-from knotgym.prompting.reading_scores import HEAD, reading_scores, score_rows
-from knotgym.prompting.summary import summarize
+from knotgym.prompting.summary import HEAD, reading_scores, score_rows, summarize
 from knotgym.prompting.transcripts import read_transcripts, transcripts_at
-from knotgym.runs.narrow_tables import narrow_table
+from knotgym.runs.progress import narrow_table
 from knotgym.states.state_file import read_states
 
 _LISTED = 24  # entries of a mapping that are printed, at most

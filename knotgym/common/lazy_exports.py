@@ -13,20 +13,26 @@ def lazy_exports(
 
     Args:
         package: the package's `__name__`.
-        modules: public name -> module that defines it; or module:name, if it's called otherwise
-            there.
+        modules: module -> the public names that it defines, separated by spaces; name=original for
+            one that is called otherwise there.
         eager: public names that the package defines itself.
     """
 
+    places: dict[str, tuple[str, str]] = {}  # public name -> module, and the name there
+    for module, names in modules.items():
+        for word in names.split():
+            name, _, original = word.partition("=")
+            places[name] = module, original or name
+
     def __getattr__(name: str) -> Any:
-        if name not in modules:
+        if name not in places:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module, _, original = modules[name].partition(":")
-        found = getattr(importlib.import_module(module), original or name)
+        module, original = places[name]
+        found = getattr(importlib.import_module(module), original)
         setattr(sys.modules[package], name, found)
         return found
 
     def __dir__() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *modules})
+        return sorted({*vars(sys.modules[package]), *places})
 
-    return __getattr__, __dir__, sorted([*modules, *eager])
+    return __getattr__, __dir__, sorted([*places, *eager])

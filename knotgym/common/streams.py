@@ -62,6 +62,7 @@ class Stream(IntEnum):
     PASS_PLAY = 61  # round, episode of that play
     DEMONSTRATED = 66  # state, attempt: the seed of the episode that ends in its code
     SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
+    IMAGE_CAMERA = 72  # rope, pulls: the camera of a photo
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

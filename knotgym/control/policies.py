@@ -11,12 +11,11 @@ planner         plans pulls in the chain engine from the rope's current state
 mixed           draws one of random, scripted, noisy and expert for each episode
 module:name     user code, see `own_policies`; the module may lie in the current folder
 FOLDER          a learner that `knotgym train` wrote; `pretrained`, `pretrained-clone` ship
-prompt:FILE     replays the actions in the transcripts of `knotgym prompt`
 recorded:DATASET  repeats the pulls of a dataset's episodes, see `recorded_policy`
 
 `register_policy` adds a single name. A `PolicyFamily` handles every name of some form; packages
-provide families through the entry-point group `knotgym.policies`, and FOLDER and prompt:FILE are
-provided in this way by `knotgym.learn` and `knotgym.prompting`. Worker processes make their own
+provide families through the entry-point group `knotgym.policies`, as `knotgym.learn` provides
+FOLDER. Worker processes make their own
 policies, so a name must be registered in every process that uses it.
 """
 
@@ -180,19 +179,15 @@ def _noisy(config: PolicyConfig) -> Noisy:
     return Noisy(_expert(config), config.noise)
 
 
-def _scripted(config: PolicyConfig) -> Scripted:
-    return Scripted(config.planner.macro_actions)
-
-
 def _mixed(config: PolicyConfig) -> Mixed:
-    policies = (RandomPolicy(), _scripted(config), _noisy(config), _expert(config))
+    policies = (RandomPolicy(), Scripted(), _noisy(config), _expert(config))
     return Mixed(policies, config.shares)
 
 
 _tables = tuple(path for path in (CHANGES, *PASSES.values()) if path.is_file())
 register_policy("random", lambda config: RandomPolicy())
 register_policy("constant", lambda config: ConstantPolicy())
-register_policy("scripted", _scripted)
+register_policy("scripted", lambda config: Scripted())
 register_policy("expert", _expert, _tables)
 register_policy("noisy", _noisy, _tables)
 register_policy("play", lambda config: Play(_expert(config)), _tables)

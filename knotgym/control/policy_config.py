@@ -8,7 +8,6 @@ from pathlib import Path
 
 from knotgym.common.configuration import Count, NonNegative, Positive, Share, Whole, configuration
 from knotgym.common.errors import InvalidPolicy
-from knotgym.rope.macro_action_config import MacroActionConfig
 
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
 _PLANNED = ("expert", "noisy", "play", "planner", "mixed")
@@ -24,14 +23,12 @@ class PassPlannerConfig:
         steps: pulls of a path to the goal, at most.
         last_resort: pulls that the planner of pulls may simulate for an episode in which no pass
             was found.
-        macro_actions: settings of the passes.
     """
 
     candidates: Count = 12
     budget: Count = 2000
     steps: Count = 50
     last_resort: Whole = 60000
-    macro_actions: MacroActionConfig = MacroActionConfig()
 
 
 @configuration
@@ -59,7 +56,6 @@ class PullPlannerConfig:
         template_noise: standard deviation of an imitated macro-action's positions, in arcs.
         strange: macro-actions that each crossing too many or too few counts for where no path is
             known.
-        macro_actions: settings of the macro-actions.
     """
 
     budget: Whole = 60000
@@ -77,7 +73,6 @@ class PullPlannerConfig:
     stuck: Whole = 24
     template_noise: NonNegative = 0.1
     strange: NonNegative = 30.0
-    macro_actions: MacroActionConfig = MacroActionConfig()
 
 
 @configuration
@@ -91,7 +86,7 @@ class PolicyConfig:
         noise: probability that a pull of the noisy policy is random.
         shares: shares of random, scripted, noisy and expert episodes in mixed.
         expert: settings of the expert.
-        planner: settings of the planner; the scripted policy uses its macro-actions.
+        planner: settings of the planner.
     """
 
     policy: str = "random"

@@ -17,7 +17,6 @@ from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
 from knotgym.datasets.episodes import Episodes
 from knotgym.datasets.located import locate
-from knotgym.datasets.machine import others
 from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
@@ -57,20 +56,18 @@ def faults(
 ) -> Iterator[str]:
     """Yield the faults that `verify` lists, each as soon as it is found.
 
-    If only replays differ and the dataset was generated on another machine, a last line says how
-    that machine differs. `each` replaces `map` and may run in parallel, see `image_faults`.
+    If only replays differ, a last line says that machines round differently. `each` replaces `map`
+    and may run in parallel, see `image_faults`.
     """
     elsewhere, wrong = False, False
     for fault in _faults(source, each, count):
         replayed = any(phrase in fault for phrase in _REPLAYED)
         elsewhere, wrong = elsewhere or replayed, wrong or not replayed
         yield fault
-    given = Path(source)
-    differences = others(given) if elsewhere and not wrong and given.is_dir() else ""
-    if differences:
+    if elsewhere and not wrong:
         yield (
-            f"{given}: generated on another machine, {differences}, which may round differently;"
-            " everything but the replays is as it was written"
+            f"{source}: only replays differ, and other machines may round differently; the manifest"
+            " says which made it"
         )
 
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from knotgym.datasets.image_table import read_table as read_table
     from knotgym.datasets.minari_form import MinariMetadata as MinariMetadata
     from knotgym.datasets.minari_form import publish as publish
-    from knotgym.datasets.subsets import delete as delete
     from knotgym.datasets.subsets import select as select
     from knotgym.datasets.subsets import split as split
     from knotgym.states.state_file import States as States
@@ -36,22 +35,12 @@ else:
     __getattr__, __dir__, __all__ = lazy_exports(
         __name__,
         {
-            "EpisodeDataset": "knotgym.datasets.episode_dataset",
-            "Episodes": "knotgym.datasets.episodes",
-            "MinariMetadata": "knotgym.datasets.minari_form",
-            "States": "knotgym.states.state_file",
-            "delete": "knotgym.datasets.subsets",
-            "goals_reached": "knotgym.datasets.episodes",
-            "merge_states": "knotgym.states.state_file",
-            "open_episodes": "knotgym.datasets.episode_dataset",
-            "publish": "knotgym.datasets.minari_form",
-            "read_states": "knotgym.states.state_file",
-            "read_table": "knotgym.datasets.image_table",
-            "select": "knotgym.datasets.subsets",
-            "shipped": "knotgym.states.state_file",
-            "show_episodes": "knotgym.datasets.episode_verification",
-            "split": "knotgym.datasets.subsets",
-            "write_episodes": "knotgym.datasets.episode_dataset",
-            "write_states": "knotgym.states.state_file",
+            "knotgym.datasets.episode_dataset": "EpisodeDataset open_episodes write_episodes",
+            "knotgym.datasets.episode_verification": "show_episodes",
+            "knotgym.datasets.episodes": "Episodes goals_reached",
+            "knotgym.datasets.image_table": "read_table",
+            "knotgym.datasets.minari_form": "MinariMetadata publish",
+            "knotgym.datasets.subsets": "select split",
+            "knotgym.states.state_file": "States merge_states read_states shipped write_states",
         },
     )

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.common.tables import Column, Schema, Table, joined
+from knotgym.envs.tasks import TaskConfig
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
 
 _STARTS = (
@@ -317,6 +318,22 @@ def goals_reached(
     if relabel == "last":
         first = first[np.append(np.diff(episode[first]) > 0, True)] if len(first) else first
     return Reached(episode[first], first - offsets[episode[first]])
+
+
+def goal_reached(episodes: Episodes, task: TaskConfig) -> NDArray[np.bool_]:
+    """Return which states show the goal for as many consecutive states as the task asks.
+
+    A start is never one of them, nor a state beyond the bound on towing or in which the simulation
+    blew up.
+
+    Returns:
+        bool (rows,), for each row of steps.
+    """
+    (ids, held), episode = codes_held(episodes, task.tow_limit), episodes.episode_of()
+    own = episodes.episodes
+    shown = (episodes.steps["visits"] == own["goal_visits"][episode]).all(axis=1)
+    wanted = np.where(own["hold"] > 0, own["hold"], task.hold)
+    return np.asarray(shown & (ids >= 0) & (held >= wanted[episode]))
 
 
 def _names(schema: Schema) -> list[str]:

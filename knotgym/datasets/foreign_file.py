@@ -14,14 +14,12 @@ import h5py
 from knotgym.common.errors import InvalidFile
 from knotgym.common.tables import require_stored_here
 
-LIMIT = 60.0  # seconds
-SLOWEST = 5_000_000  # bytes per second; a file adds the time that reading it at this rate takes
+_LIMIT = 60.0  # seconds
+_SLOWEST = 5_000_000  # bytes per second; a file adds the time that reading it at this rate takes
 
 
-def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
+def try_files(paths: Iterable[Path]) -> None:
     """Read files completely in one subprocess; skip those that aren't HDF5.
-
-    `limit` is the time limit in seconds, before the allowance for the files' size.
 
     Raises:
         InvalidFile: a file makes the library crash or hang.
@@ -29,7 +27,7 @@ def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
     tried = [path for path in paths if path.is_file() and _is_hdf5(path)]
     if not tried:
         return
-    limit += sum(path.stat().st_size for path in tried) / SLOWEST
+    limit = _LIMIT + sum(path.stat().st_size for path in tried) / _SLOWEST
     # -P: import nothing from the current folder, which may have been downloaded
     words = [sys.executable, "-P", "-m", __name__, *(str(path.absolute()) for path in tried)]
     try:

@@ -55,9 +55,9 @@ def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
     return sheet
 
 
-def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile], columns: int = 8) -> None:
+def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
     """Write the contact sheet of tiles as a PNG."""
-    Path(path).write_bytes(encode(contact_sheet(tiles, columns)))
+    Path(path).write_bytes(encode(contact_sheet(tiles)))
 
 
 def state_tiles(states: States) -> list[Tile]:

@@ -3,10 +3,11 @@
 The same rows give the same bytes on any worker.
 """
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,13 +18,16 @@ from knotgym.quality.difficulty import grade
 from knotgym.quality.limits import LEGIBLE, Quality
 from knotgym.rendering.appearance import Appearance, appearance, render
 from knotgym.rendering.appearance_config import AppearanceConfig
+from knotgym.rendering.photo import Photo, Shot, drawn_photo, take
 from knotgym.rendering.picture import crossing_pixels
 from knotgym.rope.model import Array
 from knotgym.states.derivation import derived_row
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.topology.symmetry import diagram_form
 
 _RGB = ("first", "last", "background")
+_OF_PHOTOS = {one.name for one in fields(Photo)} - {one.name for one in fields(Appearance)}
 _QUALITY = "quality/"
 
 
@@ -34,11 +38,13 @@ class PictureRow(NamedTuple):
         points: float64 (beads, 3), metres.
         split: one of IMAGE_SPLITS.
         source: as in `image_table.COLUMNS`; `seed` and `row` seed the appearance.
+        camera: tilt and heading of the camera in whose axes the points are, degrees.
     """
 
     points: Array
     split: str
     source: dict[str, Any]
+    camera: tuple[float, float] = (0.0, 0.0)
 
 
 def drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> dict[str, NDArray[np.uint8]]:
@@ -55,29 +61,48 @@ def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
     """
     source = row.source
     rng = generator(Stream.IMAGE_APPEARANCE, source["seed"], source["row"])
-    look = appearance(row.points, config, rng)
+    if config.style == "photo":
+        size = config.sizes[int(rng.integers(len(config.sizes)))]
+        marked = bool(rng.random() < config.marked)
+        shot = drawn_photo(row.points, size, rng, *row.camera, marked=marked)
+        look: Appearance = shot.look
+    else:
+        shot, look = None, appearance(row.points, config, rng)
     code, second = find_crossings(row.points).code, pyknotid_code(row.points)
     if code != second:
         raise Failed(
             f"row {source['row']}: our labeller reads {code.chiral}, pyknotid reads {second.chiral}"
         )
     return {
-        **derived(row.points, look),
+        **derived(row.points, look, shot),
         "points": row.points.ravel().tolist(),
-        "appearance": {**asdict(look), **{name: list(getattr(look, name)) for name in _RGB}},
+        "appearance": {
+            one.name: list(value) if one.name in _RGB else value
+            for one in fields(Appearance)
+            for value in [getattr(look, one.name)]
+        },
         "source": source,
         "split": row.split,
     }
 
 
-def derived(points: Array, look: Appearance) -> dict[str, Any]:
-    """Return the columns that follow from a configuration and its appearance."""
+def derived(points: Array, look: Appearance, shot: Shot | None = None) -> dict[str, Any]:
+    """Return the columns that follow from a configuration and its appearance.
+
+    Args:
+        shot: the photo, if it was taken already.
+    """
     row, crossings = derived_row(points), find_crossings(points)
     quality = {
         name.removeprefix(_QUALITY): row.pop(name) for name in [*row] if name.startswith(_QUALITY)
     }
     measured = Quality(**quality)
-    pixels = crossing_pixels(crossings, points, look.picture())
+    if isinstance(look, Photo):
+        shot = shot or take(points, look)
+        pixels, image, more = shot.pixels, shot.image, _answers(shot)
+    else:
+        pixels, more = crossing_pixels(crossings, points, look.picture()), {}
+        image = render(points, look)
     positions = pixels[:, 0], pixels[:, 1], crossings.over_place, crossings.under_place
     columns = [column.tolist() for column in (*positions, crossings.sign)]
     names = ("x", "y", "over_place", "under_place", "sign")
@@ -87,10 +112,40 @@ def derived(points: Array, look: Appearance) -> dict[str, Any]:
         "accepted": not LEGIBLE.faults(measured, crossings.nx),
         "grade": grade(measured, LEGIBLE),
         "quality": quality,
-        "image": encode(render(points, look)),
+        "image": encode(image, 3 if more else 9),
+        **more,
     }
 
 
-def appearance_of(column: dict[str, Any]) -> Appearance:
-    """Read the appearance of a picture from the column `appearance` of its row."""
-    return Appearance(**{**column, **{name: tuple(column[name]) for name in _RGB}})
+def _answers(shot: Shot) -> dict[str, Any]:
+    """Return the columns of photos alone."""
+    boxes = []
+    for strand in range(1, max(2 * shot.crossings.nx, 1) + 1):
+        box = cv2.boundingRect((shot.strands == strand).view(np.uint8))
+        boxes.append(
+            dict(zip(("strand", "x", "y", "width", "height"), (strand, *box), strict=True))
+        )
+    measured = {name: getattr(shot, name) for name in ("contrast", "order", "region")}
+    own = {name: value for name, value in asdict(shot.look).items() if name in _OF_PHOTOS}
+    return {
+        "canonical_code": str(diagram_form(shot.crossings.code)),
+        "strands": encode(shot.strands),
+        "boxes": boxes,
+        "line": shot.line.ravel().tolist(),
+        "photo": {
+            **own,
+            "ground": list(shot.look.ground),
+            "rope_width": 2 * shot.look.radius,
+            **measured,
+        },
+    }
+
+
+def appearance_of(row: Mapping[str, Any]) -> Appearance:
+    """Read the appearance of a picture from its row, as `read_rows` gives it."""
+    look = row["appearance"]
+    look |= {name: tuple(look[name]) for name in _RGB}
+    if "photo" not in row:
+        return Appearance(**look)
+    own = {name: row["photo"][name] for name in _OF_PHOTOS}
+    return Photo(**look | own | {"ground": tuple(own["ground"])})

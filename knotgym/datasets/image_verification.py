@@ -32,8 +32,10 @@ from knotgym.rope.model import Rope
 from knotgym.states.derivation import row_faults as state_faults
 from knotgym.states.splits import IMAGE_SPLITS
 
-_COLOURS = ("published", "single", "gradient", "lines")
+_COLOURS = ("published", "single", "gradient", "lines", "photo")
 _RECOMPUTED = ("crossings", "accepted", "grade")
+_OF_PHOTOS = ("canonical_code", "strands", "boxes", "line", "photo")
+_UNBOUNDED = ("surface", "ground", "order", "region", "contrast")  # words, colours, measures
 _DRAWN_WITH, _MOST_DRAWN = ("zoom", "width", "noise", "blur"), 1000.0
 
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or that of a pool
@@ -103,7 +105,7 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
     yield from found
     if any("the rope is" in fault for fault in found):
         return  # too wide to be measured
-    look = appearance_of(row["appearance"])
+    look = appearance_of(row)
     if not SIZES[0] <= look.size <= SIZES[1]:
         yield f"appearance.size is {look.size}, should be {SIZES[0]} to {SIZES[1]} pixels"
         return
@@ -111,10 +113,16 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
     if odd:
         yield f"appearance.{odd[0]} is {getattr(look, odd[0])}, should be 0 to {_MOST_DRAWN:g}"
         return
+    numbers = {name: one for name, one in row.get("photo", {}).items() if name not in _UNBOUNDED}
+    odd = [name for name, one in numbers.items() if not abs(one) <= _MOST_DRAWN]
+    if odd:
+        yield f"photo.{odd[0]} is {numbers[odd[0]]}, should be at most {_MOST_DRAWN:g}"
+        return
     right = derived(points, look)
-    for name in _RECOMPUTED:
+    for name in (*_RECOMPUTED, *(one for one in _OF_PHOTOS if one in row)):
         if row[name] != right[name]:
-            yield f"{name} is {row[name]}, recomputed {right[name]}"
+            shown = "" if name == "strands" else f" {row[name]}, recomputed {right[name]}"
+            yield f"{name} is{shown or ' not that of these points'}"
     if look.colours not in _COLOURS:
         yield f"appearance.colours is {look.colours!r}, should be {' or '.join(_COLOURS)}"
     if row["split"] not in IMAGE_SPLITS:

@@ -1,16 +1,17 @@
 """The manifest of a run's folder: what was asked for, what the run reports, and checksums."""
 
 import json
+import platform
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import read_json
 from knotgym.common.errors import InvalidInput, one_line, printable
-from knotgym.datasets.machine import machine
 from knotgym.states.state_file import leads_out
 
 
@@ -85,6 +86,28 @@ def write_manifest(
     }
     with atomic_write(folder / "manifest.json") as temporary:
         temporary.write_text(json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8")
+
+
+def machine() -> dict[str, str]:
+    """Describe what can change the last bits of a number, and so a run's output.
+
+    That is `system`, `processor`, the `instructions` that NumPy uses beyond its baseline, the
+    `blas` it was built with, and the `libc`, whose mathematics MuJoCo uses. A sum in another order
+    differs by rounding, which a long simulation amplifies to millimetres.
+    """
+    try:
+        config: Any = np.show_config(mode="dicts")
+        blas = "{name} {version}".format(**config["Build Dependencies"]["blas"])
+        instructions = " ".join(config["SIMD Extensions"]["found"])
+    except (TypeError, KeyError):  # another NumPy version reports it differently
+        blas = instructions = "unknown"
+    return {
+        "system": platform.system(),
+        "processor": platform.machine(),
+        "instructions": instructions,
+        "blas": blas,
+        "libc": " ".join(platform.libc_ver()),
+    }
 
 
 def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:

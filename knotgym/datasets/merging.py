@@ -7,23 +7,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from knotgym.common.atomic_files import atomic_write, sha256
+from knotgym.common.atomic_files import atomic_write, require_apart, sha256
 from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.datasets.episode_dataset import EpisodeDataset, require_alike, write_episodes
 from knotgym.datasets.episodes import episode_digests
 from knotgym.datasets.located import locate
-from knotgym.datasets.minari_form import MinariMetadata, metadata_of
-from knotgym.datasets.selectable import (
-    Destination,
-    EpisodeRows,
-    StateRows,
-    opened,
-    publish_rows,
-    require_target,
-)
+from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
+from knotgym.datasets.selectable import EpisodeRows, StateRows, opened, require_file
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import merge_states, ships, write_states
+from knotgym.states.state_file import merge_states, minari_root, ships, write_states
 
 
 def merge(
@@ -44,7 +37,7 @@ def merge(
     """
     if not given:
         raise InvalidInput("nothing to merge: give at least one dataset")
-    found, target = [opened(name) for name in given], Destination(out, dataset_id, overwrite)
+    found, sources = [opened(name) for name in given], [locate(name).root for name in given]
     states = [one.states for one in found if isinstance(one, StateRows)]
     datasets = [one.dataset for one in found if isinstance(one, EpisodeRows)]
     if len(given) not in (len(states), len(datasets)):
@@ -52,22 +45,59 @@ def merge(
         raise InvalidInput(
             f"datasets to merge are all of states or all of trajectories, got {kinds}"
         )
-    file = require_target(found[0], target, [locate(name).root for name in given])
-    if states:
+    if dataset_id:
+        if states:
+            raise InvalidInput("an id is for episodes; give --out for states")
+        require_apart(Path(out or minari_root()) / dataset_id, sources)
+    elif out is None:
+        raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
+    else:
+        require_file(out, sources, overwrite)
+    if states and out:
         merged = merge_states(states, distinct=True)
-        with atomic_write(file, overwrite=overwrite) as temporary:
+        with atomic_write(out, overwrite=overwrite) as temporary:
             write_states(temporary, merged)
         return f"{out}: {len(merged)} states"
-    joint = replace(datasets[0], task=_joint_task(datasets))
+    task, parts = _joint_task(datasets), [one.episodes for one in datasets]
     _require_distinct(datasets)
-    parts = [one.episodes for one in datasets]
-    count = f"{sum(one.episodes.rows for one in parts)} episodes"
+    facts = datasets[0].facts if len(datasets) == 1 else {}
     if dataset_id:
-        made = publish_rows(joint, parts, _metadata(datasets, dataset_id), target, {})
-        return f"{made}: {count}"
-    with atomic_write(file, overwrite=overwrite) as temporary:
-        write_episodes(temporary, parts, joint.task)
-    return f"{out}: {count}"
+        made = publish(
+            parts,
+            task,
+            _metadata(datasets, dataset_id),
+            out,
+            states=_states_to_include(datasets[0]),
+            facts=facts,
+            overwrite=overwrite,
+        )
+    elif out:
+        made = out
+        with atomic_write(out, overwrite=overwrite) as temporary:
+            write_episodes(temporary, parts, task, facts)
+    return f"{made}: {sum(one.episodes.rows for one in parts)} episodes"
+
+
+def _states_to_include(dataset: EpisodeDataset) -> Path | None:
+    """Return the state file that a Minari dataset of these episodes must include."""
+    states = _states(dataset)
+    beside = states is None or states.parent == dataset.path.parent
+    if not beside and not Path(str(states)).is_relative_to(minari_root()):
+        raise InvalidFile(
+            f"{dataset.path} names states outside of it, {states}, which aren't copied into"
+            " another dataset; if they are yours, put them beside it as states.h5"
+        )
+    return states
+
+
+def _states(dataset: EpisodeDataset) -> Path | None:
+    """Return the state file that episodes were reset from; None if it ships."""
+    if ships(dataset.task.states):
+        return None
+    path = dataset.states_path()
+    if not path.is_file():
+        raise InvalidFile(f"{dataset.path} was reset from {path}, which doesn't exist")
+    return path
 
 
 def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
@@ -97,20 +127,12 @@ def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:
 
 
 def _facts(dataset: EpisodeDataset) -> dict[str, object]:
+    states = _states(dataset)
     return {
         "rope model": dataset.attributes.get("rope"),
         "form": dataset.attributes["form"],
-        "state file, by its SHA-256": _states_digest(dataset),
+        "state file, by its SHA-256": sha256(states) if states else dataset.task.states,
     }
-
-
-def _states_digest(dataset: EpisodeDataset) -> str:
-    if ships(dataset.task.states):
-        return str(dataset.task.states or "readable")
-    path = dataset.states_path()
-    if not path.is_file():
-        raise InvalidFile(f"{dataset.path} was reset from {path}, which doesn't exist")
-    return sha256(path)
 
 
 def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
@@ -127,12 +149,12 @@ def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
 
 
 def _metadata(datasets: Sequence[EpisodeDataset], dataset_id: str) -> MinariMetadata:
-    """Join the metadata of datasets; scores and links are kept if they are those of all."""
+    """Join the metadata of datasets; their reference scores aren't those of the whole."""
     known = [metadata for one in datasets if (metadata := metadata_of(one))]
     policies = {str(name) for one in datasets for name in one.episodes.episodes["policy"]}
     described = [f"Merged of {', '.join(one.name for one in datasets)}."]
     described += [f"{one.dataset_id}: {one.description}" for one in known]
-    joined = MinariMetadata(
+    return MinariMetadata(
         dataset_id=dataset_id,
         algorithm_name=", ".join(sorted(policies)),
         description="\n\n".join(described),
@@ -140,8 +162,3 @@ def _metadata(datasets: Sequence[EpisodeDataset], dataset_id: str) -> MinariMeta
         author_email=tuple({name for one in known for name in one.author_email}),
         digests={one.dataset_id: one.digests for one in known if one.digests},
     )
-    shared = ("code_permalink", "ref_min_score", "ref_max_score", "num_episodes_average_score")
-    facts = {tuple(getattr(one, name) for name in shared) for one in known}
-    if len(facts) == 1 and len(known) == len(datasets):
-        joined = replace(joined, **dict(zip(shared, facts.pop(), strict=True)))
-    return joined

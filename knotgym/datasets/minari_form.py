@@ -35,8 +35,7 @@ from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.common.tables import new_hdf5
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
-from knotgym.datasets.episode_outcomes import goal_reached
-from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes
+from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes, goal_reached
 from knotgym.datasets.minari_recording import MAIN
 from knotgym.envs.tasks import TaskConfig
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import from_json, read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line
 from knotgym.common.tables import Table, require_stored_here
-from knotgym.datasets.episode_outcomes import goal_reached
-from knotgym.datasets.episodes import EPISODES, MACROS, STEPS, Episodes, merged
+from knotgym.datasets.episodes import EPISODES, MACROS, STEPS, Episodes, goal_reached, merged
 from knotgym.envs.tasks import TaskConfig
 
 MAIN = "main_data.hdf5"

@@ -1,15 +1,14 @@
 """Datasets of the three kinds as rows: columns to select by, keys to split by, and a way to write.
 
 A state, an episode and a picture are one row each. What is written is a file of rows: a state file,
-an episode file or a Parquet file; or, of episodes, a Minari dataset.
+an episode file or a Parquet file.
 """
 
 import json
-from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Hashable, Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,35 +17,33 @@ import knotgym
 from knotgym.common.atomic_files import atomic_write, require_apart, require_output, sha256
 from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.datasets.episode_dataset import (
-    EpisodeDataset,
     open_episodes,
     single_of,
     write_episodes,
 )
-from knotgym.datasets.episodes import Episodes, gauss_codes
-from knotgym.datasets.image_table import COLUMNS, arrow, parquet, points_of, read_table, shards
+from knotgym.datasets.episodes import gauss_codes
+from knotgym.datasets.image_table import (
+    COLUMNS,
+    PHOTO_COLUMNS,
+    arrow,
+    parquet,
+    points_of,
+    read_table,
+    shards,
+)
 from knotgym.datasets.located import locate_own, refuse_minaris_folder, root_of
-from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.states.near_duplicates import families
-from knotgym.states.state_file import minari_root, read_states, ships, write_states
+from knotgym.states.state_file import read_states, write_states
 
 Rows = NDArray[np.int64]
 Selections = list[dict[str, Any]]
-
-
-class Destination(NamedTuple):
-    """Where a selection is written: a file, or for `dataset_id` a root of Minari's."""
-
-    out: str | Path | None = None
-    dataset_id: str = ""
-    overwrite: bool = False
 
 
 # Each kind has:
 #   digested    the file whose checksum identifies the source
 #   earlier     the selections by which the source itself was made
 #   columns     name -> one value per row
-#   ids         int64 (n,), how `delete` names the rows
+#   count       number of rows
 #   keys()      for each row what it shares with rows that must stay in the same part
 #   write()     write rows to a new file
 
@@ -55,16 +52,18 @@ class StateRows:
     def __init__(self, path: Path) -> None:
         self.digested, self.states = path, read_states(path)
         self.earlier = _selections(self.states.attributes.get("selection", []), path)
-        self.ids = np.arange(len(self.states))
+        self.count = len(self.states)
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
         flat = {name: values for name, values in self.states.table.items() if values.ndim == 1}
-        return {"row": self.ids} | {name.replace("/", "."): flat[name] for name in flat}
+        return {"row": np.arange(self.count)} | {
+            name.replace("/", "."): flat[name] for name in flat
+        }
 
     def keys(self) -> list[list[Hashable]]:
         near, seed = families(self.states.points), self.states.source.get("seed")
-        seeds = self.ids[:, None] if seed is None else seed
+        seeds = np.arange(self.count)[:, None] if seed is None else seed
         return [
             [("near", int(near[row])), ("rope", tuple(seeds[row].tolist()))]
             for row in range(len(near))
@@ -77,8 +76,11 @@ class StateRows:
 class _PictureRows:
     def __init__(self, path: Path) -> None:
         self.path, self.digested = path, shards(path)[0]
+        stored = arrow("pyarrow.parquet").read_schema(self.digested).names
         flat = [
-            name for name, kind in COLUMNS.items() if name != "image" and not isinstance(kind, list)
+            name
+            for name, kind in (COLUMNS | PHOTO_COLUMNS).items()
+            if kind != "image" and not isinstance(kind, list) and name in (*COLUMNS, *stored)
         ]
         self.table = read_table(path, columns=[*flat, "points"])
         stored = (self.table.schema.metadata or {}).get(b"selection", b"[]")
@@ -86,12 +88,14 @@ class _PictureRows:
             self.earlier = _selections(json.loads(stored), path)
         except ValueError as error:
             raise InvalidFile(f"{path}: its selection isn't JSON: {error}") from error
+        self.count = len(self.table)
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
         out: dict[str, NDArray[Any]] = {}
         for name in self.table.column_names:
-            values, kind = self.table[name].combine_chunks(), COLUMNS[name]
+            values = self.table[name].combine_chunks()
+            kind = (COLUMNS | PHOTO_COLUMNS)[name]
             if isinstance(kind, dict):
                 plain = [inner for inner, of in kind.items() if isinstance(of, str)]
                 out |= {f"{name}.{one}": np.array(values.field(one).to_pylist()) for one in plain}
@@ -99,17 +103,13 @@ class _PictureRows:
                 out[name] = np.array(values.to_pylist())
         return out
 
-    @property
-    def ids(self) -> Rows:
-        return self.columns["source.row"]
-
     def keys(self) -> list[list[Hashable]]:
         near = families(points_of(self.table)).tolist()
         ropes = zip(self.columns["source.seed"], self.columns["source.rope"], strict=True)
         return [[("near", one), ("rope", *rope)] for one, rope in zip(near, ropes, strict=True)]
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
-        kept = np.isin(np.arange(len(self.ids)), rows)
+        kept = np.isin(np.arange(self.count), rows)
         table = read_table(self.path).filter(arrow().array(kept))
         metadata = {**(table.schema.metadata or {}), b"selection": json.dumps(made)}
         path.write_bytes(parquet(table.replace_schema_metadata(metadata)))
@@ -120,13 +120,17 @@ class EpisodeRows:
         self.dataset = open_episodes(path)
         self.digested = self.dataset.path
         self.earlier = _selections(self.dataset.attributes.get("selection", []), path)
-        self.ids = np.arange(self.dataset.episodes.episodes.rows)
+        self.count = self.dataset.episodes.episodes.rows
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
         (own, steps), task = self.dataset.episodes, self.dataset.task
         found = {name: values for name, values in own.items() if values.ndim == 1}
-        found = {"episode": self.ids, **found, "goal_gauss_code": gauss_codes(own["goal_visits"])}
+        found = {
+            "episode": np.arange(self.count),
+            **found,
+            "goal_gauss_code": gauss_codes(own["goal_visits"]),
+        }
         if "visits" in steps:
             first, last = self.dataset.episodes.offsets[:-1], self.dataset.episodes.last()
             found |= {
@@ -158,22 +162,6 @@ class EpisodeRows:
         facts = {**self.dataset.facts, "selection": made}
         write_episodes(path, [self.dataset.episodes.select(rows)], self.dataset.task, facts)
 
-    def publish(self, rows: Rows, made: Selections, target: Destination) -> Path:
-        """Write rows as a Minari dataset, with the states that it resets from."""
-        metadata = metadata_of(self.dataset) or MinariMetadata(
-            dataset_id=target.dataset_id,
-            algorithm_name=", ".join(sorted(set(self.columns["policy"].tolist()))),
-            description="",
-        )
-        sentences = filter(None, [metadata.description, _sentence(made[-1])])
-        metadata = replace(
-            metadata, dataset_id=target.dataset_id, description="\n\n".join(sentences)
-        )
-        facts = {**self.dataset.facts, "selection": made}
-        return publish_rows(
-            self.dataset, [self.dataset.episodes.select(rows)], metadata, target, facts
-        )
-
 
 Selectable = StateRows | _PictureRows | EpisodeRows
 
@@ -190,63 +178,30 @@ def opened(source: str | Path) -> Selectable:
     return StateRows(found.states) if found.states else EpisodeRows(found.episodes[0])
 
 
-def publish_rows(
-    dataset: EpisodeDataset,
-    parts: Sequence[Episodes],
-    metadata: MinariMetadata,
-    target: Destination,
-    facts: Mapping[str, Any],
-) -> Path:
-    """Write episodes as a Minari dataset of another one's task, with the states it resets from."""
-    states = None if ships(dataset.task.states) else dataset.states_path()
-    beside = states is None or states.parent == dataset.path.parent
-    if not beside and not Path(str(states)).is_relative_to(minari_root()):
-        raise InvalidFile(
-            f"{dataset.path} names states outside of it, {states}, which aren't copied into"
-            " another dataset; if they are yours, put them beside it as states.h5"
-        )
-    return publish(
-        parts,
-        dataset.task,
-        metadata,
-        target.out,
-        states=states,
-        facts=facts,
-        overwrite=target.overwrite,
-    )
-
-
-def require_target(given: Selectable, target: Destination, sources: Iterable[Path]) -> Path:
-    """Return where to write; refuse what exists, is its source, or holds another kind."""
-    if target.dataset_id:
-        if not isinstance(given, EpisodeRows):
-            raise InvalidInput("an id is for episodes; give --out for states and pictures")
-        folder = Path(target.out or minari_root()) / target.dataset_id
-        require_output(folder, folder=True, overwrite=target.overwrite)
-        require_apart(folder, sources)
-        return folder
-    if target.out is None:
-        raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
-    require_output(target.out, folder=False, overwrite=target.overwrite)
-    refuse_minaris_folder(Path(target.out))
-    require_apart(target.out, sources)
-    return Path(target.out)
+def require_file(out: Path, sources: Iterable[Path], overwrite: bool) -> None:
+    """Refuse an output that exists, is one of its sources, or lies in Minari's folder."""
+    require_output(out, folder=False, overwrite=overwrite)
+    refuse_minaris_folder(out)
+    require_apart(out, sources)
 
 
 def write_rows(
-    given: Selectable, source: str, rows: Rows, how: Mapping[str, Any], target: Destination
+    given: Selectable,
+    source: str,
+    rows: Rows,
+    how: Mapping[str, Any],
+    out: Path,
+    overwrite: bool = False,
 ) -> Path:
-    """Write some rows, at least one, as a new dataset; return its path."""
+    """Write some rows, at least one, as a new file; return its path."""
     if not len(rows):
-        raise InvalidInput(f"none of the {len(given.ids)} rows of {source} is left")
-    file = require_target(given, target, [root_of(source)])
-    counts = {"sha256": sha256(given.digested), "rows": len(given.ids), "kept": len(rows)}
+        raise InvalidInput(f"none of the {given.count} rows of {source} is left")
+    require_file(out, [root_of(source)], overwrite)
+    counts = {"sha256": sha256(given.digested), "rows": given.count, "kept": len(rows)}
     made = {"from": source, **counts, **how, "knotgym": knotgym.__version__}
-    if isinstance(given, EpisodeRows) and target.dataset_id:
-        return given.publish(rows, [*given.earlier, made], target)
-    with atomic_write(file, overwrite=target.overwrite) as path:
+    with atomic_write(out, overwrite=overwrite) as path:
         given.write(rows, [*given.earlier, made], path)
-    return file
+    return out
 
 
 def _selections(found: Any, path: Path) -> Selections:
@@ -254,13 +209,3 @@ def _selections(found: Any, path: Path) -> Selections:
     if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
         raise InvalidFile(f"{path}: its selection should be a list of objects, got {found!r:.80}")
     return found
-
-
-def _sentence(made: Mapping[str, Any]) -> str:
-    """Say how a dataset was selected."""
-    facts = ("from", "rows", "kept", "sha256", "knotgym")
-    how = {name: value for name, value in made.items() if name not in facts}
-    return (
-        f"{made['kept']} of the {made['rows']} rows of {Path(made['from']).name}"
-        f" (SHA-256 {made['sha256']}), selected by {json.dumps(how, sort_keys=True)}."
-    )

@@ -108,14 +108,10 @@ def folder_faults(folder: Path, replay: Replay, count: Count = uncounted) -> Ite
         yield from own
         if not own:
             name = file.relative_to(folder / "minari").parents[1].as_posix()
-            yield from demonstration_faults(states, name, open_episodes(file))
-    if manifest and manifest["config"].get("split_by") == "code":
-        train, test = (set(states.gauss_code[states.split == split]) for split in STATE_SPLITS)
-        for code in sorted(train & test):
-            yield f"code {code or 'loop'} is in both splits, which should share no code"
+            yield from _demonstration_faults(states, name, open_episodes(file))
 
 
-def demonstration_faults(
+def _demonstration_faults(
     states: States, name: str, demonstrations: EpisodeDataset
 ) -> Iterator[str]:
     """Yield the rows that name an episode of the dataset `name` that doesn't lead to them.

@@ -5,12 +5,9 @@ from knotgym.common.lazy_exports import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "CloneConfig": "knotgym.learn.train_config",
-        "ClonePolicy": "knotgym.learn.clone_policy",
-        "PicturePolicy": "knotgym.learn.picture_policy",
-        "ReaderConfig": "knotgym.learn.train_config",
-        "load_clone": "knotgym.learn.clone_policy",
-        "load_picture_policy": "knotgym.learn.picture_policy",
-        "train": "knotgym.learn.train_recipe",
+        "knotgym.learn.clone_policy": "ClonePolicy load_clone",
+        "knotgym.learn.picture_policy": "PicturePolicy load_picture_policy",
+        "knotgym.learn.train_config": "CloneConfig ReaderConfig",
+        "knotgym.learn.train_recipe": "train",
     },
 )

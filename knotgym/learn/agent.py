@@ -11,12 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import Count, NonNegative, Share, Whole, configuration
 from knotgym.control.planning import BatchedSearch, PullSearch, shipped_guide
 from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.reader import Reader
-from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses, perturb_heights
+from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, perturb_heights
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
@@ -28,6 +27,21 @@ REACH = 2.0  # metres for which an action's coordinate of 1 stands
 _TOW = np.ones(3)
 # Probability that the goal is the code now shown although the episode continues (misread picture).
 _MISREAD = 0.05
+# Budgets and thresholds below were set by hand; no record says what others would score.
+_PLANNER = PullPlannerConfig(batch_size=32)  # of the imagined actions
+# Imagined actions of a replanning and of an episode, at most; once the latter are spent, every
+# replanning still gets the last number.
+_BUDGET, _EPISODE_BUDGET, _LEAST_BUDGET = 6000, 40_000, 1500
+_MOST_PLANS = 6  # per step; the one with the highest estimated success is kept
+_PATIENCE = 2  # steps for which a new plan is followed before it is checked again
+_ENOUGH = 0.85  # estimated success at which a plan is accepted without trying another
+_KEEP_PLAN = 0.3  # estimated success below which a plan is dropped for a new one
+# Perturbed hypotheses on which a plan's success is estimated: their number, and the standard
+# deviations of heights (metres), of the bead around the intended one (beads), and of the logarithm
+# of the force.
+_COPIES, _HEIGHT_NOISE, _BEAD_NOISE, _FORCE_NOISE = 12, 0.008, 1.0, 0.1
+_AIM_WORTH = 0.45  # least worth of a named point (`PositionBelief.aim`) to pull a bead; else probe
+_MOST_PROBES, _PROBE_LIFT = 3, 0.6  # probes per episode; upward force of one, of the largest
 
 
 class PlannedPull(NamedTuple):
@@ -42,47 +56,6 @@ class PlannedPull(NamedTuple):
     bead: int
     force: Array
     named: Array | None = None
-
-
-@configuration
-class AgentConfig:
-    """Planning budgets and thresholds.
-
-    Attributes:
-        budget: imagined actions per replanning, at most.
-        episode_budget: imagined actions per episode; once spent, replanning gets `least_budget`.
-        least_budget: imagined actions that every replanning may use.
-        max_plans: plans per step; the one with the highest estimated success is kept.
-        patience: steps for which a new plan is followed before it is checked again.
-        enough: estimated success at which a plan is accepted without trying another.
-        copies: perturbed hypotheses on which a plan's success is estimated.
-        height_noise: standard deviation of those perturbations' heights, metres.
-        bead_noise: standard deviation of the bead that is pulled around the intended one, beads.
-        force_noise: standard deviation of the logarithm of the force.
-        keep_plan: estimated success below which a plan is dropped for a new one.
-        aim_worth: least worth of a named point (`PositionBelief.aim`) to pull a bead; else probe.
-        max_probes: probing actions per episode, at most.
-        probe_lift: upward force of a probe, relative to the largest.
-        hypotheses: of the rope's shape.
-        planner: of the imagined actions.
-    """
-
-    budget: Whole = 6000
-    episode_budget: Whole = 40000
-    least_budget: Whole = 1500
-    max_plans: Count = 6
-    patience: Count = 2
-    enough: Share = 0.85
-    copies: Count = 12
-    height_noise: NonNegative = 0.008
-    bead_noise: NonNegative = 1.0
-    force_noise: NonNegative = 0.1
-    keep_plan: Share = 0.3
-    aim_worth: Share = 0.45
-    max_probes: Whole = 3
-    probe_lift: NonNegative = 0.6
-    hypotheses: HypothesesConfig = HypothesesConfig()
-    planner: PullPlannerConfig = PullPlannerConfig(batch_size=32)
 
 
 @dataclass(eq=False)
@@ -118,20 +91,16 @@ class _Episode:
 class Agent:
     """A controller from pictures that can act in several episodes in turn."""
 
-    def __init__(self, reader: Reader, starts: Array, config: AgentConfig | None = None) -> None:
+    def __init__(self, reader: Reader, starts: Array) -> None:
         """Compose an agent; `starts` are start positions met in training, float64 (n, 3)."""
         self.reader, self.starts = reader, starts
-        self.config = config or AgentConfig()
-        planner = self.config.planner
-        self._planning = BatchedSearch(planner.batch_size, planner.macro_actions)
-        self._believed = ChainSimulation(max(self.config.copies, self.config.hypotheses.imagined))
+        self._planning = BatchedSearch(_PLANNER.batch_size)
+        self._believed = ChainSimulation(max(_COPIES, MOST_IMAGINED))
         self._episodes: dict[int, _Episode] = {}
 
     def begin(self, index: int, rng: np.random.Generator, horizon: int) -> None:
         """Begin episode `index` of `horizon` steps; all of its random draws come from `rng`."""
-        hypotheses = ShapeHypotheses(
-            self.reader, self._believed, self.starts, self.config.hypotheses, rng
-        )
+        hypotheses = ShapeHypotheses(self.reader, self._believed, self.starts, rng)
         self._episodes[index] = _Episode(rng, horizon, hypotheses)
 
     def act(self, index: int, picture: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -179,12 +148,12 @@ class Agent:
 
     def _choose_pull(self, episode: _Episode) -> None:
         """Set the episode's next named point and force."""
-        config, hypotheses = self.config, episode.hypotheses
+        hypotheses = episode.hypotheses
         towing = bool(episode.plan) and episode.plan[0].named is not None
-        due = episode.step - episode.planned >= config.patience or not episode.plan
+        due = episode.step - episode.planned >= _PATIENCE or not episode.plan
         # A tow takes many steps, and interrupting or turning it starts it over, so it is never
         # replaced.
-        if due and not towing and self._success_rate(episode, episode.plan) < config.keep_plan:
+        if due and not towing and self._success_rate(episode, episode.plan) < _KEEP_PLAN:
             self._replan(episode)
             episode.planned = episode.step
         if episode.plan:
@@ -196,38 +165,35 @@ class Agent:
             bead, force = int(episode.rng.integers(BEADS)), episode.rng.uniform(-1, 1, 3)
         rope, position = hypotheses.ropes[0], hypotheses.position
         named, worth = position.aim(rope, bead)
-        if worth < config.aim_worth and episode.probes < config.max_probes:
+        if worth < _AIM_WORTH and episode.probes < _MOST_PROBES:
             # The position is too uncertain to name that bead: pull where the outcome tells most
             # about it, away from the middle (in expectation over the bead pulled) and up.
             episode.probes += 1
             named = position.most_informative(rope)
             probabilities = position.bead_probabilities(rope, named)
             out = (probabilities[:, None] * rope).sum(axis=0) * (1, 1, 0)
-            force = 0.6 * out / max(1e-6, np.linalg.norm(out)) + (0, 0, config.probe_lift)
+            force = 0.6 * out / max(1e-6, np.linalg.norm(out)) + (0, 0, _PROBE_LIFT)
             episode.plan = []
         episode.named, episode.force = named, force
 
     def _replan(self, episode: _Episode) -> None:
-        """Make up to `max_plans` plans and keep the one with the highest estimated success."""
+        """Make up to _MOST_PLANS plans and keep the one with the highest estimated success."""
         assert episode.goal is not None
         best, highest = list[PlannedPull](), -1.0
         if not episode.goal.visits:  # the goal is a plain loop, to which towing leads
             best = [PlannedPull(-1, _TOW, REACH * _TOW)] * (episode.horizon - episode.step)
             highest = self._success_rate(episode, best)
-        # the episode's budget is a soft limit: every replanning may still use `least_budget`
-        left = max(
-            self.config.least_budget,
-            min(self.config.budget, self.config.episode_budget - episode.imagined),
-        )
-        for _ in range(self.config.max_plans):
-            if highest >= self.config.enough or left < self.config.planner.batch_size:
+        # the episode's budget is a soft limit: every replanning may still use _LEAST_BUDGET
+        left = max(_LEAST_BUDGET, min(_BUDGET, _EPISODE_BUDGET - episode.imagined))
+        for _ in range(_MOST_PLANS):
+            if highest >= _ENOUGH or left < _PLANNER.batch_size:
                 break
             ropes, velocities = episode.hypotheses.ropes[:1], episode.hypotheses.velocities[:1]
             self._believed.lay_points(ropes, velocities, [0])
             state = self._believed.states([0])[0]
-            search = PullSearch(episode.goal, shipped_guide(), self.config.planner, episode.rng)
+            search = PullSearch(episode.goal, shipped_guide(), _PLANNER, episode.rng)
             found = search.plan(state, ropes[0], episode.horizon - episode.step, left)
-            ((_, made),) = self._planning.run([found], self.config.planner.batch_size)
+            ((_, made),) = self._planning.run([found], _PLANNER.batch_size)
             episode.imagined += made.spent
             left -= made.spent
             pulls = [
@@ -247,12 +213,12 @@ class Agent:
         if not pulls:
             return -1.0
         assert episode.goal is not None
-        config, rng = self.config, episode.rng
-        points, velocities = episode.hypotheses.sample(config.copies)
+        rng = episode.rng
+        points, velocities = episode.hypotheses.sample(_COPIES)
         # one factor per copy for the whole plan: a force that is off is off at every step
-        gains = np.exp(rng.normal(0, config.force_noise, (len(points), 1)))
+        gains = np.exp(rng.normal(0, _FORCE_NOISE, (len(points), 1)))
         # copy 0 stays the most likely hypothesis itself
-        points[1:] = perturb_heights(points[1:], config.height_noise, rng)
+        points[1:] = perturb_heights(points[1:], _HEIGHT_NOISE, rng)
         chain, copies = self._believed, np.arange(len(points))
         chain.lay_points(points, velocities, copies)
         reached = np.zeros(len(points), dtype=bool)
@@ -261,7 +227,7 @@ class Agent:
             # a pull by bead misses by a bead or so; a pull by point takes the bead nearest to it in
             # each copy, with the copies at the mean of the position belief
             if named is None:
-                off = np.rint(rng.normal(0, config.bead_noise, len(points))).astype(np.int64)
+                off = np.rint(rng.normal(0, _BEAD_NOISE, len(points))).astype(np.int64)
                 beads = (bead + off) % BEADS
             else:
                 off = chain.points[copies] + middle - named

@@ -39,9 +39,8 @@ from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.imagination import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.reader import inference
-from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses
+from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import LONGEST, WaypointFollower
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
@@ -100,7 +99,7 @@ class _ClonePlayer:
         self._network, self._batch = policy.network, batch
         split = batch.task.split
         self._values = pass_values(split, every_code=True) if policy.guided else None
-        self._follower = WaypointFollower(batch.count, MacroActionConfig())
+        self._follower = WaypointFollower(batch.count)
         self._taken = np.zeros(batch.count, dtype=np.int64)  # pulls of each lane's macro-action
         self._macros = np.zeros((batch.count, 3), dtype=np.int64)
         self._rngs: dict[int, np.random.Generator] = {}
@@ -149,9 +148,9 @@ class _Eyes:
     """Reads the pictures of one episode."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        learned, config = load_reader(PRETRAINED), HypothesesConfig()
-        starts, chain = learned.starts.astype(np.float64), ChainSimulation(config.imagined)
-        self._hypotheses = ShapeHypotheses(learned.reader, chain, starts, config, rng)
+        learned = load_reader(PRETRAINED)
+        starts, chain = learned.starts.astype(np.float64), ChainSimulation(MOST_IMAGINED)
+        self._hypotheses = ShapeHypotheses(learned.reader, chain, starts, rng)
         self._goals: dict[GaussCode, float] = {}
 
     def look(self, picture: NDArray[np.uint8]) -> tuple[Array, GaussCode]:

@@ -27,7 +27,6 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.decisions import Decisions, examples
 from knotgym.learn.train_config import CloneConfig
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import LONGEST, Pass
 from knotgym.rope.model import Array
 from knotgym.runs.journal import Result
@@ -67,7 +66,7 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
         [random_pass(setup.beads, rng) for _ in range(rng.integers(_WANDER + 1))] for rng in rngs
     ]
     given = zip(states, batch.simulation.points[ids].copy(), goals, wanders, strict=True)
-    search = BatchedSearch(_ROPES, MacroActionConfig())
+    search = BatchedSearch(_ROPES)
     found = dict(search.run(_found(*one, values) for one in given))
     # a code that is held out is no goal, wherever passes lead
     elsewhere = 0 if config.split in CODE_SPLITS else _ELSEWHERE

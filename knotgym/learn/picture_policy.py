@@ -9,7 +9,7 @@ from knotgym.common.errors import InvalidPolicy
 from knotgym.control.rollouts import Player, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.learn.agent import Agent, AgentConfig
+from knotgym.learn.agent import Agent
 from knotgym.learn.checkpoint import PRETRAINED, Learned, load_reader
 from knotgym.learn.colour_reading import BEADS, SIZE
 
@@ -23,8 +23,8 @@ class PicturePolicy:
         name: of the policy.
     """
 
-    def __init__(self, learned: Learned, name: str, config: AgentConfig | None = None) -> None:
-        self.name, self._learned, self._config = name, learned, config
+    def __init__(self, learned: Learned, name: str) -> None:
+        self.name, self._learned = name, learned
 
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
         """Return the task; raise InvalidPolicy if the reader can't read its pictures."""
@@ -33,7 +33,7 @@ class PicturePolicy:
     def player(self, batch: EpisodeBatch) -> Player:
         """Return a player for the lanes of a batch."""
         starts = self._learned.starts.astype(np.float64)
-        return _PicturePlayer(Agent(self._learned.reader, starts, self._config), batch)
+        return _PicturePlayer(Agent(self._learned.reader, starts), batch)
 
 
 class _PicturePlayer:
@@ -81,12 +81,10 @@ def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> Tas
     return task
 
 
-def load_picture_policy(folder: str, config: AgentConfig | None = None) -> PicturePolicy:
+def load_picture_policy(folder: str) -> PicturePolicy:
     """Load the policy of a checkpoint folder, or "pretrained", which ships with the package.
 
     Raises:
         InvalidFile: there is no checkpoint that this version can read.
     """
-    return PicturePolicy(
-        load_reader(folder), PRETRAINED if folder == PRETRAINED else "learned", config
-    )
+    return PicturePolicy(load_reader(folder), PRETRAINED if folder == PRETRAINED else "learned")

@@ -10,7 +10,6 @@ filter. Which bead was pulled is not visible either: it is inferred along with t
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import Count, NonNegative, Positive, Share, Whole, configuration
 from knotgym.learn.imagination import BEADS, imagine
 from knotgym.learn.position_belief import PositionBelief
 from knotgym.learn.reader import Reader
@@ -34,32 +33,13 @@ _MERGED = 0.008
 _CONSULTED = 2
 # Prior probability of a pulled bead that no position particle predicts.
 _SURPRISE = 0.0005
-
-
-@configuration
-class HypothesesConfig:
-    """Sizes and noise levels of the set of hypotheses.
-
-    Attributes:
-        ropes: hypotheses kept, at most.
-        varied: extra hypotheses per pull, each a kept one with perturbed heights.
-        wave: standard deviation of that perturbation, metres.
-        fresh: prior probability that all hypotheses are wrong and a new reading is better.
-        blur: standard deviation between predicted and read bead positions, metres.
-        codes: perturbed copies of a reading from which the codes that it may stand for are counted.
-    """
-
-    ropes: Count = 24
-    varied: Whole = 24
-    wave: NonNegative = 0.008
-    fresh: Share = 0.05
-    blur: Positive = 0.003
-    codes: Count = 30
-
-    @property
-    def imagined(self) -> int:
-        """Most ropes that are imagined at once."""
-        return max(BEADS, self.ropes + self.varied)
+# Hypotheses kept, at most; and extra ones per pull, each a kept one with perturbed heights, with
+# the standard deviation of that perturbation, metres.
+_KEPT, _VARIED, _WAVE = 24, 24, 0.008
+_FRESH = 0.05  # prior probability that all hypotheses are wrong and a new reading is better
+_BLUR = 0.003  # standard deviation between predicted and read bead positions, metres
+_READ_CODES = 30  # perturbed copies of a reading from which the codes it may stand for are counted
+MOST_IMAGINED = max(BEADS, _KEPT + _VARIED)  # ropes at once
 
 
 class ShapeHypotheses:
@@ -74,18 +54,13 @@ class ShapeHypotheses:
     """
 
     def __init__(
-        self,
-        reader: Reader,
-        chain: ChainSimulation,
-        starts: Array,
-        config: HypothesesConfig,
-        rng: np.random.Generator,
+        self, reader: Reader, chain: ChainSimulation, starts: Array, rng: np.random.Generator
     ) -> None:
         """Begin an episode; `starts` are the start positions met in training, float64 (n, 3).
 
-        `chain` has as many ropes as `HypothesesConfig.imagined` says.
+        `chain` has at least MOST_IMAGINED ropes.
         """
-        self._reader, self._chain, self._config, self._rng = reader, chain, config, rng
+        self._reader, self._chain, self._rng = reader, chain, rng
         self.position = PositionBelief(starts, rng)
         self.ropes = self.velocities = np.zeros((1, BEADS, 3))
         self.weights = np.ones(1)
@@ -109,8 +84,8 @@ class ShapeHypotheses:
 
         # Predict: every hypothesis, and copies with perturbed heights so that the set doesn't
         # collapse, are moved by the engine as the real rope was pulled.
-        rows = self._rng.choice(len(self.ropes), size=self._config.varied, p=self.weights)
-        varied = perturb_heights(self.ropes[rows], self._config.wave, self._rng)
+        rows = self._rng.choice(len(self.ropes), size=_VARIED, p=self.weights)
+        varied = perturb_heights(self.ropes[rows], _WAVE, self._rng)
         before = np.concatenate([self.ropes, varied])
         after, velocities = imagine(
             self._chain,
@@ -130,11 +105,10 @@ class ShapeHypotheses:
         self.position.shift(middles[best])
 
         # Correct each prediction by the picture. The new readings compete with them at the prior
-        # `fresh`, or 1 - fresh if the best prediction plainly doesn't look like the picture.
+        # _FRESH, or 1 - _FRESH if the best prediction plainly doesn't look like the picture.
         followed = self._reader.follow(picture, after - middles[:, None], after - before)
-        fresh = self._config.fresh
-        if _difference(read[0], picture) + _DIVERGED < _difference(followed[best], picture):
-            fresh = 1 - fresh
+        off, read_off = _difference(followed[best], picture), _difference(read[0], picture)
+        fresh = 1 - _FRESH if read_off + _DIVERGED < off else _FRESH
         self._keep(
             np.concatenate([followed, read]),
             # a reading has no velocity of its own: it takes the best prediction's
@@ -161,10 +135,9 @@ class ShapeHypotheses:
     ) -> dict[GaussCode, float]:
         # A reading is about a millimetre off, enough to miss or invent a small kink. So the codes
         # of many perturbed copies are counted instead of trusting that of the reading itself.
-        count = self._config.codes
-        varied = self._reader.perturb(picture, ropes, count, self._rng)
+        varied = self._reader.perturb(picture, ropes, _READ_CODES, self._rng)
         codes: dict[GaussCode, float] = {}
-        for code, weight in zip(label_many(varied), np.repeat(weights, count), strict=True):
+        for code, weight in zip(label_many(varied), np.repeat(weights, _READ_CODES), strict=True):
             codes[code.plain] = codes.get(code.plain, 0.0) + float(weight)
         total = sum(codes.values())
         return {code: weight / total for code, weight in codes.items()}
@@ -199,10 +172,9 @@ class ShapeHypotheses:
             read: float64 (BEADS, 3); its heights are ignored, for a picture hardly shows them.
         """
         off = ((predicted[..., :2] - read[None, :, :2]) ** 2).sum(axis=2)
-        blur = self._config.blur
         # Gaussian, truncated at four standard deviations: a bead that was misread, being hidden
         # under another strand, must not outvote all others.
-        return -np.minimum(off, (4 * blur) ** 2).sum(axis=1) / (2 * blur**2 * _CORRELATION)
+        return -np.minimum(off, (4 * _BLUR) ** 2).sum(axis=1) / (2 * _BLUR**2 * _CORRELATION)
 
     def _keep(self, ropes: Array, velocities: Array, weights: Array) -> None:
         """Keep the most likely hypotheses; merge those that differ little in height."""
@@ -214,7 +186,7 @@ class ShapeHypotheses:
             if len(same):
                 # a duplicate adds its weight to the more likely one, even once the set is full
                 total[kept[same[0]]] += weights[row]
-            elif len(kept) < self._config.ropes:
+            elif len(kept) < _KEPT:
                 kept.append(row)
         kept.sort(key=lambda row: -total[row])
         self.ropes, self.velocities = ropes[kept], velocities[kept]

@@ -51,16 +51,12 @@ else:
     __getattr__, __dir__, __all__ = lazy_exports(
         __name__,
         {
-            "GoalSampling": "knotgym.loaders.windows",
-            "Sequences": "knotgym.loaders.sequences",
-            "Symmetries": "knotgym.loaders.symmetries",
-            "Transitions": "knotgym.loaders.transitions",
-            "Window": "knotgym.loaders.windows",
-            "arrays": "knotgym.loaders.rows",
-            "images": "knotgym.loaders.perception",
-            "multiplied": "knotgym.loaders.symmetries",
-            "to_d3rlpy": "knotgym.loaders.converters",
-            "to_tensordict": "knotgym.loaders.converters",
-            "torch_dataset": "knotgym.loaders.converters",
+            "knotgym.loaders.converters": "to_d3rlpy to_tensordict torch_dataset",
+            "knotgym.loaders.perception": "images",
+            "knotgym.loaders.rows": "arrays",
+            "knotgym.loaders.sequences": "Sequences",
+            "knotgym.loaders.symmetries": "Symmetries multiplied",
+            "knotgym.loaders.transitions": "Transitions",
+            "knotgym.loaders.windows": "GoalSampling Window",
         },
     )

@@ -158,6 +158,10 @@ class DrawnFrames:
         """Gather rows of a column of steps, and of one of episodes for goals."""
         own, steps = self._dataset.episodes
         goals = ids >= self._rows
+        if not goals.any():
+            return steps[of_state][ids]
+        if goals.all():
+            return own[of_goal][ids - self._rows]
         found = steps[of_state][np.where(goals, 0, ids)]
         found[goals] = own[of_goal][ids[goals] - self._rows]
         return found

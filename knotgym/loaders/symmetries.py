@@ -14,19 +14,26 @@ whose force leaves [-1, 1] is dropped: after a turn, a strong pull may have a la
 Observations may be vertices ("state"), codes ("symbolic") or pictures; pictures and actions of the
 view "bead" have images only under quarter turns and mirrors, and switching and reversing change
 their colours, so `drawn` has `of_pictures`. "marked" needs none: it shows all images of a state
-alike.
+alike. `canonical` has the symmetries that do so for "state": learn from `applied` batches, and act
+by `inverse`.
+
+    frame = Symmetries.canonical(observations)
+    actions = frame.inverse().actions(policy(frame.observations(observations)))
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
+from knotgym.envs.marked import mark
 from knotgym.envs.observations import SYMBOLS
 from knotgym.rope.actions import chosen_forces, force_choices
 from knotgym.topology.code_arrays import plain_code
+from knotgym.topology.crossings import label_many
+from knotgym.topology.symmetry import Symmetry
 
 Array = NDArray[Any]
 _OBSERVATIONS = ("observations", "next_observations", "negatives")
@@ -36,8 +43,8 @@ _SAME = frozenset(
 )
 
 
-class Symmetries(NamedTuple):
-    """One symmetry for each of n samples: mirror, switch, turn, then walk the other way.
+class Symmetries(Symmetry):
+    """A symmetry for each of n samples: the fields of `topology.symmetry.Symmetry` as arrays (n,).
 
     Attributes:
         turn: float64 (n,), about z, radians.
@@ -45,11 +52,6 @@ class Symmetries(NamedTuple):
         switch: bool (n,), z -> -z.
         reverse: bool (n,), the vertex j becomes the vertex -j.
     """
-
-    turn: NDArray[np.float64]
-    mirror: NDArray[np.bool_]
-    switch: NDArray[np.bool_]
-    reverse: NDArray[np.bool_]
 
     @classmethod
     def drawn(
@@ -76,31 +78,36 @@ class Symmetries(NamedTuple):
             flags[1:] = False
         return cls(turn, flags[0], flags[1], flags[2] & reverse)
 
+    @classmethod
+    def canonical(cls, observations: ArrayLike) -> "Symmetries":
+        """Return the symmetries that bring ropes into the frame that "marked" shows them in.
+
+        All images of a state look alike there, so a learner meets a single one of them.
+
+        Args:
+            observations: float32 (n, 6 beads), of the kind state.
+        """
+        seen = np.asarray(observations)
+        if seen.ndim != 2 or seen.dtype.kind != "f" or seen.shape[1] % 6:
+            raise InvalidInput(
+                "the rope's frame is found in observations of the kind state, (n, 6 beads); got"
+                f" {seen.dtype} {seen.shape}"
+            )
+        ropes, goals = seen.reshape(len(seen), 2, -1, 3).astype(np.float64).swapaxes(0, 1)
+        axes, _, reverse = mark(ropes, label_many(goals)).frames
+        # axes are a turn after x -> -x, where they mirror; that turn's first column is (cos, sin)
+        mirror = np.linalg.det(axes[:, :2, :2]) < 0
+        x, y = np.where(mirror, -1.0, 1.0) * axes[:, :2, 0].T
+        return cls(np.arctan2(y, x), mirror, axes[:, 2, 2] < 0, reverse)
+
+    def inverse(self) -> "Symmetries":
+        """Return the symmetries that undo these."""
+        # mirrored, a turn goes the other way
+        return self._replace(turn=np.where(self.mirror, self.turn, -self.turn))
+
     def taken(self, rows: Any) -> "Symmetries":
         """Return the symmetries of some samples, by an index of any kind."""
-        return Symmetries(self.turn[rows], self.mirror[rows], self.switch[rows], self.reverse[rows])
-
-    def vectors(self, vectors: ArrayLike) -> Array:
-        """Map positions or forces, float (n, ..., 3)."""
-        v = np.asarray(vectors)
-        shape = (len(v), *(1 for _ in v.shape[2:]))
-        x, y, z = v[..., 0], v[..., 1], v[..., 2]
-        x = np.where(self.mirror.reshape(shape), -x, x)
-        z = np.where(self.switch.reshape(shape), -z, z)
-        c, s = np.cos(self.turn).reshape(shape), np.sin(self.turn).reshape(shape)
-        return np.stack([c * x - s * y, s * x + c * y, z], axis=-1).astype(v.dtype)
-
-    def vertices(self, points: ArrayLike) -> Array:
-        """Map ropes, float (n, ..., beads, 3), and renumber their vertices."""
-        moved = self.vectors(points)
-        back = np.roll(moved[..., ::-1, :], 1, axis=-2)
-        return np.where(self.reverse.reshape(-1, *(1 for _ in moved.shape[1:])), back, moved)
-
-    def beads(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
-        """Renumber beads, int (n, ...), of `count` a rope; bead b is between vertex b and b + 1."""
-        own = np.asarray(beads, dtype=np.int64)
-        flags = self.reverse.reshape(-1, *(1 for _ in own.shape[1:]))
-        return np.where(flags, count - 1 - own, own)
+        return Symmetries(*(field[rows] for field in self[:4]))
 
     def visits(self, visits: ArrayLike) -> NDArray[np.int16]:
         """Map codes, int16 (n, ..., SYMBOLS), as `observations.cut` gives them."""
@@ -159,9 +166,9 @@ class Symmetries(NamedTuple):
             raise InvalidInput(f"a batch to transform has {', '.join(missing)}; this one hasn't")
         for name, values in batch.items():
             if name in _OBSERVATIONS:
-                made[name] = self._observed(values)
+                made[name] = self.observations(values)
             elif name in _ACTIONS:
-                made[name] = self._acted(np.asarray(values))
+                made[name] = self.actions(np.asarray(values))
                 if made[name].dtype.kind == "f":
                     forces = np.abs(made[name][..., 3:])
                     kept &= (forces <= 1 + 1e-6).all(axis=tuple(range(1, forces.ndim)))
@@ -179,9 +186,10 @@ class Symmetries(NamedTuple):
     def _has_quarter_turns(self) -> bool:
         return bool(np.allclose(self.turn, np.rint(self.turn / (np.pi / 2)) * (np.pi / 2)))
 
-    def _observed(self, seen: Any) -> Any:
+    def observations(self, seen: Any) -> Any:
+        """Map observations, as `applied` does."""
         if isinstance(seen, dict):
-            return {name: self._observed(values) for name, values in seen.items()}
+            return {name: self.observations(values) for name, values in seen.items()}
         values = np.asarray(seen)
         if len(values) != len(self.turn):
             raise InvalidInput(f"{len(self.turn)} symmetries don't fit {len(values)} samples")
@@ -197,7 +205,8 @@ class Symmetries(NamedTuple):
         ropes = values.reshape(*values.shape[:-1], 2, values.shape[-1] // 6, 3)
         return self.vertices(ropes).reshape(values.shape)
 
-    def _acted(self, actions: Array) -> Array:
+    def actions(self, actions: Array) -> Array:
+        """Map actions (n, ..., 6), (n, ..., 4) or (n, ..., 3) of the views pull, bead and macro."""
         if actions.dtype.kind == "f":
             moved = self.vectors(actions.reshape(*actions.shape[:-1], 2, 3))
             return moved.reshape(actions.shape)

@@ -5,43 +5,45 @@ latest one. So a tab that sends thousands of messages a second delays nobody els
 nothing that a browser sends is used as a path, a name to import, or a size.
 """
 
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from knotgym.play.page import FRAMES, LOOP, Tab, number
+from knotgym.common.errors import KnotgymError, one_line
 from knotgym.play.page_config import PageConfig
 from knotgym.play.recorder import Recorder
-from knotgym.play.scene import SCALE
+from knotgym.play.scene import SCALE, RopeScene
 from knotgym.play.session import Session
+from knotgym.rendering.diagram import draw_diagram
 from knotgym.rope.model import Array
 
+_FRAMES = 30  # shown per second
+_LOOP = "plain loop"  # for an empty code
 _LIFT = 0.03  # metres above or below the rope's middle height at which a drag leads a bead
 _FARTHEST = 100.0  # scene units from the origin at which a drag is read
-_WALK = 25.0  # beads per second of the walker
-_NO_PATH = np.empty((0, 3))
 _KEYS = """
 **Drag** a bead to pull it; **shift**: over, **alt**: under what lies in the way. Drag the
 background to turn, scroll to zoom.
 
 | key | | key | |
 | --- | --- | --- | --- |
-| `Z` | undo | `H` | hint |
-| `R` | reset | `P` | one pull by the policy |
-| `N` | next start | `V` | view from above |
+| `Z` | undo | `P` | one pull by the policy |
+| `R` | reset | `V` | view from above |
+| `N` | next start | `O` `U` | pull it over, under |
 | `B` `F` | select the bead before, after | `I` `J` `K` `L` | pull it up, left, down, right |
-| `O` `U` | pull it over, under | `C` | walk the code |
 
 `W` `A` `S` `D` and the arrows move the camera.
 """
 
 
-class HandTab(Tab):
-    """A tab with a session of its own.
+class HandTab:
+    """A tab: a session of its own, its rope's scene, a panel, and a thread that acts.
 
     Attributes:
+        scene: the rope.
         session: the episode.
         wish: what to do next, or None.
     """
@@ -50,13 +52,23 @@ class HandTab(Tab):
         self._config, self._recorder = config, recorder
         self.wish: Callable[[], None] | None = None
         self._drag: tuple[int, Array] | None = None  # bead, and where to, metres
-        self._selected, self._walk_from = 0, 0.0
+        self._selected = 0
         self._kept: set[int] = set()  # episodes that are recorded
         self.session = Session(config.task, config.seed, recorder.next_number() if recorder else 0)
-        super().__init__(client, self.session.points, config.task.rope)
+        self._client, self._closed, rope = client, threading.Event(), config.task.rope
+        self.scene = RopeScene(client, self.session.points, rope)
+        self._seconds_per_pull = rope.timestep * rope.frame_skip  # in rope time
+        self._status = client.gui.add_markdown("")
+        self._goal = client.gui.add_image(np.zeros((64, 64, 3), dtype=np.uint8))
         self._panel()
         self._show_start()
-        self.start()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop acting."""
+        self._closed.set()
+        self._thread.join(timeout=10)
 
     # what the panel offers ---------------------------------------------------------------
 
@@ -67,10 +79,8 @@ class HandTab(Tab):
             ("Undo", "Z", lambda: self._after(self.session.undo)),
             ("Reset", "R", lambda: self._after(self._start_again)),
             ("Next start", "N", self._next),
-            ("Hint", "H", self._foresee),
             ("Let it pull once", "P", self._policy_pull),
             ("View from above", "V", lambda: self.scene.look_from_above(self.session.points)),
-            ("Walk the code", "C", self._start_walk),
         )
         for label, key, wish in row:
             self._client.gui.add_button(label).on_click(self._wanting(wish))
@@ -102,9 +112,9 @@ class HandTab(Tab):
             if event.phase == "end" or type(bead) is not int or len(place) != 3:
                 self._drag = None
                 return
-            target = np.array([number(one, _FARTHEST) for one in place]) / SCALE
+            target = np.array([_number(one, _FARTHEST) for one in place]) / SCALE
             points = self.session.points
-            height = number(self._lift.value, 1.0) if lift is None else lift
+            height = _number(self._lift.value, 1.0) if lift is None else lift
             if height:
                 target[2] = points[:, 2].mean() + _LIFT * height
             self._drag = bead % len(points), target
@@ -121,10 +131,15 @@ class HandTab(Tab):
 
     # the tab's thread --------------------------------------------------------------------
 
-    def _failed(self) -> None:
-        self._auto.value = False
-
-    def _end(self) -> None:
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            began = time.monotonic()
+            try:
+                self._act()
+            except (KnotgymError, OSError) as error:  # such as a full disk
+                self._client.add_notification("knotgym", one_line(error), auto_close_seconds=10)
+                self._auto.value = False
+            self._closed.wait(max(0.0, 1 / _FRAMES - (time.monotonic() - began)))
         self._keep()
 
     def _act(self) -> None:
@@ -136,11 +151,6 @@ class HandTab(Tab):
             self._pull(lambda: self.session.pull_towards(bead, target))
         elif self._auto.value and not self.session.ended:
             self._policy_pull()
-        if self._walk_from:
-            place = _WALK * (time.monotonic() - self._walk_from)
-            over = place >= len(self.session.points)
-            self.scene.walk(self.session.points, None if over else place)
-            self._walk_from = 0.0 if over else self._walk_from
 
     def _pull(self, pull: Callable[[], object]) -> None:
         """Pull, then show the way there for as long as the pull lasts in rope time."""
@@ -149,12 +159,11 @@ class HandTab(Tab):
         pull()
         if len(self.session.pulls) == taken:
             return
-        after, lasts = self.session.points.copy(), self.seconds_per_pull
-        self.scene.draw_path(_NO_PATH)
+        after, lasts = self.session.points.copy(), self._seconds_per_pull
         while (share := (time.monotonic() - began) / lasts) < 1 and not self._closed.is_set():
             shown = time.monotonic()
             self.scene.move((1 - share) * before + share * after)
-            self._closed.wait(max(0.0, 1 / FRAMES - (time.monotonic() - shown)))
+            self._closed.wait(max(0.0, 1 / _FRAMES - (time.monotonic() - shown)))
         self._show()
         self._note()
 
@@ -192,33 +201,21 @@ class HandTab(Tab):
             self._kept.add(session.number)
             self._recorder.finish(session.number, session.pulls)
 
-    def _foresee(self) -> None:
-        self._say("thinking ...")
-        seen = self.session.foresee(self._config.policy)
-        line = f"**{self._config.policy}** pulls bead {seen.bead}, to `{seen.code or LOOP}`"
-        self._show(line + (" (the goal)" if seen.success else ""), seen.path)
-
     def _select(self, step: int) -> None:
         self._selected = (self._selected + step) % len(self.session.points)
-        self.scene.walk(self.session.points, float(self._selected))
-
-    def _start_walk(self) -> None:
-        self._walk_from = time.monotonic()
+        self.scene.select(self.session.points, self._selected)
 
     # what the tab shows ------------------------------------------------------------------
 
     def _show_start(self) -> None:
-        self.show_start(self.session.points, self.session.batch.goal_points(0))
+        self._goal.image = draw_diagram(self.session.batch.goal_points(0), self.scene.goal_size)
+        self.scene.look_from_above(self.session.points)
         self._show()
 
-    def _show(self, line: str = "", path: Array = _NO_PATH) -> None:
-        self.scene.draw_path(path)
+    def _show(self) -> None:
         points = self.session.points
         self.scene.move(points)
         self.scene.mark(points)
-        self._say(line)
-
-    def _say(self, line: str) -> None:
         session, rope = self.session, np.zeros(1, dtype=np.int64)
         (code,), (goal,) = session.batch.codes_of(rope), session.batch.goals_of(rope)
         state = "**the goal is reached**" if session.success else f"{session.left} pulls left"
@@ -227,11 +224,24 @@ class HandTab(Tab):
         recorded = "" if self._recorder is None else f", recorded in `{self._recorder.folder.name}`"
         if self._recorder is not None and session.helped:
             recorded = ", not recorded, because a policy helped"
-        self.say(
+        lines = (
             f"**{session.task.task}**, {session.task.nx} crossings, {session.task.split}"
             f" episode {session.number} ({session.task.engine}){recorded}",
-            f"now `{str(code) or LOOP}`",
-            f"goal `{str(goal) or LOOP}`",
+            f"now `{str(code) or _LOOP}`",
+            f"goal `{str(goal) or _LOOP}`",
             f"{state}; reward {session.reward:g}",
-            line,
         )
+        self._status.content = "\n\n".join(lines)
+
+
+def _number(value: object, most: float) -> float:
+    """Read a number that a browser sent: 0 for anything else, clipped to [-most, most].
+
+    >>> [_number(one, 1.0) for one in ("0.5", 7, "x", float("nan"))]
+    [0.5, 1.0, 0.0, 0.0]
+    """
+    try:
+        read = float(str(value)[:40])
+    except ValueError:
+        return 0.0
+    return min(max(read, -most), most) if read == read else 0.0

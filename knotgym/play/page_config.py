@@ -16,15 +16,13 @@ class PageConfig:
     Attributes:
         task: the environment.
         seed: random seed; episode i is the one that `knotgym evaluate` plays with the same seed.
-        policy: policy that gives hints and can take over, as in evaluate.
+        policy: policy that can take over, as in evaluate.
         player: who plays, in a few words; stored with what is recorded.
-        host: host; any but the loopback asks for a token.
-        port: port of the page.
+        port: port of the page, on the loopback.
     """
 
     task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
     seed: Seed = 0
     policy: str = "expert"
     player: str = ""
-    host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8080

@@ -1,4 +1,4 @@
-"""Draw a rope, its crossings and arrows in a client's viser scene.
+"""Draw a rope and its crossings in a client's viser scene.
 
 viser 1.1 was chosen because it gives drags on single instances of a batched mesh, hot keys and
 images, needs no build step, and is what robotics users know; mjswan runs MuJoCo in the browser, so
@@ -21,7 +21,6 @@ _LATITUDES, _SIDES = 7, 10  # of a bead's drawn capsule
 _HEIGHT = 4.5  # scene units above the rope from which viser's camera, of 75 degrees, sees all
 _NARROW = 0.8  # width by height of a tab, below which it is a phone's
 _GRIP = 3.0  # radius within which a finger takes a bead on a phone, in rope radii
-_HINT = 255, 214, 80  # RGB of a foreseen path
 
 
 class RopeScene:
@@ -42,9 +41,9 @@ class RopeScene:
         if self.narrow:
             self._meshes.append(self._capsules("/grips", points, rope, _GRIP * rope.radius, 0.0))
         self.grips = self._meshes[-1]
-        self._marks, self._path = list[Any](), list[Any]()
-        self._walker = client.scene.add_icosphere(
-            "/walker", radius=1.6 * rope.radius * SCALE, color=(255, 255, 255), visible=False
+        self._marks = list[Any]()
+        self._selected = client.scene.add_icosphere(
+            "/selected", radius=1.6 * rope.radius * SCALE, color=(255, 255, 255), visible=False
         )
 
     def _capsules(
@@ -104,29 +103,9 @@ class RopeScene:
                     )
                 )
 
-    def walk(self, points: Array, place: float | None) -> None:
-        """Put the walker at a place along the rope, in beads; None hides it."""
-        self._walker.visible = place is not None
-        if place is not None:
-            self._walker.position = SCALE * _at(points, place)
-
-    def draw_path(self, path: Array) -> None:
-        """Draw the path of a bead, float64 (n, 3), with an arrow, in place of the last one."""
-        for handle in self._path:
-            handle.remove()
-        self._path = []
-        if len(path) > 1:
-            pairs = SCALE * np.stack([path[:-1], path[1:]], axis=1)
-            line = self._client.scene.add_line_segments("/path/line", pairs, _HINT, thickness=0.05)
-            arrow = self._client.scene.add_arrows(
-                "/path/arrow",
-                SCALE * np.stack([path[0], path[-1]])[None],
-                _HINT,
-                shaft_radius=0.03,
-                head_radius=0.08,
-                head_length=0.18,
-            )
-            self._path = [line, arrow]
+    def select(self, points: Array, bead: int) -> None:
+        """Mark the bead that keys pull."""
+        self._selected.visible, self._selected.position = True, SCALE * points[bead]
 
 
 def _at(points: Array, place: float) -> Array:

@@ -4,7 +4,6 @@ Nothing here knows the page. An undone pull leaves no trace: the episode is rese
 and the pulls before it are repeated, which gives the same bytes.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +15,9 @@ from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import Player, Policy, Pulls, episode_seed
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.macro_action_config import MacroActionConfig
+from knotgym.rope.macro_actions import ARRIVED, STRIDE
 from knotgym.rope.model import Array
 
-MACRO_PULLS = 10  # most pulls of one foreseen macro-action
-_CONTROL = MacroActionConfig()
 _ROPE = np.zeros(1, dtype=np.int64)  # the only one of a batch
 
 
@@ -36,23 +33,6 @@ class HandPull(NamedTuple):
     bead: int
     force: NDArray[np.float32]
     helped: bool = False
-
-
-@dataclass(frozen=True)
-class Foreseen:
-    """What a policy would do next.
-
-    Attributes:
-        bead: the bead that it would pull.
-        path: float64 (pulls + 1, 3), metres: where that bead would go.
-        code: the Gauss code afterwards.
-        success: whether the goal would be reached.
-    """
-
-    bead: int
-    path: Array
-    code: str
-    success: bool
 
 
 class Session:
@@ -129,14 +109,14 @@ class Session:
         """
         offset = np.asarray(target, dtype=np.float64) - self.points[bead]
         far = float(np.linalg.norm(offset))
-        if not _CONTROL.arrived < far < np.inf:
+        if not ARRIVED < far < np.inf:
             return False
-        self.pull(bead, offset / far * min(1.0, far / _CONTROL.stride))
+        self.pull(bead, offset / far * min(1.0, far / STRIDE))
         return True
 
-    def undo(self, pulls: int = 1) -> None:
-        """Take back the last pulls."""
-        kept = self.pulls[: max(0, len(self.pulls) - pulls)]
+    def undo(self) -> None:
+        """Take back the last pull."""
+        kept = self.pulls[:-1]
         self.begin(self.number)
         for pull in kept:
             self._take(pull)
@@ -150,39 +130,16 @@ class Session:
         if self.ended:
             return
         if self._acting is None or self._acting[0] != policy:
-            self._acting = policy, self._player(policy, self.batch)
+            self._acting = policy, self._player(policy)
         pulls = _thought(self._acting[1])
         self._take(HandPull(int(pulls.beads[0]), pulls.forces[0].copy(), helped=True))
 
-    def foresee(self, policy: str) -> Foreseen:
-        """Return what a policy would do from here, until it pulls another bead.
-
-        The episode isn't touched: the policy acts in a copy.
-
-        Raises:
-            InvalidPolicy: as for `let_act`.
-        """
-        copy = EpisodeBatch(self.task)
-        copy.copy_from(self.batch, _ROPE, _ROPE)
-        player, path, bead, ended = self._player(policy, copy), list[Array](), -1, self.ended
-        while not ended and len(path) <= MACRO_PULLS:
-            pulls = _thought(player)
-            if bead not in (-1, pulls.beads[0]):
-                break
-            bead = int(pulls.beads[0])
-            path = path or [copy.simulation.points[0, bead].copy()]
-            outcome = copy.pull(*pulls[:3])
-            path.append(copy.simulation.points[0, bead].copy())
-            ended = bool(outcome.terminated[0] or outcome.truncated[0])
-        code, success = str(copy.codes_of(_ROPE)[0]), bool(copy.successes(_ROPE)[0])
-        return Foreseen(bead, np.array(path), code, success)
-
-    def _player(self, name: str, batch: EpisodeBatch) -> Player:
+    def _player(self, name: str) -> Player:
         if name not in self._policies:
             made = make_policy(PolicyConfig(policy=name))
             made.compatible_task(self.task)
             self._policies[name] = made
-        player = self._policies[name].player(batch)
+        player = self._policies[name].player(self.batch)
         player.begin(_ROPE, [generator(Stream.POLICY, self.episode_seed, len(self.pulls))])
         return player
 

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from knotgym.common.configuration import Count, NonNegative, Seed, configuration
+from knotgym.common.configuration import Count, Seed, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.chat import ChatConfig
@@ -22,8 +22,6 @@ class PromptConfig:
         seed: random seed of the episodes. Episode i is the same in every mode and in `evaluate`.
         window: past turns included in mode stateful.
         tell_centre: tell the model the world coordinates of the picture's centre.
-        prompt_price: price of a million prompt tokens.
-        completion_price: price of a million completion tokens.
         pictures: in mode read, the split of the pictures, then the SHA-256 of them all.
         side_by_side: concurrent requests to the server; makes no difference to them.
     """
@@ -35,13 +33,9 @@ class PromptConfig:
     seed: Seed = 0
     window: Count = 4
     tell_centre: bool = False
-    prompt_price: NonNegative | None = None
-    completion_price: NonNegative | None = None
     pictures: tuple[str, ...] = ()
     side_by_side: Count = 4
 
     def __post_init__(self) -> None:
-        if (self.prompt_price is None) != (self.completion_price is None):
-            raise InvalidInput("give the prices of both prompt and completion tokens, or neither")
         if self.task.views != ("top",) or self.task.depth:
             raise InvalidInput("prompts support only the view from the top, without depth")

@@ -14,8 +14,7 @@ from knotgym.prompting.chat import Chat
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompted_episodes import flat, packed, play, read, unpacked
 from knotgym.prompting.prompts import as_text
-from knotgym.prompting.reading_scores import reading_scores
-from knotgym.prompting.summary import summarize
+from knotgym.prompting.summary import reading_scores, summarize
 from knotgym.prompting.transcripts import FILE, line
 from knotgym.runs.identity import identity, identity_of
 from knotgym.runs.journal import Result

@@ -2,8 +2,7 @@
 
 The model is asked once per action, or in mode open once per episode. Where an answer is invalid, or
 the actions of mode open are used up, the step is a no-op: an action without force. So a transcript
-always has a full sequence of actions, which `knotgym evaluate --policy prompt:FILE` replays to the
-same codes.
+always has a full sequence of actions.
 
 Both are recipes, see `knotgym.runs`: all episodes go on side by side, and each round of requests is
 a batch of calls. Replies are kept by the digest of their request, so a resumed run asks only for
@@ -40,7 +39,7 @@ from knotgym.prompting.prompts import (
     reading,
 )
 from knotgym.prompting.summary import total
-from knotgym.prompting.transcripts import PRICES
+from knotgym.prompting.transcripts import TOKENS
 from knotgym.runs.journal import Result
 from knotgym.runs.run import Call, Recipe
 
@@ -118,7 +117,7 @@ def play(config: PromptConfig, ask: Ask) -> Transcripts:
         playing = playing[~(outcome.terminated | outcome.truncated)]
     for one, success in zip(episodes, batch.successes(ids).tolist(), strict=True):
         one["success"] = success
-        one |= {f"{name}_tokens": total(one["turns"], f"{name}_tokens") for name in PRICES}
+        one |= {name: total(one["turns"], name) for name in TOKENS}
     return episodes
 
 
@@ -178,7 +177,7 @@ def _calls(requests: Sequence[tuple[int, list[dict[str, Any]]]], turn: int, ask:
 
 def _answer(reply: Mapping[str, Any], fault: str) -> dict[str, Any]:
     """Return the fields of a transcript that describe a reply."""
-    kept = ("finish", "retries", *(f"{name}_tokens" for name in PRICES))
+    kept = ("finish", "retries", *TOKENS)
     return {"answer": reply["text"], "fault": fault, **{name: reply[name] for name in kept}}
 
 

@@ -13,12 +13,12 @@ from annotated_types import Predicate
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
-from knotgym.common.configuration import MOST_JSON, NonNegative
+from knotgym.common.configuration import MOST_JSON
 from knotgym.common.errors import InvalidFile, MissingFile, one_line
 
 FORMAT = "knotgym-transcript"
 FORMAT_VERSION = 1
-PRICES = ("prompt", "completion")  # what tokens are counted and priced for
+TOKENS = ("prompt_tokens", "completion_tokens")  # what is counted
 FILE = "transcripts.jsonl"  # name of the file in a run's folder
 
 _Text = Annotated[str, Predicate(str.isprintable)]
@@ -43,8 +43,6 @@ class _Config(TypedDict):
     mode: _Text
     chat: _Chat
     task: NotRequired[_Task]
-    prompt_price: NotRequired[NonNegative | None]
-    completion_price: NotRequired[NonNegative | None]
 
 
 class _Request(TypedDict):

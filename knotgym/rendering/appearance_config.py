@@ -10,6 +10,8 @@ from knotgym.common.configuration import (
     NonNegative,
     Ordered,
     Positive,
+    Real,
+    Share,
     choice,
     configuration,
 )
@@ -18,7 +20,8 @@ from knotgym.common.errors import InvalidInput
 VARIED = ("colours", "width", "background", "turn", "zoom", "noise", "blur")
 SIZES = (64, 512)  # smallest and largest size of a picture, pixels
 LINE_SIZE = 512  # usual size of a line drawing, pixels
-STYLES = ("published", "knotbench")
+STYLES = ("published", "knotbench", "photo")
+TILT = 25.0  # largest tilt of a photo's camera, degrees
 PUBLISHED_SIZE = 128  # pixels
 
 
@@ -29,7 +32,8 @@ class AppearanceConfig:
     Attributes:
         style: published, or knotbench for black lines on white with gaps, without marks of base
             and direction. These fill the picture, are 512 pixels large unless other sizes are
-            given, and have no colours or background to vary.
+            given, and have no colours or background to vary; or photo for rope of one colour on a
+            table, which a tilted camera sees; all of its appearance varies.
         vary: what to randomize: all, none, or some of
             colours,width,background,turn,zoom,noise,blur.
         sizes: side in pixels, 64 to 512; from several (64,128) one is drawn at random.
@@ -38,6 +42,9 @@ class AppearanceConfig:
         noise: largest standard deviation of the Gaussian noise, levels of 255.
         blur: largest standard deviation of the Gaussian blur, pixels of a 128-pixel picture;
             scaled with the size.
+        tilt: largest tilt of a photo's camera, degrees.
+        marked: share of photos in which tape marks the base bead, white, and the bead before it,
+            red.
     """
 
     style: Annotated[str, choice(*STYLES)] = "published"
@@ -47,8 +54,12 @@ class AppearanceConfig:
     zoom: Annotated[tuple[Positive, Positive], Ordered] = (0.8, 1.5)
     noise: NonNegative = 8.0
     blur: NonNegative = 0.6
+    tilt: Annotated[Real, Field(ge=0, le=TILT)] = TILT
+    marked: Share = 0.2
 
     def __post_init__(self) -> None:
+        if self.style == "photo" and self.vary:
+            raise InvalidInput("all of a photo varies; leave out what to vary")
         if self.style == "knotbench":
             if fixed := {"colours", "background", "zoom"} & set(self.vary):
                 raise InvalidInput(

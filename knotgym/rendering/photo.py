@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from knotgym.common.streams import Stream, generator
 from knotgym.rendering import photo_kernels as kernels
 from knotgym.rendering.appearance import Appearance
-from knotgym.rendering.camera import RGB, PictureConfig, project
+from knotgym.rendering.appearance_config import TILT
+from knotgym.rendering.camera import DEFAULT, RGB
 from knotgym.rendering.strand_spacing import strand_spacing
 from knotgym.topology.crossings import Crossings, find_crossings
 
@@ -29,14 +30,13 @@ Array = NDArray[Any]
 
 SURFACES = ("cloth", "wood", "gradient", "noise")
 BACKGROUNDS = (*SURFACES, "clutter", "ropes")
-TILT = 25.0  # largest tilt, degrees
 WIDTHS = (3.0, 12.0)  # of the rope, px
 _TRIES = 12  # cameras
 _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
-_DARKEST = 0.45  # light that a shadow leaves, about
+_TAPE = (200, 30, 36)  # RGB, of the bead before the base
 
 
-class Limits(NamedTuple):
+class Legibility(NamedTuple):
     """What a picture must show for a person to decide every crossing.
 
     Lengths are in pixels of pictures up to 256 pixels large, and grow with larger ones.
@@ -60,7 +60,7 @@ class Limits(NamedTuple):
     order: float = 14.0
 
 
-LIMITS = Limits()
+LIMITS = Legibility()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ class Photo(Appearance):
         right, down: position of the rope's centre of mass relative to the picture's middle, px.
         tilt: angle between the line of sight and the vertical.
         heading: direction in which the camera leans, seen from above.
-        marked: whether tape marks the base bead, white, and the bead before it, black.
+        marked: whether tape marks the base bead, white, and the bead before it, red.
         twisted: whether the rope is laid of two strands.
         pitch: length of one turn of the twist, widths of the rope.
         gloss: strength of the highlight.
@@ -124,10 +124,14 @@ class Photo(Appearance):
         return "ropes" if self.others else "clutter" if self.clutter else self.surface
 
     @property
+    def scale(self) -> float:
+        """Pixels per metre."""
+        return self.zoom * self.size / DEFAULT.view
+
+    @property
     def radius(self) -> float:
         """Radius of the rope, px."""
-        picture = self.picture()
-        return picture.drawn_radius * picture.pixels_per_metre
+        return DEFAULT.rope_radius * self.width * self.scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +149,7 @@ class Shot:
             towards the camera above the centre of mass, metres.
         strands: uint8 (size, size), 0 where no rope is visible, else the edge of the PD code: edge
             k leads to visit k, and edge 1 passes the base. 1 everywhere without crossings.
-        contrast, order, region: measured, see `Limits`; infinity where there is nothing to measure.
+        contrast, order, region: measured, see `Legibility`; infinity where nothing is to measure.
     """
 
     image: NDArray[np.uint8]
@@ -194,6 +198,32 @@ def photograph(
     return None
 
 
+def drawn_photo(
+    points: Array, size: int, rng: np.random.Generator, tilt: float, heading: float, *, marked: bool
+) -> Shot:
+    """Draw a photo of points in the camera's axes that `clearest` shows to be legible.
+
+    Args:
+        tilt, heading: of the camera, degrees.
+        marked: whether tape marks the base, where no crossing hides it.
+    """
+    rope = _Rope(points, size)
+    for attempt in range(_TRIES):
+        wanted = marked and attempt < _TRIES // 2
+        shot = _drawn(rope, size, rng, tilt, heading, wanted)
+        if shot is not None:
+            return shot
+    return clearest(points, size, tilt, heading)
+
+
+def clearest(points: Array, size: int, tilt: float = 0.0, heading: float = 0.0) -> Shot:
+    """Take the plainest photo: a narrow white rope on a dark surface, as large as the picture."""
+    rope = _Rope(points, size)
+    look = _framed(rope, size, 0.0, 1.0, np.zeros(2), tilt, heading)
+    width = WIDTHS[0] / (2 * DEFAULT.rope_radius * look.scale)
+    return take(points, replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220)))
+
+
 def drawn_camera(rng: np.random.Generator, tilt: float = TILT) -> tuple[float, float]:
     """Draw tilt and heading, degrees, evenly over the directions up to a tilt."""
     lean = math.degrees(math.acos(rng.uniform(math.cos(math.radians(tilt)), 1.0)))
@@ -206,14 +236,19 @@ def tilted(points: Array, tilt: float, heading: float) -> Array:
     >>> tilted(np.array([[0.0, 0.0, 1.0]]), 90.0, 0.0).round(9).tolist()  # seen from the right
     [[-1.0, 0.0, 0.0]]
     """
-    t, h = math.radians(tilt), math.radians(heading)
-    lean = np.array([math.cos(h), math.sin(h), 0.0])
-    side, up = np.array([-lean[1], lean[0], 0.0]), np.array([0.0, 0.0, 1.0])
+    t, h, (x, y, z) = math.radians(tilt), math.radians(heading), points.T
+    c, s = math.cos(h), math.sin(h)
     # the direction of leaning is foreshortened, the one across it stays
-    along = points @ (math.cos(t) * lean - math.sin(t) * up)
-    across, height = points @ side, points @ (math.cos(t) * up + math.sin(t) * lean)
-    flat = along[:, None] * lean + across[:, None] * side
-    return np.column_stack([flat[:, :2], height])
+    along, across = c * x + s * y, c * y - s * x
+    along, height = math.cos(t) * along - math.sin(t) * z, math.sin(t) * along + math.cos(t) * z
+    return np.stack([c * along - s * across, s * along + c * across, height], axis=1)
+
+
+def projected(offset: Array, turn: float, scale: float) -> Array:
+    """Return x and y down in the picture, and height, (n, 3), of positions in the camera's axes."""
+    x, y, z = offset.T
+    c, s = math.cos(turn) * scale, math.sin(turn) * scale
+    return np.stack([c * x + s * y, s * x - c * y, scale * z], axis=1)
 
 
 def take(points: Array, look: Photo) -> Shot:
@@ -221,7 +256,11 @@ def take(points: Array, look: Photo) -> Shot:
     rope = _Rope(points, look.size)
     rng = generator(Stream.IMAGE_GRAIN, look.seed)
     view, (texture, ground) = _View(rope, look), _ground(look, rng)
-    return _developed(rope, view, look, view.region(), texture, ground, rng)
+    region = view.region(2 * look.radius)
+    if not region:
+        view.stamp(look.radius)
+    shot = _painted(rope, view, look, region, texture, ground, rng)
+    return replace(shot, image=_exposed(shot.image, look))
 
 
 def episode_look(points: Array, size: int, number: int) -> Photo:
@@ -238,32 +277,32 @@ def episode_look(points: Array, size: int, number: int) -> Photo:
     rng = generator(Stream.EPISODE_LOOK, 0, number)
     look = replace(_looks(Photo(size=size), rng), marked=True, occluders=0)
     ground = _ground(look, generator(Stream.IMAGE_GRAIN, look.seed))[1]
-    return _coloured(look, _View(_Rope(points, size), look), ground, rng)
+    view = _View(_Rope(points, size), look)
+    view.stamp(look.radius)
+    return _coloured(look, view, ground, rng)
 
 
 class _Rope:
-    """The smooth rope and its crossings; `parts` pieces for each bead."""
+    """The smooth rope, centred, and its crossings; `parts` pieces for each bead."""
 
     def __init__(self, points: Array, size: int) -> None:
-        self.points, self.parts = points, 2 if size <= 256 else 4
-        self.crossings = find_crossings(points)
+        self.points, self.parts = points, min(-(-size // 128), 3)
+        self.crossings, flat = find_crossings(points), points - points.mean(axis=0)
+        n, t = len(points), (np.arange(self.parts) / self.parts)[:, None]
+        before, after = np.arange(-1, n - 1), np.append(np.arange(1, n), 0)
         # vertices are eased towards their neighbours, as no rope bends at a point; less, or along
         # the polygon, where that would change the code
         for ease, bent in ((0.25, 1.0), (0.1, 1.0), (0.0, 1.0), (0.0, 0.0)):
-            here = points
-            for _ in range(2):
-                here = here + ease * (
-                    np.roll(here, 1, axis=0) + np.roll(here, -1, axis=0) - 2 * here
-                )
-            step = np.roll(here, -1, axis=0) - here
-            slope = step + bent * (0.5 * (np.roll(step, 1, axis=0) + step) - step)
-            end = step + bent * (np.roll(slope, -1, axis=0) - step)
-            t = (np.arange(self.parts) / self.parts)[:, None, None]
+            here = flat
+            for _ in range(2 if ease else 0):
+                here = here + ease * (here[before] + here[after] - 2 * here)
+            step = here[after] - here
+            slope = step - 0.5 * bent * (step - step[before])
+            end = step + bent * (slope[after] - step)
             # the cubic through here and the next vertex, with these slopes at its ends
-            cubic = here + t * (
-                slope + t * (3 * step - 2 * slope - end + t * (slope + end - 2 * step))
-            )
-            self.curve = np.ascontiguousarray(cubic.swapaxes(0, 1)).reshape(-1, 3)
+            square, cube = 3 * step - 2 * slope - end, slope + end - 2 * step
+            parts = [one[:, None] for one in (here, slope, square, cube)]
+            self.curve = (parts[0] + t * (parts[1] + t * (parts[2] + t * parts[3]))).reshape(-1, 3)
             self.shown = find_crossings(self.curve)
             if self.shown.code == self.crossings.code:
                 return
@@ -275,25 +314,65 @@ class _View:
     Attributes:
         curve: float32 (n, 3), x and y, and height in px.
         visits: float64 (2 nx,), sorted places of the visits, in pieces.
-        square, place: as `photo_kernels.stamp` finds them.
+        square, place: as `photo_kernels.stamp` finds them, after `stamp`.
     """
 
     def __init__(self, rope: _Rope, look: Photo) -> None:
-        self.radius, self.unit, shown = look.radius, max(look.size / 256, 1.0), rope.shown
-        middle, picture = rope.points.mean(axis=0), look.picture()
-        flat = project(rope.curve, picture, middle) + (look.right, look.down)
-        height = (rope.curve[:, 2] - middle[2]) * picture.pixels_per_metre
-        self.curve = np.column_stack([flat, height]).astype(np.float32)
+        self.unit, self.size, shown = max(look.size / 256, 1.0), look.size, rope.shown
+        middle = 0.5 * look.size + np.array([look.right, look.down, -0.5 * look.size])
+        curve = projected(rope.curve, look.turn, look.scale) + middle
+        self.curve = curve.astype(np.float32)
+        self.after = np.append(np.arange(1, len(self.curve)), 0)
         self.over, self.under = shown.over_place, shown.under_place
-        self.after = np.append(np.arange(1, len(flat)), 0)
         places = np.concatenate([self.over, self.under])
         order = np.argsort(places)
-        self.visits = places[order]
-        self.square = np.full((2, look.size, look.size), kernels.FAR, np.float32)
+        self.visits, self.goes_over = places[order], order < len(self.over)
+        flat = self.curve[:, :2]
+        step = flat[self.after] - flat
+        self.along = step + step[self.after - 2]  # about twice the direction at each point
+        self.along /= np.sqrt((self.along**2).sum(axis=1))[:, None]
+        walked = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
+        self.walked = walked
+        visits = np.interp(self.visits, np.arange(len(walked)), walked)
+        # lengths between consecutive visits; between the base and the nearest visit
+        self.apart = np.diff(visits, append=visits[:1] + walked[-1]).min(initial=np.inf)
+        self.base_spacing = np.minimum(visits, walked[-1] - visits).min(initial=np.inf)
+        a, b = self.along[np.array([self.over, self.under]).astype(np.int64) % len(flat)]
+        self.sines = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+    def stamp(self, radius: float) -> None:
+        """Find the nearest pieces of a rope of this radius, px."""
+        self.radius = radius
+        self.square = np.full((2, self.size, self.size), kernels.FAR, np.float32)
         self.place = np.empty_like(self.square)
-        self.flags = _layers(self.visits, order < len(self.over), len(flat))
-        reach = 2.5 * self.radius + 3.0  # of shadows
-        kernels.stamp(self.curve, self.after, self.flags, reach, self.square, self.place)
+        flags = kernels.layers(self.visits, self.goes_over, len(self.curve))
+        kernels.stamp(self.curve, self.after, flags, _reach(radius), self.square, self.place)
+
+    def region(self, width: float) -> float:
+        """Draw a rope of this width, px; return its smallest region, 0 if it isn't legible."""
+        gap = LIMITS.gap * self.unit
+        if (self.sines < math.sin(math.radians(LIMITS.angle))).any():
+            return 0.0
+        if self.apart < 1.5 * width + gap:
+            return 0.0
+        # a fold whose arms touch can't be told from a small kink
+        length = self.walked[-1]
+        further = np.searchsorted(self.walked, (self.walked[:-1] + 2.0 * width) % length) - 1
+        if ((self.along * self.along[further]).sum(axis=1) < -0.85).any():
+            return 0.0
+        # strands that touch but belong to one bend or crossing, at most so long, can be told apart
+        flat = self.curve[:, :2].astype(np.float64)
+        if strand_spacing(flat, self.over, self.under, 4.5 * width) < width + gap:
+            return 0.0
+        self.stamp(0.5 * width)
+        near = (self.radius + 0.5 * gap) ** 2
+        low = np.maximum(self.curve[:, :2].min(axis=0) - self.radius - 4, 0).astype(int)
+        high = (self.curve[:, :2].max(axis=0) + self.radius + 5).astype(int)
+        square = self.square[:, low[1] : high[1], low[0] : high[0]]
+        free = ((square[0] > near) & (square[1] > near)).view(np.uint8)
+        areas = cv2.connectedComponentsWithStats(free, connectivity=8, ltype=cv2.CV_16U)[2][1:, -1]
+        least = float(areas.min()) / self.unit**2
+        return least if len(areas) == len(self.over) + 2 and least >= LIMITS.region else 0.0
 
     def at(self, places: Array) -> Array:
         """Return x and y (n, 2) of places along the curve."""
@@ -301,62 +380,21 @@ class _View:
         n, part = len(self.curve), (places - index)[:, None]
         return (1 - part) * self.curve[index % n, :2] + part * self.curve[(index + 1) % n, :2]
 
-    def headings(self, places: Array) -> Array:
-        """Return unit directions (n, 2) of walking at places along the curve."""
-        step = self.at(places + 1) - self.at(places - 1)
-        return step / np.hypot(step[:, 0], step[:, 1])[:, None]
-
-    def crossing_sines(self) -> Array:
-        """Return the sine of the angle at each crossing."""
-        a, b = self.headings(self.over), self.headings(self.under)
-        return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-
-    def region(self) -> float:
-        """Return the smallest enclosed region, see `Limits`; 0 if a crossing can't be decided."""
-        width, gap = 2 * self.radius, LIMITS.gap * self.unit
-        if (self.crossing_sines() < math.sin(math.radians(LIMITS.angle))).any():
-            return 0.0
-        steps = np.hypot(*np.diff(self.curve[:, :2], axis=0, append=self.curve[:1, :2]).T)
-        walked = np.append(0.0, np.cumsum(steps))
-        visits = np.interp(self.visits, np.arange(len(walked)), walked)
-        apart = np.diff(visits, append=visits[:1] + walked[-1])
-        if (apart < 1.5 * width + gap).any():
-            return 0.0
-        flat = self.curve[:, :2].astype(np.float64)
-        # strands that touch but belong to one bend or crossing, at most so long, can be told apart
-        if strand_spacing(flat, self.over, self.under, 4.5 * width) < width + gap:
-            return 0.0
-        free = (np.minimum(*self.square) > (self.radius + 0.5 * gap) ** 2).astype(np.uint8)
-        areas = cv2.connectedComponentsWithStats(free, connectivity=4, ltype=cv2.CV_16U)[2][1:, -1]
-        least = float(areas.min()) / self.unit**2
-        return least if len(areas) == len(self.over) + 2 and least >= LIMITS.region else 0.0
-
     def beside(self) -> tuple[Array, Array]:
         """Return pixels (n, 2), x and y, on the rope, and on the background beside each."""
-        places = np.arange(0.0, len(self.curve), 2.0)
-        along = self.headings(places)
-        inner, off = self.at(places), (self.radius + 1.5) * along[:, ::-1] * (-1, 1)
+        inner = self.curve[::2, :2]
+        off = (self.radius + 1.5) * self.along[::2, ::-1] * np.array([-1, 1], np.float32)
         inner, outer = np.concatenate([inner, inner]), np.concatenate([inner - off, inner + off])
-        x, y = outer.astype(np.int64).T
-        inside = (np.minimum(x, y) >= 0) & (np.maximum(x, y) < self.square.shape[1])
-        inner, outer, x, y = (one[inside] for one in (inner, outer, x, y))
+        inner, outer = inner.astype(np.int64), outer.astype(np.int64)
+        x, y = np.clip(outer, 0, self.size - 1).T
         free = self.square[:, y, x].min(axis=0) > (self.radius + 1) ** 2
-        return inner[free].astype(np.int64), outer[free].astype(np.int64)
+        free &= (x == outer[:, 0]) & (y == outer[:, 1])
+        return inner[free], outer[free]
 
 
-def _layers(visits: Array, over: Array, n: int) -> NDArray[np.uint8]:
-    """Return the flags of n pieces; see `photo_kernels.UNDER`."""
-    if not len(visits):
-        return np.full(n, kernels.UNDER, np.uint8)
-    cuts = 0.5 * (visits + np.append(visits[1:], visits[0] + n))  # after each visit
-    # the last arc may end beyond the last piece, at the beginning of the curve
-    index = np.searchsorted(np.sort(cuts % n), np.arange(n) + 0.5) - int(cuts[-1] >= n)
-    upper = over[index % len(visits)]
-    before, after = np.roll(upper, 1), np.roll(upper, -1)
-    lower = ~upper | ~before | ~after | ~np.roll(upper, 2) | ~np.roll(upper, -2)
-    flags = kernels.UNDER * lower + kernels.OVER * upper
-    flags += kernels.FIRST * (upper & ~before) + kernels.LAST * (upper & ~after)
-    return flags.astype(np.uint8)
+def _reach(radius: float) -> float:
+    """Return how far from its axis the rope and its shadows reach, px."""
+    return 1.8 * radius + 1.5
 
 
 def _drawn(
@@ -366,53 +404,51 @@ def _drawn(
     """Draw frame and appearance of one view; None if it isn't legible."""
     if rope.shown.nx > LIMITS.crossings:
         return None
-    widest, turn, fill = rng.uniform(*WIDTHS), rng.uniform(-math.pi, math.pi), rng.uniform(0.7, 1.0)
-    place = rng.uniform(-1.0, 1.0, 2)
-    for share in (1.0, 0.7, 0.45, 0.0):
-        px = max(WIDTHS[0], share * widest)
-        look = Photo(
-            size=size,
-            turn=turn,
-            tilt=tilt,
-            heading=heading,
-            **_frame(rope, size, turn, fill, px, place),
-        )
-        view = _View(rope, look)
-        if region := view.region():
+    turn, fill = rng.uniform(-math.pi, math.pi), rng.uniform(0.7, 1.0)
+    look = _framed(rope, size, turn, fill, rng.uniform(-1.0, 1.0, 2), tilt, heading)
+    view, widest = _View(rope, look), rng.uniform(*WIDTHS)
+    # a rope that is illegible at its narrowest isn't looked at any further
+    region = view.region(least := WIDTHS[0])
+    for width in (widest, max(least, 0.6 * widest), least) if region else ():
+        if region := view.region(width):
             break
-    else:
+    if not region:
         return None
-    tape = 1.5 * px / max(np.hypot(*(view.curve[1] - view.curve[0])[:2]), 1e-3)
-    away = np.minimum(view.visits, len(view.curve) - view.visits).min(initial=np.inf)
     wanted = bool(rng.random() < 0.2) if marked is None else marked
-    if wanted and away < tape:
-        wanted = False
-        if marked:
-            return None
+    hidden = view.base_spacing < 1.5 * width
+    if marked and hidden:
+        return None
+    width /= 2 * DEFAULT.rope_radius * look.scale
+    look = replace(look, width=width, marked=wanted and not hidden)
     for _ in range(4):
-        look = replace(_looks(look, rng), marked=wanted)
+        look = _looks(look, rng)
         grain = generator(Stream.IMAGE_GRAIN, look.seed)
         texture, ground = _ground(look, grain)
         look = _coloured(look, view, ground, rng)
-        shot = _developed(rope, view, look, region, texture, ground, grain)
+        shot = _painted(rope, view, look, region, texture, ground, grain)
         if shot.legible:
-            return shot
-        view = _View(rope, look)
+            return replace(shot, image=_exposed(shot.image, look))
+        if look.others:
+            view.stamp(look.radius)
     return None
 
 
-def _frame(
-    rope: _Rope, size: int, turn: float, fill: float, px: float, place: Array
-) -> dict[str, Any]:
-    """Return zoom, width, right and down of a rope px wide that fills a share of the picture."""
-    plain = PictureConfig(size=size, turn=turn)
-    flat = project(rope.curve, plain, rope.points.mean(axis=0)) - 0.5 * size
+def _framed(
+    rope: _Rope, size: int, turn: float, fill: float, place: Array, tilt: float, heading: float
+) -> Photo:
+    """Choose zoom and position: the rope fills a share of the picture's side, `place` of the rest.
+
+    Args:
+        fill: at most 1.
+        place: (2,), right and down, from -1 to 1.
+    """
+    flat = projected(rope.curve, turn, size / DEFAULT.view)[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
-    room = size - px - 4.0
+    room = size - WIDTHS[1] - 2.0
     zoom = fill * room / float((high - low).max())
     right, down = 0.5 * (room - zoom * (high - low)) * place - 0.5 * zoom * (low + high)
-    width = px / (2 * plain.drawn_radius * zoom * plain.pixels_per_metre)
-    return {"zoom": zoom, "width": width, "right": float(right), "down": float(down)}
+    frame: dict[str, Any] = {"zoom": zoom, "right": float(right), "down": float(down)}
+    return Photo(size=size, turn=turn, tilt=tilt, heading=heading, **frame)
 
 
 def _looks(look: Photo, rng: np.random.Generator) -> Photo:
@@ -443,7 +479,7 @@ def _looks(look: Photo, rng: np.random.Generator) -> Photo:
         light_turn=float(rng.uniform(0, 360)),
         light_height=float(rng.uniform(35, 75)),
         ambient=float(rng.uniform(0.35, 0.65)),
-        shadow=float(rng.uniform(0.5, 0.85)),
+        shadow=float(rng.uniform(0.6, 0.9)),
         falloff=float(rng.uniform(0, 0.35)),
         warmth=float(rng.uniform(-0.12, 0.18)),
         exposure=float(rng.uniform(0.8, 1.15)),
@@ -457,20 +493,23 @@ def _looks(look: Photo, rng: np.random.Generator) -> Photo:
 def _ground(look: Photo, rng: np.random.Generator) -> tuple[Array, Array]:
     """Paint the surface with its clutter; return the random texture of all patterns, too."""
     texture = rng.random((64, 64), dtype=np.float32)
-    cell = look.grain * look.size / 256
+    small = min(look.size, 256)  # surfaces are no finer than that
+    cell = look.grain * small / 256
     lean = math.radians(look.heading) - look.turn  # in the picture, y up
     c, s, tilt = math.cos(lean), math.sin(lean), math.cos(math.radians(look.tilt))
     flat = np.array([[c / tilt, -s / tilt], [s, c]])  # along the leaning, stretched; across it
     turn = math.radians(look.grain_turn) + lean
     axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     axes = axes @ flat / cell
-    start = rng.uniform(0, 64, 2) * (look.surface != "gradient") - axes @ np.full(2, look.size / 2)
-    picture = np.empty((look.size, look.size, 3), np.uint8)
+    start = rng.uniform(0, 64, 2) * (look.surface != "gradient") - axes.sum(axis=1) * small / 2
+    picture = np.empty((small, small, 3), np.uint8)
     ends = [np.array(one, np.float32) for one in (look.background, look.ground)]
     kind = SURFACES.index(look.surface)
     kernels.surface(
         picture, kind, texture, np.column_stack([axes, start]).astype(np.float32), *ends
     )
+    if small < look.size:
+        picture = np.asarray(cv2.resize(picture, (look.size, look.size)))
     if look.clutter:
         middles = rng.uniform(0, look.size, (look.clutter, 2))
         reach = rng.uniform(0.04, 0.2, look.clutter) * look.size
@@ -511,31 +550,26 @@ def _coloured(look: Photo, view: _View, ground: Array, rng: np.random.Generator)
     rope = _lab((0.66 if look.twisted else 0.8) * dyes)
     behind = ground[y[::3], x[::3]].astype(np.float64)
     lit, shaded = _lab(behind), _lab((1 - 0.55 * look.shadow) * behind)
-    apart = [np.linalg.norm(rope[:, None] - one, axis=2) for one in (lit, shaded)]
+    apart = [_length(rope[:, None] - one) for one in (lit, shaded)]
     contrast = np.min([_low(one) for one in apart], axis=0)
     # where the rope is dark, shadows don't show which strand is over
-    fits = (contrast > LIMITS.contrast + 4) & (rope[:, 0] > 45)
+    fits = (contrast > LIMITS.contrast + 6) & (rope[:, 0] * look.shadow > 2.6 * LIMITS.order)
     best = int(np.argmax(fits)) if fits.any() else int(np.argmax(contrast + rope[:, 0]))
     second = dyes[best] * (rng.uniform(0.6, 0.9) if look.twisted and rng.random() < 0.3 else 1.0)
     return replace(look, first=_levels(dyes[best]), last=_levels(second))
 
 
-def _developed(
+def _painted(
     rope: _Rope, view: _View, look: Photo, region: float, texture: Array, picture: Array,
     rng: np.random.Generator,
 ) -> Shot:  # fmt: skip
-    """Paint the rope and what lies beside and on it on the ground, and add the camera's faults."""
-    nearest, n = view.square.min(axis=0), len(view.curve)
-    top = np.where(view.square[1] < view.radius**2, view.place[1], view.place[0])
-    seen = nearest < view.radius**2
-    strands = np.zeros(picture.shape[:2], np.uint8)
-    edges = max(len(view.visits), 1)
-    strands[seen] = np.searchsorted(view.visits, top[seen], side="right") % edges + 1
+    """Paint the rope and what lies beside and on it on the ground, and measure the picture."""
+    n, strands = len(view.curve), np.zeros(picture.shape[:2], np.uint8)
     beside = view.beside()
     colours = np.empty((n, 2, 3), np.float32)
     colours[:, 0], colours[:, 1] = look.first, look.last
     if look.marked:
-        colours[: rope.parts], colours[-rope.parts :] = (235, 30)
+        colours[: rope.parts], colours[-rope.parts :] = 240, _TAPE
     curve, after = view.curve, view.after
     if look.others:
         curve, after, colours = _with_others(view, look, colours, rng)
@@ -549,7 +583,8 @@ def _developed(
     light = _light(look)
     grown = 3.0 * view.radius * n / length[n]
     kernels.compose(
-        picture, view.square, view.place, curve, after, tangent.astype(np.float32),
+        picture, strands, view.visits, view.square, view.place, curve, after,
+        tangent.astype(np.float32),
         (length * turns / length[n]).astype(np.float32), colours, view.radius, look.twisted,
         look.gloss, look.ambient, look.shadow, light.astype(np.float32), texture, grown, n,
     )  # fmt: skip
@@ -558,6 +593,15 @@ def _developed(
     if look.blur > 0.2:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), look.blur))
     contrast, order = _contrasts(view, picture, *beside)
+    line = view.curve[:: rope.parts].copy()
+    line[:, 2] = rope.curve[:: rope.parts, 2]
+    answers = rope.points, rope.crossings, view.at(view.over), line, strands
+    return Shot(picture, look, *answers, contrast, order, region)
+
+
+def _exposed(picture: Array, look: Photo) -> Array:
+    """Add what the lamp and the camera do to a picture, which is changed."""
+    light = _light(look)
     gain = look.exposure * np.array([1 + 0.5 * look.warmth, 1.0, 1 - 0.5 * look.warmth])
     slope = (look.falloff * light[:2]).astype(np.float32)
     kernels.expose(picture, gain.astype(np.float32), slope, look.noise, look.seed)
@@ -565,10 +609,7 @@ def _developed(
         quality = [cv2.IMWRITE_JPEG_QUALITY, look.jpeg]
         _, packed = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), quality)
         picture = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR_RGB))
-    height = rope.curve[:: rope.parts, 2] - rope.points[:, 2].mean()
-    line = np.column_stack([view.curve[:: rope.parts, :2], height]).astype(np.float32)
-    answers = rope.points, rope.crossings, view.at(view.over), line, strands
-    return Shot(picture, look, *answers, contrast, order, region)
+    return picture
 
 
 def _with_others(
@@ -598,7 +639,7 @@ def _with_others(
         colours = np.concatenate([colours, np.tile(dye, (len(path), 2, 1)).astype(np.float32)])
     new = np.where(np.arange(len(curve)) < len(view.curve), -1, after)
     flags = np.full(len(curve), kernels.UNDER, np.uint8)
-    kernels.stamp(curve, new, flags, 2.5 * view.radius + 3.0, view.square, view.place)
+    kernels.stamp(curve, new, flags, _reach(view.radius), view.square, view.place)
     return curve, after, colours
 
 
@@ -608,14 +649,15 @@ def _occlude(view: _View, look: Photo, picture: Array, rng: np.random.Generator)
     for _ in range(8 * look.occluders):
         k, reach = int(rng.integers(n)), float(rng.uniform(1.2, 2.0)) * view.radius + 3.0
         clear = 1.5 * (reach + view.radius + 3.0)
-        near = np.flatnonzero(np.linalg.norm(flat - flat[k], axis=1) < clear)
+        near = np.flatnonzero(_length(flat - flat[k]) < clear)
         apart = np.abs(near - k)
         apart = np.minimum(apart, n - apart)
         taken = [abs(k - other) < n // 20 for other, _ in chosen]
         base = min(k, n - k) < n // 20 and look.marked
-        # all that is near is this strand, which doesn't bend: it leaves the circle after its radius
-        step = np.linalg.norm(flat[k] - flat[k - 1])
-        if apart.max() * step < 1.15 * clear and not any(taken) and not base:
+        # all that is near is this strand, and it is straight
+        far = int(clear * n / view.walked[-1]) + 1
+        bend = (view.along[k - far] * view.along[(k + far) % n]).sum()
+        if apart.max() < 1.5 * far and bend > 0.8 and not any(taken) and not base:
             chosen.append((k, reach))
         if len(chosen) == look.occluders:
             break
@@ -625,28 +667,24 @@ def _occlude(view: _View, look: Photo, picture: Array, rng: np.random.Generator)
 
 
 def _contrasts(view: _View, shown: Array, inner: Array, outer: Array) -> tuple[float, float]:
-    """Measure contrast and order of a picture without noise; see `Limits`."""
+    """Measure contrast and order of a picture without noise; see `Legibility`."""
     rope, behind = (_lab(shown[at[:, 1], at[:, 0]]) for at in (inner, outer))
     # averaged along the rope, so that a twist's grooves don't count as its colour
     rope = cv2.blur(rope, (1, 5))
-    contrast = float(_low(np.linalg.norm(rope - behind, axis=1)))
+    contrast = float(_low(_length(rope - behind)))
     if not len(view.over):
         return contrast, math.inf
-    middle, along, across = view.at(view.over), view.headings(view.over), view.headings(view.under)
+    middle = view.at(view.over)
+    pieces = np.array([view.over, view.under]).astype(np.int64) % len(view.curve)
+    along, across = view.along[pieces]
+    sine = view.sines[:, None]
     spots = [middle + share * view.radius * along for share in (-0.5, 0.0, 0.5)]
-    upper = np.mean([_colours_at(shown, spot) for spot in spots], axis=0)
-    sine = view.crossing_sines()[:, None]
-    apart = list[Array]()
     for side in (-1, 1):  # the under strand disappears on both sides
-        spots = [middle + side * (view.radius + off) / sine * across for off in (0.4, 1.0, 1.6)]
-        gaps = [np.linalg.norm(_colours_at(shown, spot) - upper, axis=1) for spot in spots]
-        apart.append(np.max(gaps, axis=0))
-    return contrast, float(np.min(apart))
-
-
-def _colours_at(picture: Array, at: Array) -> Array:
-    x, y = np.clip(at, 0, len(picture) - 1).astype(np.int64).T
-    return _lab(picture[y, x])
+        spots += [middle + side * (view.radius + off) / sine * across for off in (0.4, 1.0, 1.6)]
+    x, y = np.clip(np.concatenate(spots), 0, view.size - 1).astype(np.int64).T
+    seen = _lab(shown[y, x]).reshape(9, -1, 3)
+    apart = _length(seen[3:] - seen[:3].mean(axis=0)).reshape(2, 3, -1)
+    return contrast, float(apart.max(axis=1).min())
 
 
 def _light(look: Photo) -> Array:
@@ -684,6 +722,11 @@ def _lab(colours: Array) -> Array:
     """Return CIELAB (n, 3) of RGB levels (n, 3), with a and b at half weight."""
     levels = np.clip(colours, 0, 255).astype(np.uint8)
     return cv2.cvtColor(levels[None], cv2.COLOR_RGB2LAB)[0] * np.array([100 / 255, 0.5, 0.5])
+
+
+def _length(vectors: Array) -> Array:
+    """Return the lengths of vectors along the last axis."""
+    return np.sqrt((vectors**2).sum(axis=-1))
 
 
 def _low(values: Array) -> Array:

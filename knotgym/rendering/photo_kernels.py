@@ -112,6 +112,34 @@ def shapes(
 
 
 @njit(cache=True, nogil=True)
+def layers(visits: Array, goes_over: Array, n: int) -> Array:
+    """Return the flags of n pieces, uint8; see UNDER.
+
+    Args:
+        visits: float64 (2 nx,), sorted places.
+        goes_over: bool (2 nx,).
+    """
+    flags, m, v = np.full(n, UNDER, np.uint8), len(visits), 0
+    if m == 0:
+        return flags
+    upper = np.zeros(n, np.bool_)
+    for k in range(n):
+        # the nearest visit, ahead or behind, round the closed curve
+        while v < m and visits[v] < k + 0.5:
+            v += 1
+        ahead = visits[v] if v < m else visits[0] + n
+        behind = visits[v - 1] if v > 0 else visits[m - 1] - n
+        upper[k] = goes_over[v % m] if ahead - k - 0.5 < k + 0.5 - behind else goes_over[v - 1]
+    for k in range(n):
+        if upper[k]:
+            before, after = upper[k - 1], upper[(k + 1) % n]
+            # the lower layer goes on for two pieces below the upper one
+            inside = before and after and upper[k - 2] and upper[(k + 2) % n]
+            flags[k] = OVER + UNDER * (not inside) + FIRST * (not before) + LAST * (not after)
+    return flags
+
+
+@njit(cache=True, nogil=True)
 def stamp(
     curve: Array, after: Array, flags: Array, reach: Any, square: Array, place: Array
 ) -> None:
@@ -143,7 +171,8 @@ def stamp(
                 upper = flags[k] & OVER and not (
                     (t < 0 and flags[k] & FIRST) or (t > 1 and flags[k] & LAST)
                 )
-                t = min(max(t, np.float32(0)), np.float32(1))
+                # a place belongs to this piece, not to the beginning of the next
+                t = min(max(t, np.float32(0)), np.float32(0.9999))
                 ex, ey = px - t * dx, py - t * dy
                 d = ex * ex + ey * ey
                 if d > limit:
@@ -165,16 +194,27 @@ def _arcsine_share(u: Any) -> Any:
     return share if u >= 0 else -share
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _edge(visits: Array, place: Any) -> int:
+    """Return the PD edge at a place: edge k leads to visit k, edge 1 passes the base."""
+    passed = 0
+    while passed < len(visits) and visits[passed] <= place:
+        passed += 1
+    return passed % max(len(visits), 1) + 1
+
+
 @njit(cache=True, nogil=True)
 def compose(
-    picture: Array, square: Array, place: Array, curve: Array, after: Array, tangent: Array,
-    along: Array, colours: Array, radius: Any, twisted: bool, gloss: Any, ambient: Any,
-    dark: Any, light: Array, texture: Array, grown: Any, own: int,
+    picture: Array, strands: Array, visits: Array, square: Array, place: Array, curve: Array,
+    after: Array, tangent: Array, along: Array, colours: Array, radius: Any, twisted: bool,
+    gloss: Any, ambient: Any, dark: Any, light: Array, texture: Array, grown: Any, own: int,
 ) -> None:  # fmt: skip
     """Paint both layers and their shadows on a surface.
 
     Args:
         picture: uint8 (size, size, 3); changed.
+        strands: uint8 (size, size), 0; set to the edge of the PD code that is visible.
+        visits: float64 (2 nx,), sorted places of the visits.
         square, place, curve, after: as in `stamp`.
         tangent: float32 (n, 3), unit.
         along: float32 (n,), length in space up to each point, in turns of the texture.
@@ -208,20 +248,28 @@ def compose(
     colour = np.empty(3, np.float32)
     for row in range(size):
         for column in range(size):
-            r, c = row + down, column + right
-            lit = one
-            if 0 <= r < size and 0 <= c < size:
-                d = np.sqrt(min(square[0, r, c], square[1, r, c]))
-                s = min(max(half + (radius - d) / (2 * soft), zero), one)
-                lit -= np.float32(0.7) * dark * s * s * (3 - 2 * s)
+            r, c = min(max(row + down, 0), size - 1), min(max(column + right, 0), size - 1)
+            nearest = min(square[0, row, column], square[1, row, column])
+            if min(nearest, square[0, r, c], square[1, r, c]) == FAR:
+                continue
+            d = np.sqrt(min(square[0, r, c], square[1, r, c]))
+            s = min(max(half + (radius - d) / (2 * soft), zero), one)
+            lit = one - np.float32(0.7) * dark * s * s * (3 - 2 * s)
             low, high = np.sqrt(square[0, row, column]), np.sqrt(square[1, row, column])
             s = min(max(one - (min(low, high) - radius) / near, zero), one)
             lit -= np.float32(0.5) * dark * s * s * lit
             for i in range(3):
                 colour[i] = lit * picture[row, column, i]
+            # where both layers show the same stretch of rope, the nearer one is right
+            apart = abs(place[0, row, column] - place[1, row, column])
+            same = max(low, high) < radius + near and min(apart, np.float32(own) - apart) <= grown
+            upper = high < low if same else high < radius
+            p = place[1, row, column] if upper else place[0, row, column]
+            if min(low, high) < radius and p < own:
+                strands[row, column] = _edge(visits, p)
             for layer in range(2):
                 d = high if layer else low
-                if d >= radius + half:
+                if d >= radius + half or (same and upper != (layer == 1)):
                     continue
                 p = place[layer, row, column]
                 k = min(int(p), n - 1)
@@ -261,11 +309,9 @@ def compose(
                     sheen *= sheen
                 sky = ambient * (half + half * rise)
                 shade = fibre * groove * (sky + (one - ambient) * np.float32(1.1) * diffuse)
-                if layer == 0 and high < radius + near:
-                    apart = abs(p - place[1, row, column])
-                    if min(apart, np.float32(own) - apart) > grown:
-                        s = min(one - (high - radius) / near, one)
-                        shade *= one - np.float32(0.95) * dark * s
+                if layer == 0 and high < radius + near and not same:
+                    s = min(one - (high - radius) / near, one)
+                    shade *= one - np.float32(0.95) * dark * s
                 glint = np.float32(170) * gloss * sheen * groove
                 for i in range(3):
                     colour[i] += cover * (shade * colours[k, which, i] + glint - colour[i])
@@ -285,21 +331,25 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
         slope: float32 (2,), change of light over the picture, right and down, a share.
         deviation: of the noise, levels.
     """
-    size, byte, half = len(picture), np.uint64(255), np.float32(0.5)
-    state = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x2545F4914F6CDD1D)
+    size, half, byte = len(picture), np.float32(0.5), np.uint32(255)
     scale = np.float32(deviation) / np.float32(147.8)  # the sum of four bytes deviates by so much
     for row in range(size):
         for column in range(size):
-            state ^= state << np.uint64(13)  # xorshift64 (Marsaglia, 2003)
-            state ^= state >> np.uint64(7)
-            state ^= state << np.uint64(17)
-            low = high = np.int64(-510)
-            for k in range(4):
-                low += np.int64((state >> np.uint64(8 * k)) & byte)
-                high += np.int64((state >> np.uint64(8 * k + 32)) & byte)
-            grey, tint = np.float32(low) * scale + half, half * np.float32(high) * scale
+            # a hash of the pixel's number (Wellons' lowbias32)
+            x = np.uint32(seed + row * size + column)
+            x = np.uint32((x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D))
+            x = np.uint32((x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B))
+            x ^= x >> np.uint32(16)
+            y = np.uint32(x * np.uint32(0x9E3779B1))
+            low = (x & byte) + ((x >> np.uint32(8)) & byte) + ((x >> np.uint32(16)) & byte)
+            low, high = (
+                low + (x >> np.uint32(24)),
+                (y >> np.uint32(24)) + ((y >> np.uint32(16)) & byte),
+            )
+            grey = np.float32(np.int32(low) - 510) * scale + half
+            tint = np.float32(np.int32(high) - 255) * scale * half
             light = 1 + slope[0] * (np.float32(column) / size - half)
             light += slope[1] * (np.float32(row) / size - half)
             for c in range(3):
-                level = picture[row, column, c] * light * gain[c] + grey + (1 - c) * tint
+                level = picture[row, column, c] * light * gain[c] + grey + np.float32(1 - c) * tint
                 picture[row, column, c] = np.uint8(min(max(level, np.float32(0)), np.float32(255)))

@@ -1,5 +1,6 @@
 """Window of `render_mode="human"`: the rope beside its goal, as in videos, shown by pygame."""
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -67,6 +68,9 @@ class PictureWindow:
             self._screen = None
 
     def _open(self, size: tuple[int, int]) -> None:
+        # A window that SDL fills by OpenGL holds this thread's context: beside it MuJoCo's renderer
+        # could make none by EGL, and would crash by OSMesa.
+        os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
         try:
             self._pygame.display.init()
             self._screen = self._pygame.display.set_mode(size)

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.actions import CHOICES, choices, chosen_forces
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import LONGEST, WaypointFollower
 from knotgym.rope.simulation import Simulation
 
@@ -35,8 +34,7 @@ class ActionView:
         count, beads = simulation.points.shape[:2]
         self._counts = choices(view, beads) if view in CHOICES else None
         self._actions: NDArray[np.float64] = np.zeros((count, 6))
-        self._config = MacroActionConfig()
-        self._controller = WaypointFollower(count, self._config)
+        self._controller = WaypointFollower(count)
         self.busy = np.zeros(count, dtype=bool)
         self.pulls = np.zeros(count, dtype=np.int64)
         self.macros = np.zeros((count, 3), dtype=np.int64)

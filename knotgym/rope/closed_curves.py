@@ -48,9 +48,11 @@ def close_loops(along: Array) -> None:
                     for c in range(3):
                         one = 1.0 if r == c else 0.0
                         m[r, c] += (one - unit[i, r] * unit[i, c]) / norm[i]
-            if np.abs(total).max() < 1e-13 * beads:
+            off = max(abs(total[0]), abs(total[1]), abs(total[2]))
+            if off < 1e-13 * beads:
                 break
-            m[:, 3] = total
+            for r in range(3):  # assigning a slice would take seconds to compile
+                m[r, 3] = total[r]
             _add_solution(m, shift)
         for i in range(beads):
             for c in range(3):

@@ -84,5 +84,5 @@ def compile_engine(engine: str) -> None:
 def warn_of_compilation(engine: str) -> None:
     """Log, once per process and engine, that the first run has to wait for compilation."""
     if engine not in _warned and not is_compiled(engine):
-        _log.warning("compiling, in the first run only; `knotgym compile` does it beforehand")
+        _log.warning("compiling, in the first run only")
     _warned.add(engine)

@@ -20,11 +20,30 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.rope.actions import FORCE_BINS, quantized
-from knotgym.rope.macro_action_config import KINDS, MacroActionConfig
 from knotgym.rope.model import Array
 
 LONGEST = 10  # actions of a macro-action, at most
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
+KINDS = ("pass", "curl", "spread", "shift")
+
+# STRIDE is about what is measured: at full force the pulled bead moves by 48 mm in an action on
+# average. The others were set by hand when play made the states (2026), and no record says what
+# other values gave. A change needs the table of moves made again (`benchmarks/moves.py`), and
+# `expert` and `planner` must succeed as often as docs/benchmark.md says. Lengths are in metres,
+# angles in radians.
+SHARES = (0.4, 0.25, 0.1, 0.25)  # probabilities of KINDS in random draws
+ARRIVED = 0.012  # distance at which a waypoint counts as reached
+STRIDE = 0.045  # what a step at full force moves a bead; it is less if the waypoint is nearer
+LIFT = 0.03  # height above or below a strand at which a bead passes it, or by which a shift rises
+RISE = 0.03  # horizontal distance within which a bead reaches that height
+_DISTANCE = 0.03, 0.2  # range of the length of a spread or shift
+_SPREAD_ANGLE, _PASS_ANGLE = 0.5, 0.3  # standard deviation of the heading of a spread; pass or curl
+_BEYOND = 0.02, 0.09  # range of the distance past the strand at which a pass or curl ends
+STRAIGHT_LIFT, _STRAIGHT_BEYOND = 0.06, 0.1  # the same two, of a pass without chance
+_FARTHEST = 0.3  # longest distance to a strand that a pass covers; one farther away isn't reached
+_PASS_APART = 12  # fewest beads along the rope between a bead and the strand it passes
+_CURL_APART = 6, 24  # range of that number for a curl, both ends included
+
 # Hauls were introduced for hard unknots, of which no planner without them solved any of 64
 # (docs/hard-unknots.md); their sizes were not compared.
 _HAUL_RISE = -0.2, 0.6  # range of the upward force, in units of the largest force
@@ -56,29 +75,28 @@ class MacroAction:
     side: int = 0
 
 
-def propose(points: Array, rng: np.random.Generator, config: MacroActionConfig) -> MacroAction:
+def propose(points: Array, rng: np.random.Generator) -> MacroAction:
     """Draw a macro-action at random.
 
     Args:
         points: float64 (beads, 3), metres.
         rng: source of all draws.
-        config: kinds and sizes.
     """
     # Draws come in this order whatever the kind: another order would change every seeded run.
     beads = len(points)
-    shares = cumulative_shares(np.array(config.shares))
+    shares = cumulative_shares(np.array(SHARES))
     kind = KINDS[int(shares.searchsorted(rng.random(), side="right"))]
     bead = int(rng.integers(beads))
     side = (-1, 1)[rng.integers(2)]
     if kind == "curl":
-        least, most = config.curl_apart  # either way along the rope
+        least, most = _CURL_APART  # either way along the rope
         apart = int(rng.integers(least, most + 1)) * (-1, 1)[rng.integers(2)]
     elif kind == "pass":
-        # at least pass_apart from the bead in both directions round the loop
-        apart = int(rng.integers(config.pass_apart, beads - config.pass_apart))
+        # at least so many from the bead in both directions round the loop
+        apart = int(rng.integers(_PASS_APART, beads - _PASS_APART))
     else:
-        return move_aside(points, kind, bead, side, rng, config)
-    return pass_strand(points, bead, (bead + apart) % beads, side, rng, config)
+        return move_aside(points, kind, bead, side, rng)
+    return pass_strand(points, bead, (bead + apart) % beads, side, rng)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,47 +133,37 @@ def propose_haul(beads: int, rng: np.random.Generator) -> Haul:
 
 
 def move_aside(
-    points: Array,
-    kind: str,
-    bead: int,
-    side: int,
-    rng: np.random.Generator,
-    config: MacroActionConfig,
+    points: Array, kind: str, bead: int, side: int, rng: np.random.Generator
 ) -> MacroAction:
     """Lead a bead away from the rope's middle ("spread"), or in a random direction ("shift").
 
-    A shift is raised (side +1) or lowered (-1) by `config.lift`; a spread stays at its height.
+    A shift is raised (side +1) or lowered (-1) by LIFT; a spread stays at its height.
     """
     offset = points[bead, :2] - points[:, :2].mean(axis=0)  # seen from above, as codes are
     height = points[bead, 2]
     if kind == "spread":
         side = 0  # whatever was drawn: the bead stays at its height
-        heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, config.spread_angle)
+        heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, _SPREAD_ANGLE)
     else:  # a shift heads anywhere, above or below what lies in its way
-        height = height + side * config.lift
+        height = height + side * LIFT
         heading = rng.uniform(-np.pi, np.pi)
-    far = rng.uniform(*config.distance)
-    waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), far)
+    far = rng.uniform(*_DISTANCE)
+    waypoints = _waypoints(points, bead, heading, height, min(RISE, far), far)
     return MacroAction(bead, waypoints, side=side)
 
 
 def pass_strand(
-    points: Array,
-    bead: int,
-    target: int,
-    side: int,
-    rng: np.random.Generator,
-    config: MacroActionConfig,
+    points: Array, bead: int, target: int, side: int, rng: np.random.Generator
 ) -> MacroAction:
     """Lead a bead over (side +1) or under (-1) the bead `target` and a little beyond it."""
-    turn, beyond = rng.normal(0, config.pass_angle), rng.uniform(*config.beyond)
+    turn, beyond = rng.normal(0, _PASS_ANGLE), rng.uniform(*_BEYOND)
     offset = points[target, :2] - points[bead, :2]
     # a strand farther away than that is approached without being passed
-    far = min(float(np.hypot(*offset)), config.farthest)
+    far = min(float(np.hypot(*offset)), _FARTHEST)
     heading = np.arctan2(offset[1], offset[0]) + turn
     # relative to the strand to pass, not to the bead
-    height = points[target, 2] + side * config.lift
-    waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), far + beyond)
+    height = points[target, 2] + side * LIFT
+    waypoints = _waypoints(points, bead, heading, height, min(RISE, far), far + beyond)
     return MacroAction(bead, waypoints, target, side)
 
 
@@ -213,9 +221,8 @@ class WaypointFollower:
         beads: int64 (n,), the bead to pull on each rope.
     """
 
-    def __init__(self, count: int, config: MacroActionConfig) -> None:
+    def __init__(self, count: int) -> None:
         self.beads = np.zeros(count, dtype=np.int64)
-        self._config = config
         self._waypoints = np.zeros((count, _WAYPOINTS, 3))
         self._stage = np.full(count, _WAYPOINTS)  # index of the next waypoint; past the end if idle
 
@@ -240,7 +247,9 @@ class WaypointFollower:
         """
         moves = np.array(passes, dtype=np.int64).reshape(-1, 3)
         self.beads[ids], self._stage[ids] = moves[:, 0], 0
-        _straight(points, ids, moves, self._waypoints, *self._config.straight)
+        _straight(
+            points, ids, moves, self._waypoints, RISE, _FARTHEST, STRAIGHT_LIFT, _STRAIGHT_BEYOND
+        )
 
     def release(self, ids: NDArray[np.int64]) -> None:
         """Abandon the macro-actions of some ropes."""
@@ -248,16 +257,15 @@ class WaypointFollower:
 
     def arrive(self, points: Array, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Go on to the first waypoint that the bead hasn't reached; return which have none left."""
-        _arrive(points, ids, self.beads, self._waypoints, self._stage, self._config.arrived)
+        _arrive(points, ids, self.beads, self._waypoints, self._stage, ARRIVED)
         return np.asarray(self._stage[ids] >= _WAYPOINTS)
 
     def forces(self, points: Array, ids: NDArray[np.int64]) -> NDArray[np.float32]:
         """Forces on the led beads, float32 (len(ids), 3), in units of the largest; 0 if idle.
 
-        Their length is 1, or less where the waypoint is nearer than `stride`. They are `quantized`.
+        Their length is 1, or less where the waypoint is nearer than STRIDE. They are `quantized`.
         """
-        stride = self._config.stride
-        return np.asarray(_lead(points, ids, self.beads, self._waypoints, self._stage, stride))
+        return np.asarray(_lead(points, ids, self.beads, self._waypoints, self._stage, STRIDE))
 
 
 @njit(cache=True, nogil=True)

@@ -1,12 +1,15 @@
-"""Progress of a command: a live table on a terminal, else plain lines on standard error."""
+"""What a command shows: progress, a live table on a terminal, else plain lines on standard error;
+and tables of results.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+from rich import box
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -135,6 +138,24 @@ class Progress:
         for name, value in {self._stage: since, **self._facts()}.items():
             table.add_row(Text(name, "bold"), Text(value))
         return table
+
+
+def narrow_table(
+    columns: Iterable[str], title: str | None = None, left: Sequence[str] = ()
+) -> Table:
+    """Make a table for terminals of 80 columns, which output to a pipe has too.
+
+    It has no vertical rules, and only the first column may wrap.
+    """
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for index, column in enumerate(columns):
+        table.add_column(
+            column,
+            justify="left" if column in left else "right",
+            no_wrap=index > 0,
+            overflow="fold",
+        )
+    return table
 
 
 def _duration(seconds: float) -> str:

@@ -41,8 +41,7 @@ from knotgym.runs.executors import InProcess, executor
 from knotgym.runs.identity import identity_of
 from knotgym.runs.journal import Journal, Result, has_results
 from knotgym.runs.progress import Progress, Status
-from knotgym.runs.run_options import Existing, RunOptions
-from knotgym.runs.shards import WHOLE, Shard
+from knotgym.runs.run_options import WHOLE, Existing, RunOptions, Shard
 
 Output = TypeVar("Output")
 
@@ -165,7 +164,7 @@ def run(
             if prepare is not None:
                 prepare(shown)
             place, show = folder / "made" / out.name, _shown_on(shown, count)
-            with (pool or partial(executor, options.workers, options.scheduler))() as workers:
+            with (pool or partial(executor, options.workers))() as workers:
                 try:
                     summary = compute(recipe(place), journal, workers, shard, show)
                 except _Missing as missing:

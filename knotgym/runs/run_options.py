@@ -1,15 +1,66 @@
-"""Options of a run that don't change its content.
+"""Options of a run that don't change its content: workers, shards, and what is there already.
 
 This module has no slow imports, because the command line reads options first.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
 from knotgym.common.configuration import Whole, configuration
 from knotgym.common.errors import InvalidInput
-from knotgym.runs.shards import Shard
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Shard `number`, counted from 1, of `of` shards, such as 2/8.
+
+    It computes every eighth of a run's results, from the second. Results don't depend on the shard
+    that computes them. A whole run is shard 1 of 1.
+    """
+
+    number: int = 1
+    of: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= self.of:
+            raise InvalidInput(f"a shard is i/n with i from 1 to n, such as 2/8; got {self}")
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.of}"
+
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """Parse "2/8"; "" means the whole run."""
+        words = text.split("/")
+        if not text:
+            return cls()
+        if len(words) != 2 or not all(word.isdecimal() and len(word) < 7 for word in words):
+            raise InvalidInput(f"a shard is i/n with i from 1 to n, such as 2/8; got {text!r}")
+        return cls(*map(int, words))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether this is the only shard."""
+        return self.of == 1
+
+    def dealt(self, things: Sequence[Any]) -> Sequence[Any]:
+        """Return every `of`-th item, from this shard's first.
+
+        >>> [Shard(number, 3).dealt(range(8)) for number in (1, 2, 3)]
+        [range(0, 8, 3), range(1, 8, 3), range(2, 8, 3)]
+        """
+        return things[self.number - 1 :: self.of]
+
+    def journal(self, out: Path) -> Path:
+        """Return the journal that this shard leaves beside the output `out` of the whole run."""
+        return out.with_name(f"{out.name}-shard-{self.number}-of-{self.of}.journal")
+
+
+WHOLE = Shard()
 
 
 def _shard(value: Any) -> Any:
@@ -44,22 +95,11 @@ class RunOptions(Existing):
 
     Attributes:
         workers: worker processes, 0 for one per core; doesn't change the result.
-        scheduler: address of a Dask scheduler, such as tcp://127.0.0.1:8786, whose workers share a
-            file system and run the work (needs the extra dask); by default local processes do.
         shard: 2/8 makes the second eighth of the run, and leaves its journal; the same run without
             a shard, where all eight journals lie, makes the output.
         quiet: print errors only.
     """
 
     workers: Whole = 0
-    scheduler: str = ""
     shard: Annotated[Shard, BeforeValidator(_shard)] = Shard()
     quiet: bool = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.scheduler and self.workers:
-            raise InvalidInput(
-                f"--workers {self.workers} is for local processes; a Dask cluster uses all of its"
-                " workers"
-            )

@@ -131,11 +131,11 @@ def pairs_within(
     return found
 
 
-def families(points: Array, within: float = NEAR) -> NDArray[np.int64]:
+def families(points: Array) -> NDArray[np.int64]:
     """Number the families, int64 (n,): components of the graph that connects near-duplicates."""
     # leader: the lowest row of the component; each pair merges two components
     leader = np.arange(len(points))
-    for row, other, _ in pairs_within(points, limit=within):
+    for row, other, _ in pairs_within(points, limit=NEAR):
         low, high = sorted((leader[row], leader[other]))
         leader[leader == high] = low
     return np.unique(leader, return_inverse=True)[1].astype(np.int64)

@@ -26,14 +26,13 @@ IMAGE_SPLITS = (*STATE_SPLITS, "test-code", "test-nx")
 
 
 def split(
-    codes: Sequence[GaussCode], by: str, train_share: float, rng: np.random.Generator
+    codes: Sequence[GaussCode], train_share: float, rng: np.random.Generator
 ) -> NDArray[np.str_]:
     """Assign states to "train" and "test", splitting the states of each code as evenly as possible.
 
     Args:
         codes: codes of the states, compared without chirality.
-        by: "state", or "code" for splits that share no code.
-        train_share: fraction of the states (or codes) that go to train.
+        train_share: fraction of the states that go to train.
         rng: generator of all random choices.
 
     Returns:
@@ -43,10 +42,6 @@ def split(
     kinds = sorted(set(plain), key=lambda code: code.visits)
     order = rng.permutation(len(kinds))
     assigned = np.full(len(codes), "test", dtype="<U5")
-    if by == "code":
-        train = {kinds[k] for k in order[: round(train_share * len(kinds))]}
-        assigned[[code in train for code in plain]] = "train"
-        return assigned
     # Order all states code by code, with codes and the states of each code shuffled. State i goes
     # to train where floor(i * share + 1/2) steps up: every stretch is split in the same proportion.
     walk = [

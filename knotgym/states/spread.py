@@ -43,7 +43,7 @@ def spread_of(points: NDArray[np.float64]) -> dict[str, Any]:
         few = points[np.linspace(0, len(points) - 1, MOST).round().astype(int)]
     pairs = [
         np.concatenate([apart(one, few[k + 1 :]) for k, one in enumerate(few)])
-        for apart in (distances, shape_distances)
+        for apart in (distances, _shape_distances)
     ]
     centred = points - points.mean(axis=1, keepdims=True)
     gyration = np.sqrt((centred**2).sum(axis=2).mean(axis=1))
@@ -55,12 +55,12 @@ def spread_of(points: NDArray[np.float64]) -> dict[str, Any]:
         "shape": _median_and_minimum(pairs[1]),
         "gyration": [float(gyration.min()), float(gyration.max())],
         "height": [float(height.min()), float(height.max())],
-        "visits": visit_distance(positions, points.shape[1]),
-        "bare": bare_stretch(np.concatenate(positions), points.shape[1]),
+        "visits": _visit_distance(positions, points.shape[1]),
+        "bare": _bare_stretch(np.concatenate(positions), points.shape[1]),
     }
 
 
-def shape_distances(
+def _shape_distances(
     points: NDArray[np.float64], others: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Compute `distances` minimized also over the base bead and the direction along the rope."""
@@ -77,12 +77,12 @@ def shape_distances(
     return np.asarray(np.sqrt(square / len(points)))
 
 
-def visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> float | None:
+def _visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> float | None:
     """Compute the mean distance, in beads, between visits of different configurations.
 
     `positions` are those of each configuration's visits along the rope, in [0, beads].
 
-    >>> visit_distance([np.array([98.0]), np.array([2.0, 48.0])], 100)
+    >>> _visit_distance([np.array([98.0]), np.array([2.0, 48.0])], 100)
     27.0
     """
     total, count = 0.0, 0
@@ -95,10 +95,10 @@ def visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> floa
     return total / count if count else None
 
 
-def bare_stretch(positions: NDArray[np.float64], beads: int) -> float | None:
+def _bare_stretch(positions: NDArray[np.float64], beads: int) -> float | None:
     """Compute the length, in beads, of the longest stretch of the rope without a visit.
 
-    >>> bare_stretch(np.array([90.0, 10.0, 40.0]), 100)
+    >>> _bare_stretch(np.array([90.0, 10.0, 40.0]), 100)
     50.0
     """
     if not len(positions):

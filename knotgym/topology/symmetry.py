@@ -12,52 +12,62 @@ what the moved rope shows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from knotgym.topology.gauss import GaussCode
 
-Array = NDArray[np.float64]
 
+class Symmetry(NamedTuple):
+    """Mirror, switch and turn a rope, then reverse its walk, then shift its base point.
 
-@dataclass(frozen=True)
-class Symmetry:
-    """Reflect, switch and rotate the rope, then reverse the walk, then shift its base point.
+    The fields are numbers, for one symmetry, or arrays (n,), for a symmetry of each of n ropes.
 
     Attributes:
-        reflect: whether to map x -> -x, first.
-        switch: whether to map z -> -z.
-        turn: rotation about z after the reflection, radians.
-        reverse: whether the new vertex j is the old vertex -j.
-        base_shift: number of vertices; after the reversal, the new vertex j is the old vertex
+        turn: float64, rotation about z after the mirror image, radians.
+        mirror: bool, x -> -x, first.
+        switch: bool, z -> -z.
+        reverse: bool, the new vertex j is the old vertex -j.
+        base_shift: int, vertices; after the reversal, the new vertex j is the old vertex
             j + base_shift.
     """
 
-    reflect: bool = False
-    switch: bool = False
-    turn: float = 0.0
-    reverse: bool = False
-    base_shift: int = 0
+    turn: Any = 0.0
+    mirror: Any = False
+    switch: Any = False
+    reverse: Any = False
+    base_shift: Any = 0
 
-    def vectors(self, v: Array) -> Array:
-        """Transform positions or forces, shape (..., 3), without renumbering them."""
-        mirrored = v * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
-        x, y, z = mirrored[..., 0], mirrored[..., 1], mirrored[..., 2]
-        c, s = np.cos(self.turn), np.sin(self.turn)
-        return np.asarray(np.stack([c * x - s * y, s * x + c * y, z], axis=-1))
+    def vectors(self, vectors: ArrayLike) -> NDArray[Any]:
+        """Transform positions or forces, (..., 3) or (n, ..., 3), without renumbering them."""
+        v = np.asarray(vectors)
+        turn, mirror, switch = (_wide(field, v.ndim - 1) for field in self[:3])
+        x, y, z = v[..., 0], v[..., 1], v[..., 2]
+        x, z = np.where(mirror, -x, x), np.where(switch, -z, z)
+        c, s = np.cos(turn), np.sin(turn)
+        return np.stack([c * x - s * y, s * x + c * y, z], axis=-1).astype(v.dtype)
 
-    def configuration(self, points: Array) -> Array:
-        """Transform a configuration, shape (beads, 3), and renumber its vertices."""
-        index = np.arange(len(points)) + self.base_shift
-        return self.vectors(points)[(-index if self.reverse else index) % len(points)]
+    def vertices(self, points: ArrayLike) -> NDArray[Any]:
+        """Transform ropes, (..., beads, 3) or (n, ..., beads, 3), and renumber their vertices."""
+        moved = self.vectors(points)
+        index = np.arange(moved.shape[-2]) + _wide(self.base_shift, moved.ndim - 1)
+        old = np.where(_wide(self.reverse, moved.ndim - 1), -index, index) % moved.shape[-2]
+        return np.take_along_axis(moved, old.reshape(*old.shape, 1), axis=-2)
 
-    def beads(self, beads: NDArray[np.integer], count: int) -> NDArray[np.int64]:
-        """Renumber beads, of `count` in all; bead b lies between the vertices b and b + 1."""
+    def beads(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
+        """Renumber beads, of `count` a rope; bead b lies between the vertices b and b + 1."""
         old = np.asarray(beads, dtype=np.int64)
-        return ((-old - 1 if self.reverse else old) - self.base_shift) % count
+        new = np.where(_wide(self.reverse, old.ndim), -old - 1, old)
+        return np.asarray(new - _wide(self.base_shift, old.ndim)) % count
+
+
+def _wide(field: Any, dimensions: int) -> NDArray[Any]:
+    """Append axes to a field of a `Symmetry`, so that it fits arrays of so many dimensions."""
+    values = np.asarray(field)
+    return values.reshape(values.shape + (1,) * (dimensions - values.ndim))
 
 
 def images(code: GaussCode) -> tuple[GaussCode, ...]:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from knotgym.cli.main import COMMANDS, application
-from knotgym.cli.options import field_help, numbers, read_value
+from knotgym.cli.options import _read_value, field_help, numbers
 from knotgym.common.errors import InvalidInput
 from knotgym.states.state_file import shipped
 
@@ -142,9 +142,9 @@ def test_other_numbers_of_crossings_are_refused(text: str) -> None:
 
 
 def test_none_is_a_value_only_where_a_field_allows_it() -> None:
-    assert read_value("none", int | None, "--x") is None
+    assert _read_value("none", int | None, "--x") is None
     with pytest.raises(InvalidInput, match="--x takes a whole number, got 'none'"):
-        read_value("none", int, "--x")
+        _read_value("none", int, "--x")
 
 
 def test_the_help_of_an_option_is_the_first_sentence_about_its_field() -> None:
@@ -205,27 +205,35 @@ REFUSED = [
     ("collect --id ../x-v0", "x-v0"),
     ("evaluate --task tie,plait", "must be one of unknot, tie, convert"),
     ("evaluate --policy x", "x"),
-    ("generate --source x", "source must be 'drawing', 'play' or 'random-walk', got 'x'"),
+    ("generate --source x", "source must be 'auto', 'drawing', 'play' or 'random-walk', got 'x'"),
     ("generate --knot 99_99", "99_99"),
     ("generate --codes {fifo}", "not a regular file"),
     ("evaluate --nx 9", "no states with nx = 9"),
     ("evaluate --video film.avi", "a video must end in .gif, .mp4 or .webm"),
     ("collect --split dev", "split must be one of train, test"),
     ("collect --set task.views=top,below", "views"),
-    ("collect --policy prompt:run", "give knotgym evaluate --policy prompt:run"),
     ("images --count 0", "count must be at least"),
     ("images --nx 7", "nx"),
     ("images --set test_nx=0", "test-nx takes the largest"),
     ("images --set code_share=0.9", "share"),
     ("images --vary mood", "mood"),
+    ("images --style oil", "oil"),
+    ("images --style photo --vary blur", "all of a photo varies"),
+    ("images --style photo --set appearance.tilt=60", "appearance.tilt must be at most 25, got 60"),
     ("images --size 4", "appearance.sizes must be at least 64, got 4"),
-    ("suite --policy x", "policies must be one of random, noisy, expert, play, got 'x'"),
+    ("suite --policy x", "must be one of random, explore, mixed, noisy, expert, play, got 'x'"),
+    ("suite --policy explore", "on readable states must be one of random, noisy, expert, play"),
     ("suite --task trefoil", "tasks must be one of unknot, tie, convert, got 'trefoil'"),
-    ("suite --nx 5", "nx must be at most 4, got 5"),
-    ("suite --states mine.h5", "states must be one of readable, random-walk, got"),
+    ("suite --nx 5", "nx of the sets on readable states must be one of 2, 3, 4, got 5"),
+    ("suite --states bench --nx 6", "nx must be at most 5, got 6"),
+    ("suite --states bench --nx 5 --task convert", "no set-up of convert with nx 5"),
+    ("suite --states bench --size 3k", "size must be one of 10k, 100k, 1M, 10M, got '3k'"),
+    ("suite --states bench --episodes 9", "have a --size, not a number of --episodes"),
+    ("suite --size 1M", "--size 1M is of --states bench, not readable"),
+    ("suite --states mine.h5", "states must be one of readable, random-walk, bench, got"),
     ("suite --split test", "splits must be one of train, train-code, got 'test'"),
     ("suite --episodes expert:3", "--episodes takes a number, or one per policy"),
-    ("suite --episodes dreamer=3", "must be one of random, noisy, expert, play, got 'dreamer'"),
+    ("suite --episodes dreamer=3", "must be one of random, explore, mixed, noisy, expert, play"),
     ("train --data x", "--out requires an argument"),
     ("prompt", "name the model to ask: --model NAME"),
     ("prompt --model m --base-url file:///dev/zero", "the base URL must be"),
@@ -253,7 +261,6 @@ REFUSED = [
     ("dataset replay {states} --row x", "--row takes a whole number, got 'x'"),
     ("dataset select {states} --where nx== --out {new}", "nx=="),
     ("dataset split {states} --parts a=0.5,a=0.5 --out {new}", "a"),
-    ("dataset delete {states} --rows 3-1 --out {new}", "3-1"),
     ("dataset import --out {new}", "name the files of curves"),
 ]
 

@@ -76,7 +76,7 @@ def test_configuration_versions_and_the_rope_are_written_with_the_states(
 ) -> None:
     attributes = states.attributes
     assert manifest["config"] == attributes["config"] and manifest["config"]["nx"] == [0, 1]
-    assert '"split_by": "state"' in (curated / "README.md").read_text()
+    assert '"train_share": 0.5' in (curated / "README.md").read_text()
     assert (attributes["knotgym"], attributes["mujoco"]) == (
         package.__version__,
         mujoco.__version__,
@@ -186,7 +186,7 @@ def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
     with pytest.raises(SystemExit) as ended:
         cli.main(words.split())
     assert ended.value.code == 0
-    assert (tmp_path / "knotgym-data" / "nx0-no-demonstrations-seed3" / "states.h5").is_file()
+    assert (tmp_path / "knotgym-data" / "nx0" / "states.h5").is_file()
     assert capfd.readouterr() == ("", "")
 
 
@@ -218,7 +218,6 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> 
         ("--nx 7", "limited to 6 crossings, got nx 7; --no-demonstrations makes states without"),
         ("--count 0", "count must be at least 1"),
         ("--every-code -2", "every_code must be at least 0"),
-        ("--set split_by=row", "split_by must be 'state' or 'code'"),
         ("--source play --knot 3_1", "--knot needs --source drawing, not play"),
         ("--knot 9_50", "no knot '9_50'; there are 0_1, the prime knots"),
         ("--knot 3_1 --nx 2", "no diagram of 3_1 has 2 crossings"),

@@ -23,14 +23,12 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.quality.limits import Limits
 from knotgym.rendering.appearance_config import AppearanceConfig
 from knotgym.rendering.camera import PictureConfig
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.model import RopeConfig
 
 CONFIGURATIONS = (
     AppearanceConfig,
     DrawingConfig,
     Limits,
-    MacroActionConfig,
     PictureConfig,
     RopeConfig,
 )

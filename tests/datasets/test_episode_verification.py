@@ -13,9 +13,8 @@ import knotgym
 from knotgym.control.verification import replay
 from knotgym.datasets import show_episodes
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
-from knotgym.datasets.episode_outcomes import goal_reached
 from knotgym.datasets.episode_verification import expanded, verify_episodes
-from knotgym.datasets.episodes import Episodes, differences, distinct, gauss_codes
+from knotgym.datasets.episodes import Episodes, differences, distinct, gauss_codes, goal_reached
 from knotgym.envs.tasks import TaskConfig
 
 Change = Callable[[NDArray[np.generic]], None]

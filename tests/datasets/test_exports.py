@@ -18,12 +18,13 @@ from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
 from knotgym.control.verification import replay, verify
-from knotgym.datasets import open_episodes, select, write_episodes
+from knotgym.datasets import open_episodes, write_episodes
 from knotgym.datasets.cards.citation import citation_file
 from knotgym.datasets.episodes import differences, gauss_codes
 from knotgym.datasets.exports.exporters import EXPORTERS, export
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located, locate_own
+from knotgym.datasets.merging import merge
 from knotgym.states.state_file import read_states
 
 EXPERT = str(TINY["expert"])
@@ -36,7 +37,7 @@ clients = pytest.mark.clients
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A Minari root with one dataset; only ever read."""
     out = tmp_path_factory.mktemp("root")
-    select(EXPERT, out=out, dataset_id=ID)
+    merge([EXPERT], out, ID)
     return out
 
 
@@ -88,7 +89,7 @@ def test_a_recording_that_is_not_what_was_written_is_not_expanded(of: str, tmp_p
 def test_several_datasets_become_a_folder_of_files(root: Path, tmp_path: Path) -> None:
     both = tmp_path / "root"
     for name in ("a", "b"):
-        select(EXPERT, out=both, dataset_id=f"knotgym/tie-nx2/{name}-v0")
+        merge([EXPERT], both, f"knotgym/tie-nx2/{name}-v0")
     assert export(str(both), tmp_path / "files", "compact", replay).startswith("6 episodes in 2")
     assert sorted(path.name for path in (tmp_path / "files").iterdir()) == [
         "tie-nx2-a-v0.h5",
@@ -222,8 +223,8 @@ def test_what_has_no_place_in_a_form_is_refused(tmp_path: Path, states_path: str
     for source, form, says in (
         (one, "ogbench", "at least 2 episodes"),
         (one, "minari", "not a Minari dataset"),
-        (one, "curves", "no states"),
         (states_path, "compact", "no trajectories"),
+        (one, "coco", "contains no pictures"),
         (one, "poem", "formats are compact"),
     ):
         with pytest.raises(InvalidInput, match=says):

@@ -11,7 +11,8 @@ import pytest
 
 from knotgym.common.configuration import read_json
 from knotgym.common.errors import InvalidFile
-from knotgym.datasets.manifest import listed_faults, read_manifest
+from knotgym.control import verification
+from knotgym.datasets.manifest import listed_faults, machine, read_manifest
 
 SOUND: dict[str, Any] = {
     "config": {"seed": 0},
@@ -97,3 +98,21 @@ def test_a_data_file_that_is_not_listed_is_a_fault(tmp_path: Path) -> None:
         "minari/metadata.json is not in the manifest",
         "states.h5 is not in the manifest",
     ]
+
+
+def test_a_run_names_its_machine(curated: Path) -> None:
+    here = machine()
+    assert here.keys() == {"system", "processor", "instructions", "blas", "libc"}
+    assert json.loads((curated / "manifest.json").read_text())["machines"] == [here]
+
+
+@pytest.mark.parametrize(
+    "faults", [["row 0 does not end in qpos bit for bit"], ["SHA-256 differs"]]
+)
+def test_only_replays_that_differ_may_be_another_machines_rounding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, faults: list[str]
+) -> None:
+    written(tmp_path)
+    monkeypatch.setattr(verification, "folder_faults", lambda *given: iter(faults))
+    told = list(verification.faults(tmp_path))[1:]
+    assert len(told) == ("bit for bit" in faults[0]) and all("other machines" in o for o in told)

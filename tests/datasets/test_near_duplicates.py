@@ -25,13 +25,13 @@ def moved(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
     rng = np.random.default_rng(seed)
     reflect, switch, reverse = (bool(one) for one in rng.random(3) < 0.5)
     symmetry = Symmetry(
-        reflect=reflect,
+        mirror=reflect,
         switch=switch,
         turn=float(rng.uniform(-np.pi, np.pi)),
         reverse=reverse,
         base_shift=int(rng.integers(100)),
     )
-    return symmetry.configuration(points) + rng.normal(0, 0.1, 3)
+    return symmetry.vertices(points) + rng.normal(0, 0.1, 3)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -44,7 +44,7 @@ def test_a_symmetry_is_no_distance(seed: int) -> None:
 def test_the_distance_is_the_least_over_every_symmetry() -> None:
     one, other = STATES[0], STATES[11]
     every = [
-        Symmetry(reflect, switch, 0.0, reverse, shift).configuration(other)
+        Symmetry(0.0, reflect, switch, reverse, shift).vertices(other)
         for reflect in (False, True)
         for switch in (False, True)
         for reverse in (False, True)

@@ -17,8 +17,7 @@ from knotgym.common.errors import InvalidInput
 from knotgym.datasets import open_episodes
 from knotgym.datasets.located import Located
 from knotgym.datasets.page import page_data as data_module
-from knotgym.datasets.page.page_data import page_data
-from knotgym.datasets.page.page_writer import page_html
+from knotgym.datasets.page.page_data import page_data, page_html
 from knotgym.states.state_file import States, write_states
 
 HOSTILE = "</script><img src=http://a/ onerror=fault()>"

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from knotgym.datasets.located import Located
-from knotgym.datasets.page.page_data import page_data
-from knotgym.datasets.page.page_writer import page_html
+from knotgym.datasets.page.page_data import page_data, page_html
 from knotgym.states.state_file import States, write_states
 
 from .. import chromium

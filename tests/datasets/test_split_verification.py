@@ -13,7 +13,7 @@ from synthetic_episodes import TINY
 from knotgym.common.tables import Table
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
-from knotgym.datasets.state_verification import demonstration_faults
+from knotgym.datasets.state_verification import _demonstration_faults
 from knotgym.states.state_file import States, read_states, shipped
 
 
@@ -132,12 +132,12 @@ def shown(tiny: EpisodeDataset, states: States) -> States:
 
 
 def test_rows_name_the_episode_that_leads_to_them(tiny: EpisodeDataset, shown: States) -> None:
-    assert [*demonstration_faults(shown, tiny.name, tiny)] == []
+    assert [*_demonstration_faults(shown, tiny.name, tiny)] == []
 
 
 def test_a_row_that_names_another_episode_is_a_fault(tiny: EpisodeDataset, shown: States) -> None:
     wrong = shown.replaced({"source/trajectory": np.array([1, 7, 2])})
-    elsewhere, absent = demonstration_faults(wrong, tiny.name, tiny)
+    elsewhere, absent = _demonstration_faults(wrong, tiny.name, tiny)
     assert elsewhere.startswith(f"states.h5 row 0: episode 1 of {tiny.name}")
     assert absent.startswith(f"states.h5 row 1: episode 7 of {tiny.name} has no state ")
 
@@ -146,5 +146,5 @@ def test_a_row_of_the_other_split_than_its_demonstration_is_a_fault(
     tiny: EpisodeDataset, shown: States
 ) -> None:
     swapped = shown.replaced({"split": np.full(3, "test")})
-    found = [*demonstration_faults(swapped, tiny.name, tiny)]
+    found = [*_demonstration_faults(swapped, tiny.name, tiny)]
     assert len(found) == 3 and all("is of the train split" in fault for fault in found)

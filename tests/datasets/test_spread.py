@@ -8,10 +8,10 @@ from knotgym.datasets.cards.state_card import tables
 from knotgym.rope.model import Rope
 from knotgym.states.near_duplicates import distances
 from knotgym.states.spread import (
-    bare_stretch,
-    shape_distances,
+    _bare_stretch,
+    _shape_distances,
+    _visit_distance,
     spread_of,
-    visit_distance,
 )
 from knotgym.states.state_file import States
 
@@ -49,8 +49,8 @@ def test_shapes_are_as_far_apart_as_at_the_best_of_all_walks(rope: Rope) -> None
     one, other = rope.from_curve(curled(2)), rope.from_curve(curled(3))
     walks = [np.roll(way, k, axis=0) for way in (other, other[::-1]) for k in range(100)]
     best = distances(one, np.array(walks)).min()
-    assert shape_distances(one, other[None])[0] == pytest.approx(best)
-    assert shape_distances(other, one[None])[0] == pytest.approx(best)
+    assert _shape_distances(one, other[None])[0] == pytest.approx(best)
+    assert _shape_distances(other, one[None])[0] == pytest.approx(best)
 
 
 def test_visits_are_as_far_apart_as_the_curls(rope: Rope) -> None:
@@ -65,9 +65,9 @@ def test_visits_are_as_far_apart_as_the_curls(rope: Rope) -> None:
 
 def test_crossings_at_one_place_are_not_apart_even_over_the_base_bead() -> None:
     places = [np.array([99.5]), np.array([0.5])]
-    assert visit_distance(places, 100) == 1.0
-    assert bare_stretch(np.concatenate(places), 100) == 99.0
-    assert visit_distance([places[0]], 100) is None and bare_stretch(np.empty(0), 100) is None
+    assert _visit_distance(places, 100) == 1.0
+    assert _bare_stretch(np.concatenate(places), 100) == 99.0
+    assert _visit_distance([places[0]], 100) is None and _bare_stretch(np.empty(0), 100) is None
 
 
 def test_the_card_has_the_spread_of_every_nx(states: States) -> None:

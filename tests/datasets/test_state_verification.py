@@ -165,13 +165,6 @@ def test_a_changed_file_and_a_missing_one_are_named(light: Path) -> None:
     ]
 
 
-def test_a_code_in_both_splits_is_a_fault_where_they_should_share_none(light: Path) -> None:
-    listed(light, config={**manifest_of(light)["config"], "split_by": "code"})
-    (code,) = set(read_states(light / "states.h5").gauss_code)
-    fault = f"code {code} is in both splits, which should share no code"
-    assert fault in list(folder_faults(light, replay))
-
-
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"files": 3, "config": {}}'])
 def test_a_manifest_that_cannot_be_read_is_a_fault(light: Path, text: str) -> None:
     (light / "manifest.json").write_text(text)

@@ -1,4 +1,4 @@
-"""Tests of select, split, delete and merge: table operations on states and episodes alike."""
+"""Tests of select, split and merge: table operations on states and episodes alike."""
 
 import shutil
 from pathlib import Path
@@ -10,14 +10,14 @@ from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common.errors import InvalidInput, MissingExtra, MissingFile, Occupied
 from knotgym.control.verification import replay
-from knotgym.datasets import delete, open_episodes, select, split
+from knotgym.datasets import open_episodes, select, split
 from knotgym.datasets.conditions import matching_rows
 from knotgym.datasets.episodes import differences, merged
 from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.selectable import write_rows
-from knotgym.datasets.subsets import kept, row_numbers
+from knotgym.datasets.subsets import kept
 from knotgym.states.state_file import read_states, shipped, write_states
 
 COLUMNS = {
@@ -94,7 +94,7 @@ def test_selected_episodes_are_those_of_the_source(tmp_path: Path) -> None:
 def test_a_selection_of_a_selection_tells_both(tmp_path: Path) -> None:
     made = written(tmp_path / "a.h5", episodes([3, 1, 4, 2]))
     select(made, where="length > 1", out=tmp_path / "b.h5")
-    out = delete(tmp_path / "b.h5", [0], out=tmp_path / "c.h5")
+    out = select(tmp_path / "b.h5", where="episode <> 0", out=tmp_path / "c.h5")
     assert [one["kept"] for one in open_episodes(out).attributes["selection"]] == [3, 2]
 
 
@@ -109,22 +109,21 @@ def test_a_sample_is_drawn_from_the_seed(tmp_path: Path) -> None:
         select(made, sample=21, out=tmp_path / "e.h5")
 
 
-def test_a_selection_becomes_a_minari_dataset(tmp_path: Path) -> None:
-    out = select(
-        TINY["expert"], where="length < 10", out=tmp_path, dataset_id="knotgym/tie-nx2/short-v0"
-    )
-    found = open_episodes(out)
-    assert found.episodes.episodes.rows == 1 and (out / "data/main_data.hdf5").is_file()
-    assert found.name == "knotgym/tie-nx2/short-v0"
-    assert "1 of the 3 rows" in str((found.metadata or {})["description"])
+def test_a_selection_becomes_a_minari_dataset_that_tells_how_it_was_selected(
+    tmp_path: Path,
+) -> None:
+    part = select(TINY["expert"], where="length < 10", out=tmp_path / "short.h5")
+    merge([str(part)], tmp_path, "knotgym/tie-nx2/short-v0")
+    found = open_episodes(tmp_path / "knotgym/tie-nx2/short-v0")
+    assert found.episodes.episodes.rows == 1 and found.name == "knotgym/tie-nx2/short-v0"
+    assert (found.path.parent / "main_data.hdf5").is_file()
+    assert found.attributes["selection"][0]["where"] == "length < 10"
 
 
-def test_an_unknown_row_is_refused(tmp_path: Path) -> None:
+def test_no_row_that_is_left_is_refused(tmp_path: Path) -> None:
     made = written(tmp_path / "a.h5", episodes([1, 1]))
-    with pytest.raises(InvalidInput, match="no row 2, 7"):
-        delete(made, [2, 7, 0], out=tmp_path / "b.h5")
-    with pytest.raises(InvalidInput, match="is left"):
-        delete(made, [0, 1], out=tmp_path / "b.h5")
+    with pytest.raises(InvalidInput, match="none of the 2 rows"):
+        select(made, where="length > 7", out=tmp_path / "b.h5")
     assert not (tmp_path / "b.h5").exists()
 
 
@@ -144,12 +143,10 @@ def test_split_episodes_share_no_goal(tmp_path: Path) -> None:
     assert rows[0].rows + rows[1].rows == 40 and rows[0].rows > rows[1].rows
 
 
-@pytest.mark.parametrize("dataset_id", ["", "knotgym/b-v0"])
 def test_parts_are_replaced_together_or_not_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dataset_id: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, root = written(tmp_path / "a.h5", episodes([1] * 8)), tmp_path / "made"
-    out, calls = root / ("" if dataset_id else "b.h5"), [0, 1]
+    path, root, calls = written(tmp_path / "a.h5", episodes([1] * 8)), tmp_path / "made", [0, 1]
 
     def second_fails(*words: Any) -> Path:
         if calls.pop():
@@ -157,8 +154,7 @@ def test_parts_are_replaced_together_or_not_at_all(
         raise KeyboardInterrupt
 
     def cut(seed: int) -> None:
-        parts = "train=0.5,val=0.5"
-        split(path, parts, seed=seed, out=out, dataset_id=dataset_id, overwrite=True)
+        split(path, "train=0.5,val=0.5", root / "b.h5", seed=seed, overwrite=True)
 
     cut(0)
     before = {file: file.read_bytes() for file in root.rglob("*.h5")}
@@ -175,15 +171,12 @@ def test_parts_that_are_no_fractions_are_refused(tmp_path: Path, parts: str) -> 
         split(made, parts, out=tmp_path / "b.h5")
 
 
-def test_states_are_selected_split_and_deleted_by_the_same_functions(
-    states_path: str, tmp_path: Path
-) -> None:
+def test_states_are_selected_by_the_same_function(states_path: str, tmp_path: Path) -> None:
     states = read_states(states_path)
     chosen = select(states_path, where="nx >= 1", out=tmp_path / "a.h5")
     assert read_states(chosen).nx.tolist() == states.nx[states.nx >= 1].tolist()
-    left = read_states(delete(states_path, [0], out=tmp_path / "b.h5"))
-    np.testing.assert_array_equal(left.qpos, states.qpos[1:])
-    assert left.attributes["selection"][0]["deleted"] == [0]
+    left = read_states(select(states_path, where="row not in (0, 2)", out=tmp_path / "b.h5"))
+    np.testing.assert_array_equal(left.qpos, states.qpos[[1, *range(3, len(states))]])
     train = read_states(select(states_path, where="split = 'train'", out=tmp_path / "c.h5"))
     assert set(train.split.tolist()) == {"train"}
 
@@ -205,16 +198,9 @@ def test_an_output_that_is_there_is_kept(states_path: str, tmp_path: Path) -> No
 
 def test_an_id_is_for_episodes(states_path: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="an id is for episodes"):
-        select(states_path, where="nx = 0", out=tmp_path, dataset_id="a/b-v0")
+        merge([states_path], tmp_path, "a/b-v0")
     with pytest.raises(InvalidInput, match="--out"):
-        select(states_path, where="nx = 0")
-
-
-def test_row_numbers_are_numbers_and_ranges() -> None:
-    assert row_numbers("3, 7-9") == [3, 7, 8, 9]
-    for text in ("", "a", "3-1", "0-99999999999"):
-        with pytest.raises(InvalidInput):
-            row_numbers(text)
+        merge([states_path])
 
 
 def test_merged_files_hold_the_episodes_of_all(tmp_path: Path) -> None:
@@ -231,15 +217,13 @@ def test_merged_datasets_name_their_sources(tmp_path: Path) -> None:
             dataset_id=f"knotgym/tie-nx2/p{k}-v0",
             algorithm_name=f"p{k}",
             description="",
-            ref_min_score=-5.0,
-            ref_max_score=5.0,
             digests={"policy": str(k)},
         )
         folders.append(str(publish([episodes([1], k)], TASK, metadata, tmp_path)))
     merge(folders, tmp_path, "knotgym/tie-nx2/both-v0")
     found = open_episodes(tmp_path / "knotgym/tie-nx2/both-v0").metadata or {}
     assert found["description"].startswith("Merged of knotgym/tie-nx2/p0-v0, knotgym/")
-    assert found["algorithm_name"] == "random" and found["ref_max_score"] == 5.0
+    assert found["algorithm_name"] == "random"
     assert [*found["digests"]] == ["knotgym/tie-nx2/p0-v0", "knotgym/tie-nx2/p1-v0"]
 
 
@@ -274,7 +258,7 @@ def test_an_output_in_the_way_of_its_source_is_refused(states_path: str, tmp_pat
     for write in (
         lambda: select(file, where="nx = 3", out=file, overwrite=True),
         lambda: merge([str(file), states_path], file, overwrite=True),
-        lambda: export(str(file), file, "curves", replay, overwrite=True),
+        lambda: export(str(file), file, "huggingface", replay, overwrite=True),
     ):
         with pytest.raises(Occupied, match="is, contains or is in its source"):
             write()

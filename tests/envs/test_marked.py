@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.marked import TOKENS, Marked, join, mark, size, split
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import WaypointFollower
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
@@ -15,10 +14,10 @@ from knotgym.topology.symmetry import Symmetry
 GOALS = [GaussCode.parse(text) for text in ("1+,2-,2+,1-", "1-,2+,1+,2-", "1+,1-,2-,2+", "")]
 SYMMETRIES = [
     Symmetry(turn=1.0),
-    Symmetry(reflect=True, turn=2.0),
+    Symmetry(mirror=True, turn=2.0),
     Symmetry(switch=True, turn=-0.5),
     Symmetry(reverse=True, turn=3.0),
-    Symmetry(reflect=True, switch=True, turn=0.3, reverse=True),
+    Symmetry(mirror=True, switch=True, turn=0.3, reverse=True),
 ]
 
 
@@ -42,7 +41,7 @@ def pairs(symmetry: Symmetry) -> tuple[Marked, Marked]:
     """Observations of ropes, and of their images under a symmetry with the image of the goal."""
     ropes = tangles(40)
     goals = [GOALS[row % len(GOALS)] for row in range(len(ropes))]
-    moved = np.stack([symmetry.configuration(rope) for rope in ropes])
+    moved = np.stack([symmetry.vertices(rope) for rope in ropes])
     return mark(ropes, goals), mark(moved, [image(symmetry, goal) for goal in goals])
 
 
@@ -88,9 +87,9 @@ def test_an_action_chosen_in_the_frame_is_transformed_with_the_rope(symmetry: Sy
         pulls = []
         for ropes, (led, past, way, _) in (
             (tangles(40), ours),
-            (np.stack([symmetry.configuration(one) for one in tangles(40)]), theirs),
+            (np.stack([symmetry.vertices(one) for one in tangles(40)]), theirs),
         ):
-            follower = WaypointFollower(len(rows), MacroActionConfig())
+            follower = WaypointFollower(len(rows))
             passes = np.stack([led, past, way], axis=1)[rows]
             follower.begin_passes(np.arange(len(rows)), passes, ropes[rows])
             forces = follower.forces(ropes[rows], np.arange(len(rows)))

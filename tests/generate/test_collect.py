@@ -13,7 +13,7 @@ from knotgym.common.errors import InvalidInput, Occupied
 from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.rollouts import episode_seed
 from knotgym.control.verification import verify
-from knotgym.datasets.episode_dataset import columns_of, open_episodes
+from knotgym.datasets.episode_dataset import columns_of, content_digest, open_episodes
 from knotgym.datasets.episodes import differences
 from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import metadata_of
@@ -75,6 +75,22 @@ def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(
             assert info["bead"] == own.steps["bead"][step]
 
 
+def test_a_set_of_more_steps_begins_with_that_of_fewer(tmp_path: Path) -> None:
+    made = {
+        (steps, form): open_episodes(
+            collect(
+                config(steps=steps, form=form, dataset_id=f"a/{form}{steps}-v0"), tmp_path, QUIET
+            )
+        ).episodes
+        for steps, form in ((40, "columns"), (130, "columns"), (130, "recording"))
+    }
+    few, many, pulls = made.values()
+    lengths = few.episodes["length"]
+    assert lengths.sum() - lengths[-1] < 40 <= lengths.sum()
+    assert differences(few, many.select(np.arange(len(lengths)))) == []
+    assert pulls.is_recording and content_digest(pulls) == content_digest(many)
+
+
 @pytest.mark.parametrize("episodes", [1, 63, 200, 5000, 100_000])
 def test_blocks_are_about_equal_and_hold_every_episode(episodes: int) -> None:
     for engine in ("chain", "mujoco"):
@@ -96,16 +112,6 @@ def test_labels_are_the_expert_s_and_change_nothing_that_is_played(tmp_path: Pat
     labelled = columns_of(folder).episodes
     assert "-labelled-" in folder.name
     assert differences(plain, labelled) == [] and labelled.steps["expert_action"].any()
-
-
-def test_of_several_attempts_the_shortest_success_is_kept(tmp_path: Path) -> None:
-    task = TaskConfig(task="unknot", nx=1, engine="chain", observation="state", horizon=12)
-    many = config(task=task, policy="scripted", episodes=8, attempts=3)
-    kept = columns_of(collect(many, tmp_path, QUIET)).episodes.episodes
-    first = collecting.play(replace(many, attempts=1), range(8))
-    once = first["episodes/success"]
-    assert (kept["success"] >= once).all() and kept["success"].sum() > once.sum()
-    assert (kept["length"][once] <= first["episodes/length"][once]).all()
 
 
 def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> None:
@@ -180,7 +186,6 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
     others = [
         replace(usual, seed=1),
         replace(usual, keep_failed=False),
-        replace(usual, attempts=2),
         replace(usual, labels="expert"),
         replace(usual, policy=budget),
         *(
@@ -230,7 +235,7 @@ def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
     merge([f"knotgym/{one}" for one in apart], None, "knotgym/merged-v0")
     for name in ("one", "merged"):
         assert verify(f"knotgym/{name}-v0") == []
-    chosen = select("knotgym/merged-v0", where="task = 'tie' and nx = 3", dataset_id="knotgym/c-v0")
+    chosen = select("knotgym/merged-v0", tmp_path.parent / "c.h5", where="task = 'tie' and nx = 3")
     assert open_episodes(chosen).episodes.episodes.rows == 9
 
 

@@ -12,8 +12,9 @@ from rich.console import Console
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidInput, InvalidPolicy, Occupied
 from knotgym.common.streams import Stream
+from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import episode_seed
+from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
 from knotgym.generate.episodes.blocks import from_result
@@ -21,8 +22,7 @@ from knotgym.generate.episodes.evaluate import evaluate, film, report, run, sour
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import show
 from knotgym.rope.model import RopeConfig
-from knotgym.runs.run_options import RunOptions
-from knotgym.runs.shards import Shard
+from knotgym.runs.run_options import RunOptions, Shard
 from knotgym.states.state_file import States, write_states
 
 from ..small_job import knotgym
@@ -145,7 +145,7 @@ def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
 
 def test_a_film_shows_every_view_in_colours() -> None:
     task = replace(CHAIN, nx=1, horizon=1, views=("top", "left"), depth=True)
-    episodes = from_result(evaluating.play(PolicyConfig(), task, range(1), 0, True))
+    episodes = rollouts(RandomPolicy(), task, [0])
     height, width, channels = film(episodes, task)[0].shape
     assert height > 2 * 384 and (width, channels) == (2 * 384, 3)
 

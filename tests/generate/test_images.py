@@ -167,7 +167,7 @@ def test_a_leak_between_splits_is_found(
 
 @pytest.mark.parametrize(
     "symmetry",
-    [Symmetry(turn=1.0), Symmetry(reflect=True, turn=1.0, reverse=True, base_shift=37)],
+    [Symmetry(turn=1.0), Symmetry(mirror=True, turn=1.0, reverse=True, base_shift=37)],
 )
 def test_a_near_duplicate_in_another_split_is_found(
     rows: list[dict[str, Any]], tmp_path: Path, symmetry: Symmetry
@@ -176,7 +176,7 @@ def test_a_near_duplicate_in_another_split_is_found(
     shaken, with labels and a picture of its own, of another rope.
     """
     train = next(row for row in rows if row["split"] == "train" and row["nx"] == 1)
-    points = symmetry.configuration(np.array(train["points"]).reshape(-1, 3))
+    points = symmetry.vertices(np.array(train["points"]).reshape(-1, 3))
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
     planted = PictureRow(points, "test", {**train["source"], "rope": 10**6, "row": 10**6})
     (tmp_path / "data.parquet").write_bytes(
@@ -390,3 +390,24 @@ def test_hugging_face_reads_every_column_of_every_split(
         for seen, row in zip(found[name], own, strict=True):
             assert np.array_equal(np.asarray(seen.pop("image")), decode(row["image"]))
             assert seen == {column: value for column, value in row.items() if column != "image"}
+
+
+@pytest.mark.clients
+def test_croissant_of_pictures_is_valid_and_a_picture_comes_back(folder: Path) -> None:
+    croissant = pytest.importorskip("mlcroissant")
+    one = croissant.Dataset(jsonld=str(folder / "croissant.json"))
+    assert not one.metadata.ctx.issues.errors
+    where = next(record.name for record in one.metadata.record_sets)
+    row = next(iter(one.records(where)))
+    assert row[f"{where}/image"].size in ((64, 64), (128, 128))
+
+
+@pytest.mark.thorough
+def test_photos_are_the_same_for_any_workers(tmp_path: Path) -> None:
+    photos = ImagesConfig(
+        nx=(1, 2), count=4, engine="chain", appearance=AppearanceConfig(style="photo")
+    )
+    one, two = (made(tmp_path / str(n), photos, workers=n) for n in (1, 2))
+    for file in one.glob("data/*.parquet"):
+        assert file.read_bytes() == (two / "data" / file.name).read_bytes()
+    assert [*image_faults(one)] == []

@@ -100,6 +100,5 @@ def test_a_list_of_codes_may_be_sampled_and_filtered(
     assert read(count=2, seed=3) == read(count=2, seed=3)
     assert read(count=9) == everything  # in the order of the file
     monkeypatch.setattr(generate_command, "MOST_CODES", 4)
-    with pytest.raises(InvalidInput, match="more than 4 codes; --count 1000"):
+    with pytest.raises(InvalidInput, match="more than 4 codes"):
         read()
-    assert len(read(count=3)) == 3

@@ -13,6 +13,7 @@ from knotgym.common.errors import Failed
 from knotgym.control.verification import replay
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.state_verification import folder_faults
+from knotgym.generate.states import generate_config
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.states.play_source import ropes_of, rows_of_ropes
@@ -25,8 +26,7 @@ from knotgym.generate.states.wanted_codes import WantedCodes
 from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope.model import Rope
 from knotgym.runs.run import compute
-from knotgym.runs.run_options import RunOptions
-from knotgym.runs.shards import Shard
+from knotgym.runs.run_options import RunOptions, Shard
 from knotgym.states.near_duplicates import pairs_within
 from knotgym.states.state_file import States, read_states
 from knotgym.topology.crossings import label
@@ -68,6 +68,29 @@ def same(one: Rows, other: Rows) -> bool:
 
 def states_in(folder: Path) -> States:
     return read_states(folder / "states.h5", images=False)
+
+
+def test_many_states_of_few_codes_are_taken_by_play_and_the_others_drawn() -> None:
+    (main,) = GenerateConfig(nx=(3,), count=40).parts
+    assert (main.source, main.engine) == ("drawing", "mujoco")
+    many = GenerateConfig(nx=(4, 1, 0), count=50).parts
+    assert [(one.source, one.nx) for one in many] == [("play", (1, 0)), ("drawing", (4,))]
+    assert {one.engine for one in many} == {"chain"}  # a file of states has one engine
+
+
+def test_states_of_two_sources_are_in_order_and_none_is_near_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generate_config, "_DRAWN", 1)
+    config = replace(PLAYED, nx=(2, 0), count=2, source="auto", engine="auto")
+    folder = make_states(config, tmp_path / "both", ALONE)
+    states = states_in(folder)
+    assert states.nx.tolist() == [2, 2, 0, 0]
+    assert states.source["policy"].tolist() == ["drawing"] * 2 + ["play"] * 2
+    assert list(folder_faults(folder, replay)) == []
+    assert pairs_within(states.points[:2], states.points[2:]) == []
+    card = (folder / "README.md").read_text()
+    assert "`source/policy` drawing" in card and "drawings and ropes were made" in card
 
 
 def test_every_code_is_drawn(drawn: Path) -> None:

@@ -56,6 +56,17 @@ def test_the_whole_is_nine_setups_by_policies_splits_and_sets_of_states() -> Non
         assert (one.task.tow_limit == 0.04) == (one.task.task == "unknot")
 
 
+def test_tiers_are_six_policies_of_ten_setups_in_the_chain_engine() -> None:
+    sets = list(SuiteConfig(states=("bench",), size="10M").sets())
+    assert len({one.dataset_id for one in sets}) == len(sets) == (len(SETUPS) + 1) * 6
+    assert {one.task.nx for one in sets if one.task.task != "tie"} == {2, 3, 4}
+    assert all(one.task.engine == "chain" and one.steps == 10_000_000 for one in sets)
+    assert {one.form for one in sets} == {"recording"}  # as columns they wouldn't fit into memory
+    explore = next(one for one in sets if "explore" in one.dataset_id)
+    assert explore.dataset_id == "knotgym/unknot-nx2/explore-chain-bench-10M-v0"
+    assert explore.policy.policy == "scripted" and explore.task.endless
+
+
 def test_a_set_is_rebuilt_by_stepping_alone_and_the_card_describes_it(made: Path) -> None:
     sets = card(made)["sets"]
     assert sets.keys() == {ID.format(policy) for policy in ("random", "expert")}

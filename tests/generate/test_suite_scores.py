@@ -39,7 +39,7 @@ def told(
         "planned": count,
         "failed": count > 0,
     }
-    result = evaluation.result_of(policy, task, Table(RECORDED.only(*columns), columns))
+    result = evaluation._result_of(policy, task, Table(RECORDED.only(*columns), columns))
     path.write_text(as_text(report(config, [result], sources_of(config))), encoding="utf-8")
     return path
 

@@ -19,7 +19,6 @@ from knotgym.datasets.episodes import Episodes, differences
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.train_config import CloneConfig
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import WaypointFollower
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import label_many
@@ -121,7 +120,7 @@ def test_examples_lead_where_they_say_in_any_frame_and_numbering() -> None:
     one = data.rows(np.flatnonzero((data.nx == 1) & (data.code[:, 0, 0] == 0)))
     count = len(one.worked)
     assert count > 60 and len(np.unique(one.goal, axis=0)) == 1  # the frame makes both kinks one
-    ropes, follower = ChainSimulation(count), WaypointFollower(count, MacroActionConfig())
+    ropes, follower = ChainSimulation(count), WaypointFollower(count)
     ropes.lay_points(one.points.astype(np.float64), np.zeros((count, 100, 3)))
     passes = np.column_stack([one.macros[:, :2], 2 * one.macros[:, 2].astype(int) - 1])
     ids, goal = np.arange(count), GaussCode.parse("1+,1-")

@@ -13,7 +13,7 @@ pytest.importorskip("torch")
 
 from knotgym.learn.agent import Agent  # noqa: E402
 from knotgym.learn.imagination import BEADS, imagine  # noqa: E402
-from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses  # noqa: E402
+from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses  # noqa: E402
 from knotgym.rope.chain.chain_simulation import ChainSimulation  # noqa: E402
 from knotgym.topology.gauss import GaussCode  # noqa: E402
 
@@ -59,9 +59,8 @@ def tracked() -> tuple[ShapeHypotheses, TwoReadings]:
     """Return hypotheses and the reader that they use."""
     reader: Any = TwoReadings(tilted_loop())
     rng = np.random.default_rng(0)
-    config = HypothesesConfig()
-    chain = ChainSimulation(config.imagined)
-    return ShapeHypotheses(reader, chain, np.zeros((1, 3)), config, rng), reader
+    chain = ChainSimulation(MOST_IMAGINED)
+    return ShapeHypotheses(reader, chain, np.zeros((1, 3)), rng), reader
 
 
 def test_motion_tells_a_rope_from_its_mirror_image(

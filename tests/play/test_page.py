@@ -1,4 +1,4 @@
-"""The page in a real browser: pulled by mouse alone, attacked, and left."""
+"""The page is attacked, and left."""
 
 import errno
 import os
@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,14 +18,8 @@ import pytest
 from knotgym.common.errors import Failed
 from knotgym.envs.tasks import TaskConfig
 from knotgym.play.hand import HandTab
-from knotgym.play.page import Page, require_port
+from knotgym.play.page import Page
 from knotgym.play.page_config import PageConfig
-from knotgym.play.recorder import Recorder
-from knotgym.play.session import HandPull
-from knotgym.play.watch import watching
-
-from .. import chromium
-from ..chromium import Chromium
 
 pytestmark = pytest.mark.clients
 msgspec = pytest.importorskip("msgspec")
@@ -46,14 +39,6 @@ def until(condition: Any, seconds: float = 60) -> None:
     while not condition():
         assert time.monotonic() < end, "never true"
         time.sleep(0.02)
-
-
-@pytest.fixture
-def browser(tmp_path: Path) -> Iterator[Chromium]:
-    if not chromium.FOUND:
-        pytest.skip("no chromium")
-    with Chromium(tmp_path / "profile", 1300, 900) as browser:
-        yield browser
 
 
 class Tab:
@@ -84,14 +69,9 @@ class Tab:
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    with served() as page:
+    config = PageConfig(task=TASK, port=free_port())
+    with Page(config, partial(HandTab, config=config)) as page:
         yield page
-
-
-def served(**where: Any) -> Page:
-    task = TaskConfig(task="tie", nx=2, observation="state")
-    config = PageConfig(task=task, port=free_port(), **where)
-    return Page(config, partial(HandTab, config=config))
 
 
 def port_of(page: Page) -> int:
@@ -182,22 +162,6 @@ def test_no_tab_can_open_a_tunnel_to_a_public_host(
     assert not opened
 
 
-def test_every_other_host_asks_for_a_token() -> None:
-    with served(host="0.0.0.0") as guarded:
-        assert len(guarded.token) >= 16 and "0.0.0.0" not in guarded.address
-        clients: list[Any] = []
-        guarded._server.on_client_connect(clients.append)
-        Tab(port_of(guarded))
-        until(lambda: clients)
-        (field,) = clients[0].gui._gui_input_handle_from_uuid.values()
-        for token in ("", "wrong", "x" * 10_000):
-            field.value = token
-        time.sleep(0.5)
-        assert not guarded.players
-        field.value = guarded.token
-        until(lambda: guarded.players)
-
-
 def test_a_full_disk_is_told_and_the_tab_goes_on(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -219,7 +183,7 @@ def test_a_full_disk_is_told_and_the_tab_goes_on(
 
 def test_a_taken_port_is_one_line(page: Page) -> None:
     with pytest.raises(Failed, match="choose another with --port"):
-        require_port("127.0.0.1", port_of(page))
+        Page(PageConfig(port=port_of(page)), lambda client: client)
 
 
 def test_ctrl_c_ends_the_page_with_status_0() -> None:
@@ -232,18 +196,3 @@ def test_ctrl_c_ends_the_page_with_status_0() -> None:
         run.send_signal(signal.SIGINT)
         assert run.wait(60) == 0
         assert run.stderr.read() == ""
-
-
-def test_a_dataset_is_watched(browser: Chromium, tmp_path: Path) -> None:
-    task = TaskConfig(task="tie", nx=1, observation="state", horizon=4)
-    with Recorder(task, 0, "knotgym/tie-nx1/human-v0", root=tmp_path) as recorder:
-        recorder.finish(0, [HandPull(3, np.full(3, 0.5, dtype=np.float32), False)])
-    with Page(PageConfig(task=task, port=free_port()), watching(recorder.folder)) as page:
-        browser.visit(page.address)
-
-        def status() -> str:  # of the newest tab: a browser that is slow connects again
-            return str(page.players[max(page.players)]._status.content)
-
-        until(lambda: page.players and "step 4 of 4; the end" in status())
-        page.players[max(page.players)]._time.value = 1.0
-        until(lambda: "step 1 of 4" in status())

@@ -43,11 +43,13 @@ def stored(recorder: Recorder) -> int:
 def test_undo_leaves_no_trace(session: Session) -> None:
     start = session.batch.simulation.states().tobytes()
     whole = played(session)
-    session.undo(2)
+    session.undo()
+    session.undo()
     session.pull(*PULLS[1])
     session.pull(*PULLS[2])
     assert session.batch.simulation.states().tobytes() == whole
-    session.undo(3)
+    for _ in range(3):
+        session.undo()
     assert session.batch.simulation.states().tobytes() == start
     assert session.left == TASK.horizon and not session.pulls
 
@@ -66,17 +68,9 @@ def test_a_bead_is_led_to_a_point_and_left_there(session: Session) -> None:
     assert np.linalg.norm(session.points[20] - target) < 0.013
 
 
-def test_a_hint_does_not_touch_the_episode(session: Session) -> None:
-    session.pull(*PULLS[0])
-    before = session.batch.simulation.states().tobytes()
-    seen = session.foresee("scripted")
-    assert seen.path.shape[1] == 3 and len(seen.path) >= 2
-    assert session.batch.simulation.states().tobytes() == before and not session.helped
-
-
 def test_an_unknown_policy_is_one_line(session: Session) -> None:
     with pytest.raises(InvalidPolicy, match="no policy 'nobody'"):
-        session.foresee("nobody")
+        session.let_act("nobody")
 
 
 def test_a_recording_is_a_dataset(session: Session, recorder: Recorder) -> None:

@@ -1,12 +1,17 @@
 """Photos: the answers are what an outside computation from points and camera finds."""
 
 import math
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.rendering import photo_kernels
 from knotgym.rendering.photo import Shot, photograph, take
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.notation import pd_code
@@ -14,16 +19,16 @@ from knotgym.topology.notation import pd_code
 Array = NDArray[np.float64]
 
 
-def shots(count: int, size: int, seed: int) -> list[tuple[Array, Shot]]:
-    """Photograph shipped states in random order; return their points, and their photos."""
-    rng, made = np.random.default_rng(seed), list[tuple[Array, Shot]]()
+def photos(count: int, size: int, seed: int) -> Iterator[tuple[Array, Shot]]:
+    """Photograph shipped states in random order; yield their points, and their photos."""
+    rng = np.random.default_rng(seed)
     ropes = [read_states(shipped(one), images=False).points for one in ("readable", "bench")]
     states = np.concatenate(ropes)
-    while len(made) < count:
+    while count:
         points = states[rng.integers(len(states))]
         if (shot := photograph(points, size, rng)) is not None:
-            made.append((points, shot))
-    return made
+            yield points, shot
+            count -= 1
 
 
 def faults(points: Array, shot: Shot) -> list[str]:
@@ -41,17 +46,17 @@ def faults(points: Array, shot: Shot) -> list[str]:
         wrong.append("projection")
     # every pair of segments
     a, b = seen, np.roll(seen, -1, axis=0) - seen
+    i, j = (one[np.newaxis] for one in np.triu_indices(len(a), 2))
+    apart = (i != 0) | (j != len(a) - 1)
+    i, j = i[apart], j[apart]
+    det, w = b[i, 0] * b[j, 1] - b[i, 1] * b[j, 0], a[j, :2] - a[i, :2]
+    s = (w[:, 0] * b[j, 1] - w[:, 1] * b[j, 0]) / det
+    u = (w[:, 0] * b[i, 1] - w[:, 1] * b[i, 0]) / det
     found = list[tuple[float, float, bool, int]]()  # over place, under place, first is over, sign
-    for i in range(len(a)):
-        j = np.arange(i + 2, len(a) - (i == 0))
-        det = b[i, 0] * b[j, 1] - b[i, 1] * b[j, 0]
-        w = a[j, :2] - a[i, :2]
-        s = (w[:, 0] * b[j, 1] - w[:, 1] * b[j, 0]) / det
-        u = (w[:, 0] * b[i, 1] - w[:, 1] * b[i, 0]) / det
-        for k in np.flatnonzero((0 <= s) & (s < 1) & (0 <= u) & (u < 1)).tolist():
-            first = a[i, 2] + s[k] * b[i, 2] > a[j[k], 2] + u[k] * b[j[k], 2]
-            places = (i + s[k], j[k] + u[k]) if first else (j[k] + u[k], i + s[k])
-            found.append((*places, first, 1 if (det[k] > 0) == first else -1))
+    for k in np.flatnonzero((0 <= s) & (s < 1) & (0 <= u) & (u < 1)).tolist():
+        first = bool(a[i[k], 2] + s[k] * b[i[k], 2] > a[j[k], 2] + u[k] * b[j[k], 2])
+        places = (i[k] + s[k], j[k] + u[k]) if first else (j[k] + u[k], i[k] + s[k])
+        found.append((*places, first, 1 if (det[k] > 0) == first else -1))
     found.sort(key=lambda one: min(one[:2]))
     visits = sorted(
         [(o, k + 1) for k, (o, *_) in enumerate(found)]
@@ -100,11 +105,21 @@ def faults(points: Array, shot: Shot) -> list[str]:
 
 @pytest.mark.parametrize("size", [128, 256])
 def test_answers_are_those_of_an_outside_computation(size: int) -> None:
-    assert [faults(points, shot) for points, shot in shots(12, size, size)] == [[]] * 12
+    assert [faults(points, shot) for points, shot in photos(12, size, size)] == [[]] * 12
+
+
+def test_places_beyond_the_end_of_a_piece_are_still_its_own() -> None:
+    """The place after the last piece is no strand's: one pixel of the mask would be missing."""
+    corners = np.array([(10, 10, 0), (30, 10, 0), (30, 30, 0), (10, 30, 0)], np.float32)
+    flags = np.array([0, 0, 0, photo_kernels.UNDER], np.uint8)
+    square = np.full((2, 40, 40), photo_kernels.FAR, np.float32)
+    place = np.empty_like(square)
+    photo_kernels.stamp(corners, np.array([1, 2, 3, 0]), flags, 5.0, square, place)
+    assert set(place[square < photo_kernels.FAR].astype(int).tolist()) == {3}
 
 
 def test_a_photo_is_taken_again_from_points_and_appearance() -> None:
-    for _, shot in shots(6, 128, 5):
+    for _, shot in photos(6, 128, 5):
         again = take(shot.points, shot.look)
         assert np.array_equal(again.image, shot.image)
         assert np.array_equal(again.strands, shot.strands)
@@ -119,3 +134,22 @@ def test_no_camera_shows_two_strands_that_lie_on_each_other() -> None:
     there = np.column_stack([np.linspace(0, 0.3, 50), np.zeros((50, 2))])
     back = there[::-1] + (0, 0.003, 0.002)
     assert photograph(np.concatenate([there, back]), 128, np.random.default_rng(0)) is None
+
+
+if __name__ == "__main__":  # python tests/rendering/test_photo.py COUNT
+    done, wrong, crossings = 0, Counter[str](), 0
+    for size, share in ((256, 0.25), (512, 0.05), (128, 0.7)):
+        made, spent, some = 0, 0.0, photos(round(share * int(sys.argv[1])), size, 7 * size)
+        while True:
+            start = time.process_time()
+            if (one := next(some, None)) is None:
+                break
+            spent, made, done = spent + time.process_time() - start, made + 1, done + 1
+            wrong.update(faults(*one))
+            crossings += one[1].crossings.nx
+            if done % 1000 == 0:
+                print(
+                    f"{done} photos, {crossings} crossings; wrong: {dict(wrong) or 0}", flush=True
+                )
+        print(f"{size} pixels: {made / max(spent, 1e-9):.0f} photos with answers a CPU second")
+    print(f"{done} photos, {crossings} crossings; wrong: {dict(wrong) or 0}")

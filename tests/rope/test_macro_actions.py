@@ -1,15 +1,15 @@
 """Macro-actions lead one bead where they say, by steps that an agent could take."""
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidInput
 from knotgym.rope.actions import quantized
-from knotgym.rope.macro_action_config import KINDS, MacroActionConfig
 from knotgym.rope.macro_actions import (
+    ARRIVED,
+    KINDS,
+    LIFT,
+    RISE,
+    STRAIGHT_LIFT,
     MacroAction,
     WaypointFollower,
     cumulative_shares,
@@ -19,12 +19,10 @@ from knotgym.rope.macro_actions import (
 from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 
-CONFIG = MacroActionConfig()
-
 
 def drawn(rope: Rope, count: int = 300, seed: int = 0) -> list[MacroAction]:
     rng = np.random.default_rng(seed)
-    return [propose(rope.loop(), rng, CONFIG) for _ in range(count)]
+    return [propose(rope.loop(), rng) for _ in range(count)]
 
 
 def test_the_same_seed_draws_the_same_macro_actions(rope: Rope) -> None:
@@ -34,11 +32,12 @@ def test_the_same_seed_draws_the_same_macro_actions(rope: Rope) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_only_passes_and_curls_have_a_strand_to_pass(rope: Rope, kind: str) -> None:
-    rng = np.random.default_rng(0)
-    none, one, two, three = (float(one == kind) for one in KINDS)
-    config = replace(CONFIG, shares=(none, one, two, three))
-    moves = [propose(rope.loop(), rng, config) for _ in range(100)]
+def test_only_passes_and_curls_have_a_strand_to_pass(
+    rope: Rope, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shares = tuple(float(one == kind) for one in KINDS)
+    monkeypatch.setattr("knotgym.rope.macro_actions.SHARES", shares)
+    moves = drawn(rope, 100)
     apart = [(move.target - move.bead) % 100 for move in moves]
     near = [min(one, 100 - one) for one in apart]
     if kind in ("pass", "curl"):
@@ -52,27 +51,27 @@ def test_only_passes_and_curls_have_a_strand_to_pass(rope: Rope, kind: str) -> N
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_strand_is_passed_at_a_height_above_or_below_it(rope: Rope, side: int) -> None:
     rng = np.random.default_rng(0)
-    macro_action = pass_strand(rope.loop(), 10, 60, side, rng, CONFIG)
-    assert np.allclose(macro_action.waypoints[:2, 2], side * CONFIG.lift)
+    macro_action = pass_strand(rope.loop(), 10, 60, side, rng)
+    assert np.allclose(macro_action.waypoints[:2, 2], side * LIFT)
     assert macro_action.waypoints[2, 2] == pytest.approx(0)
 
 
 def test_a_pass_ends_beyond_the_strand(rope: Rope) -> None:
     points, rng = rope.loop(), np.random.default_rng(1)
     for _ in range(50):
-        macro_action = pass_strand(points, 10, 30, 1, rng, CONFIG)
+        macro_action = pass_strand(points, 10, 30, 1, rng)
         led = np.linalg.norm(macro_action.waypoints[1, :2] - points[10, :2])
         assert led > np.linalg.norm(points[30, :2] - points[10, :2])
 
 
 def test_a_new_follower_is_idle_and_uses_no_force(rope: Rope) -> None:
-    follower, points = WaypointFollower(3, CONFIG), np.repeat(rope.loop()[None], 3, axis=0)
+    follower, points = WaypointFollower(3), np.repeat(rope.loop()[None], 3, axis=0)
     assert follower.idle.all() and not follower.forces(points, np.arange(3)).any()
 
 
 def test_forces_are_quantized_and_at_most_the_largest(rope: Rope) -> None:
     points, ids = np.repeat(rope.loop()[None], 40, axis=0), np.arange(40)
-    follower = WaypointFollower(40, CONFIG)
+    follower = WaypointFollower(40)
     follower.begin(ids, drawn(rope, 40))
     forces = follower.forces(points, ids)
     assert np.linalg.norm(forces, axis=1).max() <= 1.01
@@ -80,14 +79,14 @@ def test_forces_are_quantized_and_at_most_the_largest(rope: Rope) -> None:
 
 
 def test_a_bead_is_led_towards_its_waypoint(rope: Rope) -> None:
-    follower, points, ids = WaypointFollower(1, CONFIG), rope.loop(), np.zeros(1, np.int64)
+    follower, points, ids = WaypointFollower(1), rope.loop(), np.zeros(1, np.int64)
     waypoints = points[7] + [[0.1, 0, 0], [0.1, 0.1, 0], [0, 0, 0]]
     follower.begin(ids, [MacroAction(7, waypoints)])
     assert np.allclose(follower.forces(points[None], ids), [[1, 0, 0]])
 
 
 def test_a_bead_is_led_to_its_last_waypoint(rope: Rope) -> None:
-    simulation, follower = MujocoSimulation(1, rope), WaypointFollower(1, CONFIG)
+    simulation, follower = MujocoSimulation(1, rope), WaypointFollower(1)
     points, ids = rope.loop(), np.zeros(1, np.int64)
     waypoints = points[40] + np.array([[0.03, 0.0, 0.02], [0.08, 0.02, 0.02], [0.08, 0.02, 0.0]])
     follower.begin(ids, [MacroAction(40, waypoints)])
@@ -96,37 +95,21 @@ def test_a_bead_is_led_to_its_last_waypoint(rope: Rope) -> None:
         force = follower.forces(simulation.points, ids) * simulation.max_force
         simulation.step(follower.beads, force)
         pulls += 1
-    assert np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < CONFIG.arrived and pulls < 15
+    assert np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < ARRIVED and pulls < 15
 
 
 def test_passes_without_chance_lead_over_their_strands(rope: Rope) -> None:
     points, ids = np.repeat(rope.loop()[None], 3, axis=0), np.array([0, 2])
-    follower = WaypointFollower(3, CONFIG)
+    follower = WaypointFollower(3)
     follower.begin_passes(ids, [(10, 40, 1), (70, 20, -1)], points)
     assert follower.idle.tolist() == [False, True, False]
     ahead = rope.loop()[[40, 20]] - rope.loop()[[10, 70]]
     forces = follower.forces(points, ids)
     # straight at the strand, and up or down to the height at which it is passed
     assert np.allclose(forces[:, 0] * ahead[:, 1], forces[:, 1] * ahead[:, 0], atol=0.01)
-    rise = np.array([1, -1]) * CONFIG.straight_lift / CONFIG.rise
+    rise = np.array([1, -1]) * STRAIGHT_LIFT / RISE
     level = (forces[:, :2] * ahead[:, :2]).sum(axis=1) / np.linalg.norm(ahead, axis=1)
     assert np.allclose(forces[:, 2] / level, rise, rtol=0.05)
-
-
-@pytest.mark.parametrize(
-    ("settings", "problem"),
-    [
-        ({"shares": (1.0, 0.0, 0.0)}, "shares"),
-        ({"shares": (0.0, 0.0, 0.0, 0.0)}, "not all 0"),
-        ({"arrived": 0.0}, "arrived must be above 0"),
-        ({"distance": (0.2, 0.03)}, "the smaller number first"),
-        ({"pass_apart": 0}, "at least 1"),
-        ({"lift": float("nan")}, "lift must be a finite"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], problem: str) -> None:
-    with pytest.raises(InvalidInput, match=problem):
-        MacroActionConfig(**settings)
 
 
 def test_cumulative_shares_draw_as_generators_choose() -> None:

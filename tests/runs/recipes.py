@@ -22,8 +22,7 @@ from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_recipe import make_states
 from knotgym.runs.run import Call, Recipe, run
-from knotgym.runs.run_options import RunOptions
-from knotgym.runs.shards import Shard
+from knotgym.runs.run_options import RunOptions, Shard
 
 
 def drawn(seed: int, number: int, scale: float) -> dict[str, Any]:

@@ -68,9 +68,7 @@ def test_a_first_environment_says_once_that_it_compiles(
     monkeypatch.setattr("knotgym.rope.engines._warned", set())
     for _ in range(2):
         warn_of_compilation("mujoco")
-    assert [one.getMessage() for one in caplog.records] == [
-        "compiling, in the first run only; `knotgym compile` does it beforehand"
-    ]
+    assert [one.getMessage() for one in caplog.records] == ["compiling, in the first run only"]
 
 
 def test_a_terminal_is_told_while_printed_words_go_elsewhere(

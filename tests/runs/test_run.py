@@ -23,8 +23,7 @@ import pytest
 from knotgym.common.errors import Failed, InvalidInput, Occupied
 from knotgym.runs.journal import Journal
 from knotgym.runs.run import Call, Recipe, compute, run, staging_folder
-from knotgym.runs.run_options import RunOptions
-from knotgym.runs.shards import Shard
+from knotgym.runs.run_options import RunOptions, Shard
 
 from ..scripts import ROOT
 from .recipes import RECIPES, drawn, made_toy, toy

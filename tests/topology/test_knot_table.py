@@ -9,11 +9,11 @@ import pytest
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import (
+    _types_by_polynomials,
     based_diagrams,
     diagram_of,
     prime_diagrams,
     type_of,
-    types_by_polynomials,
 )
 from knotgym.topology.knots import knot_type, shows
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
@@ -54,7 +54,7 @@ def test_every_diagram_is_named_as_itself_from_any_base_and_in_the_mirror() -> N
 
 
 def test_the_polynomials_leave_six_pairs_alike() -> None:
-    assert {types for types in types_by_polynomials().values() if len(types) > 1} == {
+    assert {types for types in _types_by_polynomials().values() if len(types) > 1} == {
         ("5_1", "10_132"),
         ("8_8", "10_129"),
         ("8_16", "10_156"),

@@ -30,7 +30,7 @@ CODES = [
 codes = st.sampled_from(CODES)
 symmetries = st.builds(
     Symmetry,
-    reflect=st.booleans(),
+    mirror=st.booleans(),
     switch=st.booleans(),
     turn=st.floats(-np.pi, np.pi),
     reverse=st.booleans(),
@@ -48,7 +48,7 @@ def configurations(rope: Rope, tangled: NDArray[np.float64]) -> NDArray[np.float
 def variants(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
     """Yield the images of a code with the symmetries that show them."""
     for k, shown in enumerate(images(code)):
-        yield shown, Symmetry(reflect=bool(k & 1), switch=bool(k & 2), reverse=bool(k & 4))
+        yield shown, Symmetry(mirror=bool(k & 1), switch=bool(k & 2), reverse=bool(k & 4))
 
 
 @given(codes)
@@ -82,8 +82,8 @@ def test_what_a_variant_shows_is_what_the_moved_rope_shows(
 ) -> None:
     points = configurations[row]
     for shown, symmetry in variants(label(points)):
-        turned = Symmetry(symmetry.reflect, symmetry.switch, turn, symmetry.reverse)
-        assert label(turned.configuration(points)) == shown
+        turned = symmetry._replace(turn=turn)
+        assert label(turned.vertices(points)) == shown
 
 
 def test_a_walk_from_any_vertex_reads_the_rolled_code(configurations: NDArray[np.float64]) -> None:
@@ -92,7 +92,7 @@ def test_a_walk_from_any_vertex_reads_the_rolled_code(configurations: NDArray[np
         visits = np.concatenate([found.over_place, found.under_place])
         for first in range(BEADS):
             rebased = found.code.rebased(int((visits < first).sum()))
-            assert label(Symmetry(base_shift=first).configuration(points)) == rebased, first
+            assert label(Symmetry(base_shift=first).vertices(points)) == rebased, first
 
 
 @given(rows, symmetries)
@@ -100,7 +100,7 @@ def test_a_bead_keeps_its_place_under_its_new_number(
     configurations: NDArray[np.float64], row: int, symmetry: Symmetry
 ) -> None:
     points = configurations[row]
-    moved = symmetry.configuration(points)
+    moved = symmetry.vertices(points)
     middles = (points + np.roll(points, -1, axis=0)) / 2
     new = symmetry.beads(np.arange(BEADS), BEADS)
     assert np.allclose(
@@ -114,12 +114,12 @@ def test_distances_stay(configurations: NDArray[np.float64], row: int, symmetry:
         return np.sort(np.linalg.norm(points - points.mean(axis=0), axis=1))
 
     assert np.allclose(
-        spread(symmetry.configuration(configurations[row])), spread(configurations[row]), atol=1e-12
+        spread(symmetry.vertices(configurations[row])), spread(configurations[row]), atol=1e-12
     )
 
 
 def test_no_symmetry_is_bit_for_bit_nothing(configurations: NDArray[np.float64]) -> None:
-    assert np.array_equal(Symmetry().configuration(configurations[3]), configurations[3])
+    assert np.array_equal(Symmetry().vertices(configurations[3]), configurations[3])
 
 
 @pytest.mark.parametrize(("nx", "diagrams"), [(0, 1), (1, 1), (2, 2), (3, 7)])

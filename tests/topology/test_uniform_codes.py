@@ -5,9 +5,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from knotgym.topology.diagrams import planar_codes
+from knotgym.topology.diagrams import planar_codes, uniform_code
 from knotgym.topology.knots import is_unknot
-from knotgym.topology.uniform_codes import uniform_code
 
 
 def chi_square(counts: Counter[str], kinds: int) -> float:

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import Haul, MacroAction, Pass, WaypointFollower
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.towing import TowBound, distances_towed
@@ -111,10 +110,10 @@ class BatchedSearch:
         ropes: the simulation.
     """
 
-    def __init__(self, count: int, config: MacroActionConfig, rope: Rope | None = None) -> None:
-        """Make `count` ropes to search in; settings of macro-actions say how they are led."""
+    def __init__(self, count: int, rope: Rope | None = None) -> None:
+        """Make `count` ropes to search in."""
         self.ropes = ChainSimulation(count, rope)
-        self._follower = WaypointFollower(count, config)
+        self._follower = WaypointFollower(count)
         self._lanes: dict[int, _Lane] = {}
         self._pulls, self._limit = np.zeros((2, count), np.int64)
         self._going, self._lost, self._hauled = np.zeros((3, count), bool)

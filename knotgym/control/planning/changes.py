@@ -250,11 +250,10 @@ class Proposals:
         Args:
             points: float64 (beads, 3), metres: where the rope lies.
             rng: source of all draws.
-            config: the share of macro-actions that are guided, and how they are drawn.
+            config: the share of macro-actions that are guided, and how closely they imitate.
         """
-        sizes = config.macro_actions
         if not self._changes or rng.random() >= config.guided:
-            return propose(points, rng, sizes)
+            return propose(points, rng)
         change = self._changes[int(self._shares.searchsorted(rng.random(), side="right"))]
         (sight,) = see(points[None])
         example = change.examples[int(rng.integers(len(change.examples)))]
@@ -267,8 +266,8 @@ class Proposals:
 
         led = bead(at)
         if past >= 0:
-            return pass_strand(points, led, bead(past), side, rng, sizes)
-        return move_aside(points, "shift" if past == -1 else "spread", led, side, rng, sizes)
+            return pass_strand(points, led, bead(past), side, rng)
+        return move_aside(points, "shift" if past == -1 else "spread", led, side, rng)
 
 
 @lru_cache(maxsize=4)

@@ -17,7 +17,6 @@ from knotgym.control.rollouts import Player, Policy, Pulls
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import quantized
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import LONGEST, MacroAction, Pass, WaypointFollower, propose
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import GaussCode
@@ -27,18 +26,13 @@ _WANDERING = 0.5  # share of noisy episodes that begin with a random pass; not m
 
 @dataclass(frozen=True)
 class Scripted(ChoosesPulls):
-    """Random macro-actions, one after another.
+    """Random macro-actions, one after another."""
 
-    Attributes:
-        config: how they are drawn.
-    """
-
-    config: MacroActionConfig = MacroActionConfig()
     name: str = "scripted"
 
     def player(self, batch: EpisodeBatch) -> ScriptedPlayer:
         """Return a player for the lanes of a batch."""
-        return ScriptedPlayer(self, batch)
+        return ScriptedPlayer(batch)
 
 
 class ScriptedPlayer(Player):
@@ -49,9 +43,8 @@ class ScriptedPlayer(Player):
         begun: bool (lanes,), whether its first pull was the last one chosen.
     """
 
-    def __init__(self, policy: Scripted, batch: EpisodeBatch) -> None:
-        self._config, self._batch = policy.config, batch
-        self._follower = WaypointFollower(batch.count, policy.config)
+    def __init__(self, batch: EpisodeBatch) -> None:
+        self._batch, self._follower = batch, WaypointFollower(batch.count)
         self._rngs: dict[int, np.random.Generator] = {}
         self.moves: dict[int, MacroAction] = {}
         self.begun = np.zeros(batch.count, bool)
@@ -64,7 +57,7 @@ class ScriptedPlayer(Player):
     def act(self, ids: Ids) -> Pulls:
         points, follower = self._batch.simulation.points, self._follower
         idle = ids[follower.arrive(points, ids)]
-        new = {k: propose(points[k], self._rngs[k], self._config) for k in idle.tolist()}
+        new = {k: propose(points[k], self._rngs[k]) for k in idle.tolist()}
         if new:
             follower.begin(idle, [*new.values()])
             follower.arrive(points, idle)

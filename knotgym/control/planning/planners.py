@@ -38,7 +38,6 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.engines import simulation_of
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import LONGEST, Pass, WaypointFollower
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
@@ -77,7 +76,7 @@ class PullPlanner(ChoosesPulls):
 
     def player(self, batch: EpisodeBatch) -> PullPlayer:
         """Return a player for the lanes of a batch."""
-        desk = Desk(batch, self.config.batch_size, self.config.macro_actions)
+        desk = Desk(batch, self.config.batch_size)
         return PullPlayer(self, batch, desk)
 
 
@@ -122,14 +121,14 @@ class Desk:
         planned: int64 (lanes,), pulls simulated for the episode in a lane.
     """
 
-    def __init__(self, batch: EpisodeBatch, slots: int, config: MacroActionConfig) -> None:
+    def __init__(self, batch: EpisodeBatch, slots: int) -> None:
         """Make ropes for searches, each of which takes at most so many slots."""
         rope, count = batch.simulation.rope, batch.count
-        self.search = BatchedSearch(max(_SPARE * count, slots), config, rope)
+        self.search = BatchedSearch(max(_SPARE * count, slots), rope)
         self.check = simulation_of(1, rope.config, batch.simulation.engine)
         self.thinking, self.planned = np.zeros(count, bool), np.zeros(count, np.int64)
         self._askers: dict[int, _Asker] = {}
-        self._follower = WaypointFollower(1, config)
+        self._follower = WaypointFollower(1)
         self._laid: ChainSimulation | None = None
 
     def begin(self, ids: Ids) -> None:
@@ -266,13 +265,13 @@ class PassPlayer(Player):
         self._config, self.batch, count = policy.config, batch, batch.count
         self._values = policy.values or pass_values(batch.task.split)
         slots = max(SLOTS, policy.pulls.batch_size)
-        self.desk = Desk(batch, slots, policy.config.macro_actions)
+        self.desk = Desk(batch, slots)
         # in the last resort the planner of pulls may simulate less than where it is the policy
         least = min(policy.pulls.budget, policy.config.last_resort)
         pulls = PullPlanner(replace(policy.pulls, budget=least))
         self._last_resort = PullPlayer(pulls, batch, self.desk)
         self._by_pulls = np.zeros(count, bool)  # whether the last resort acts
-        self._follower = WaypointFollower(count, policy.config.macro_actions)
+        self._follower = WaypointFollower(count)
         self._moves, self._taken = np.zeros((count, 3), np.int64), np.zeros(count, np.int64)
         # passes that were found: the one under way, and those after it
         self._plans: dict[int, list[TriedPass]] = {}

@@ -145,17 +145,29 @@ def _sights(points, most):  # type: ignore[no-untyped-def]
     cuts, darts = np.zeros((ropes, most)), np.empty(ropes, np.int64)
     for rope in range(ropes):
         _, _, table = scan(points[rope])
-        places = np.sort(np.concatenate((table[:, OVER_PLACE], table[:, UNDER_PLACE])))
-        for k in range(len(places)):
-            cuts[rope, k] = places[k]
+        found = 0
+        for k in range(len(table)):
+            for column in (OVER_PLACE, UNDER_PLACE):
+                # inserted in order: `np.sort` of so few would take seconds to compile
+                place, at = table[k, column], found
+                while at > 0 and cuts[rope, at - 1] > place:
+                    cuts[rope, at] = cuts[rope, at - 1]
+                    at -= 1
+                cuts[rope, at] = place
+                found += 1
         # The vertex farthest to the right lies on the outer face. Where the curve turns left there,
         # it goes up, and has the outside on its right.
-        vertex = np.argmax(points[rope, :, 0])
+        vertex, visited = 0, 0
+        for k in range(beads):
+            if points[rope, k, 0] > points[rope, vertex, 0]:
+                vertex = k
+        while visited < found and cuts[rope, visited] < vertex:
+            visited += 1
         before, after = (vertex - 1) % beads, (vertex + 1) % beads
         ax = points[rope, vertex, 0] - points[rope, before, 0]
         ay = points[rope, vertex, 1] - points[rope, before, 1]
         bx = points[rope, after, 0] - points[rope, vertex, 0]
         by = points[rope, after, 1] - points[rope, vertex, 1]
-        edge = ((places < vertex).sum() - 1) % len(places) if len(places) else 0
+        edge = (visited - 1) % found if found else 0
         darts[rope] = 2 * edge + (1 if ax * by - ay * bx > 0 else 0)
     return cuts, darts

@@ -113,9 +113,10 @@ def _made(report: Mapping[str, Any]) -> str:
         says = f"Frames of {report['attempts']} ropes were examined."
     else:
         passed = sum(len(codes) for codes in report["passed_over"].values())
+        played = PLAY in report.get("source", "")
         says = (
-            f"{report['attempts']} drawings were made; {passed} codes were passed over"
-            " (`passed_over` in `manifest.json`)."
+            f"{report['attempts']} drawings {'and ropes ' * played}were made; {passed} codes were"
+            " passed over (`passed_over` in `manifest.json`)."
         )
     lacking = report.get("undemonstrated", [])
     if lacking:
@@ -142,9 +143,20 @@ _SOURCES = {
 }
 
 
+def _made_by(report: Mapping[str, Any]) -> str:
+    """Say how the states were made, source by source."""
+    found = {one: text for one, text in _SOURCES.items() if one in report["source"].split(" and ")}
+    if len(found) < 2:
+        return "".join(found.values())
+    return " ".join(
+        f"Those with `source/policy` {one}: {text[0].lower()}{text[1:]}"
+        for one, text in found.items()
+    )
+
+
 def _holds(report: Mapping[str, Any]) -> str:
     """Say where the states come from, and what else is in the folder."""
-    states = f"`states.h5` holds one row a state, at rest. {_SOURCES.get(report['source'], '')}"
+    states = f"`states.h5` holds one row a state, at rest. {_made_by(report)}"
     if not report.get("demonstrations"):
         return states
     return (

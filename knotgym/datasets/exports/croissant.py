@@ -6,6 +6,7 @@ every dataset: the context that mlcroissant writes, licence, and the responsible
 
 import json
 import re
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,22 @@ from knotgym.datasets.image_table import arrow
 _TYPES = {"string": "sc:Text", "bool": "sc:Boolean", "float": "sc:Float", "double": "sc:Float"}
 
 
-def croissant(folder: Path, name: str, description: str) -> dict[str, Any]:
-    """Describe the tables data/CONFIG/SPLIT-*.parquet of a folder; the result is JSON."""
+def croissant(
+    folder: Path, name: str, description: str, facts: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """Describe the tables data/CONFIG/SPLIT-*.parquet or data/SPLIT-*.parquet of a folder.
+
+    Args:
+        facts: replaces fields of `croissant.json`.
+
+    Returns:
+        What is written as JSON.
+    """
     fixed = json.loads((files("knotgym.datasets.exports") / "croissant.json").read_text("utf-8"))
-    paths = [path.relative_to(folder) for path in sorted(folder.glob("data/*/*.parquet"))]
+    paths = [path.relative_to(folder) for path in sorted(folder.glob("data/**/*.parquet"))]
     return {
         **fixed,
+        **(facts or {}),
         "name": re.sub(r"[^\w-]+", "-", name),
         "description": description,
         "citeAs": BIBTEX,
@@ -44,8 +55,8 @@ def croissant(folder: Path, name: str, description: str) -> dict[str, Any]:
 
 def _records(folder: Path, path: Path) -> dict[str, Any]:
     parquet = arrow("pyarrow.parquet").ParquetFile(folder / path)
-    split = path.name.partition("-")[0]
-    where = f"{path.parent.name}/{split}"
+    split, _, shard = path.stem.partition("-")
+    where = f"{path.parent.name}/{split}" + ("" if shard.startswith("00000") else f"-{shard}")
     fields = [_field(where, path.as_posix(), column) for column in parquet.schema_arrow]
     return {
         "@type": "cr:RecordSet",

@@ -17,9 +17,8 @@ from knotgym.datasets.episodes import fitted
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.exports.ogbench_export import to_ogbench
+from knotgym.datasets.exports.picture_exports import to_coco, to_webdataset
 from knotgym.datasets.located import Located, locate_own, refuse_minaris_folder
-from knotgym.rope.curve_files import write_curves
-from knotgym.states.state_file import read_states
 
 
 def export(named: str, out: Path, form: str, replay: Replay, *, overwrite: bool = False) -> str:
@@ -27,7 +26,7 @@ def export(named: str, out: Path, form: str, replay: Replay, *, overwrite: bool 
 
     Args:
         named: a path or an id.
-        out: a file for one dataset in a format of _FILES, and for curves; otherwise a folder.
+        out: a file for one dataset in a format of _FILES; otherwise a folder.
         form: the format, one of EXPORTERS.
         replay: plays recordings again, `control.verification.replay`.
         overwrite: replace what is there.
@@ -76,22 +75,13 @@ def _files(given: Located, out: Path, overwrite: bool, form: str, replay: Replay
     return f"{episodes} episodes{f' in {len(datasets)} files' * several}, {size / 1e6:.1f} MB"
 
 
-def _curves(given: Located, out: Path, overwrite: bool) -> str:
-    if given.states is None:
-        raise InvalidInput(f"{given.title} holds no states, whose curves could be exported")
-    points = read_states(given.states, images=False).points
-    require_output(out, folder=False, overwrite=overwrite)
-    with atomic_write(out, overwrite=overwrite) as temporary:
-        write_curves(temporary, [f"state{row}" for row in range(len(points))], points)
-    return f"{len(points)} curves"
-
-
 _FILES = ("compact", "columns", "recording")  # one file, or a folder of them
 _OF_EPISODES = (*_FILES, "ogbench", "minari")
 _OTHERS: dict[str, Callable[[Located, Path, bool], str]] = {
     "ogbench": to_ogbench,
     "huggingface": to_huggingface,
     "minari": to_minari,
-    "curves": _curves,
+    "coco": to_coco,
+    "webdataset": to_webdataset,
 }
 EXPORTERS = (*_FILES, *_OTHERS)

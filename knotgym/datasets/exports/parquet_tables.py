@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.tables import Column, Schema, Table
 from knotgym.datasets.episode_dataset import EpisodeDataset
-from knotgym.datasets.episode_outcomes import goal_reached
-from knotgym.datasets.episodes import STEPS, gauss_codes, ranges
+from knotgym.datasets.episodes import STEPS, gauss_codes, goal_reached, ranges
 from knotgym.datasets.image_table import SHOWS_IMAGE, arrow, encode, picture_column
 
 _AT_ONCE = 256  # episodes converted at once

@@ -1,13 +1,19 @@
-"""Data of a dataset's page, as JSON; vertices are int16 in base64.
+"""The page of a dataset: template, style, scripts and data in one HTML file, without the network.
+
+The data are an escaped JSON block that can't contain markup; the script shows them as text only.
+Vertices are int16 in base64.
 
 Ropes are centred at the origin, as in the pictures, in units of 0.1 mm. Large datasets are sampled
 evenly, and the page says so.
 """
 
 import base64
+import html
 import json
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -33,6 +39,7 @@ MOST_FRAMES = 7000  # states of all episodes, about 1.1 kB each
 MOST_STEPS = 1000  # steps of one episode
 _SHOWN = ("nx", "gauss_code", "gauss_code_chiral", "split", "knot")
 _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
+_SCRIPTS = ("rope.js", "plots.js", "page.js")
 
 
 def page_data(title: str, given: Located) -> dict[str, Any]:
@@ -69,6 +76,28 @@ def page_data(title: str, given: Located) -> dict[str, Any]:
     if not contents:
         raise InvalidInput(f"{title} has no rows, so there is nothing to show")
     return {**data, "says": ", ".join(contents)}
+
+
+def page_html(data: Mapping[str, Any]) -> str:
+    """Return the page of the result of `page_data`."""
+    script = "\n".join(_part(name) for name in _SCRIPTS)
+    start = 'const DATA = JSON.parse(document.getElementById("data").textContent);'
+    return Template(_part("page.html")).substitute(
+        title=html.escape(str(data["title"])),
+        style=_part("page.css"),
+        data=_as_text(data),
+        script=f'(() => {{\n"use strict";\n{start}\n{script}\n}})();',
+    )
+
+
+def _as_text(data: Mapping[str, Any]) -> str:
+    """Serialize to JSON without characters that are special in HTML."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _part(name: str) -> str:
+    return (files("knotgym.datasets.page") / name).read_text(encoding="utf-8")
 
 
 def _sampled(count: int, most: int) -> list[int]:

@@ -19,8 +19,8 @@ _CHAIN, _MUJOCO = (4, 64, 1024), (32, 8, 64)
 _MOST_STEPS = 2**17  # of a block, which bounds its memory
 
 
-def blocks(episodes: int, task: TaskConfig) -> list[range]:
-    """Divide the numbers of a run's episodes into blocks of about equal size.
+def blocks(episodes: int, task: TaskConfig, first: int = 0) -> list[range]:
+    """Divide the numbers of a run's episodes, from a first one on, into blocks of about equal size.
 
     >>> blocks(200, TaskConfig(task="tie", engine="chain"))
     [range(0, 50), range(50, 100), range(100, 150), range(150, 200)]
@@ -29,8 +29,8 @@ def blocks(episodes: int, task: TaskConfig) -> list[range]:
     most = min(most, max(1, _MOST_STEPS // (task.horizon + 1)))
     size = min(max(-(-episodes // pieces), least), most)
     count = -(-episodes // size)
-    ends = [number * episodes // count for number in range(count + 1)]
-    return [range(first, end) for first, end in zip(ends[:-1], ends[1:], strict=True)]
+    ends = [first + number * episodes // count for number in range(count + 1)]
+    return [range(begin, end) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
 
 
 def as_result(episodes: Episodes) -> dict[str, NDArray[Any]]:

@@ -5,6 +5,7 @@ the seed and its number, so the dataset's bytes don't depend on blocks, lanes or
 """
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -12,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import require_output, sha256
 from knotgym.common.configuration import as_json, differences
@@ -22,8 +22,8 @@ from knotgym.control.policies import compile_planning, make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_dataset import FILE, open_episodes
-from knotgym.datasets.episodes import Episodes, merged
-from knotgym.datasets.machine import machine
+from knotgym.datasets.episodes import PULLS, STEPS, Episodes, merged
+from knotgym.datasets.manifest import machine
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result
@@ -72,7 +72,6 @@ def distinct_id(config: CollectConfig) -> str:
         "" if task.observation == OBSERVATION else task.observation,
         f"seed{seed}" if seed else "",
         "" if config.keep_failed else "successes",
-        f"best{config.attempts}" if config.attempts > 1 else "",
         "labelled" if config.labels else "",
         digest,
     )
@@ -166,11 +165,40 @@ def _episodes_of(
     block: Callable[[CollectConfig, range], Result],
 ) -> Recipe[str]:
     """Play a collection's episodes and publish them as the folder `place`; return a summary."""
-    parts = yield [
-        Call(f"episodes {few.start}-{few.stop - 1}", block, (config, few))
-        for few in blocks(config.episodes, config.task)
-    ]
-    return _publish(config, [from_result(part) for part in parts], source, place)
+    parts = list[Episodes]()
+    played = steps = 0
+    while coming := _coming(config, played, steps):
+        results = yield [
+            Call(f"episodes {few.start}-{few.stop - 1}", block, (config, few))
+            for few in blocks(coming, config.task, played)
+        ]
+        played += coming
+        parts += [from_result(result) for result in results]
+        steps = sum(int(part.episodes["length"].sum()) for part in parts)
+    if config.steps:
+        parts = _first_steps(parts, config.steps)
+    return _publish(config, parts, source, place)
+
+
+def _coming(config: CollectConfig, played: int, steps: int) -> int:
+    """Return how many episodes to play next, after so many with so many steps; 0 at the end."""
+    if not config.steps:
+        return config.episodes - played
+    # at first as many as are needed if none ends early, then as many as by their mean length
+    mean = steps / played if played else config.task.horizon
+    return max(0, math.ceil((config.steps - steps) / mean))
+
+
+def _first_steps(parts: list[Episodes], steps: int) -> list[Episodes]:
+    """Cut off the episodes that aren't needed for so many steps."""
+    lengths = np.concatenate([part.episodes["length"] for part in parts])
+    needed = int(np.searchsorted(np.cumsum(lengths), steps)) + 1
+    kept = list[Episodes]()
+    for part in parts:
+        own = min(part.episodes.rows, needed)
+        kept += [part if own == part.episodes.rows else part.select(np.arange(own))] * (own > 0)
+        needed -= own
+    return kept
 
 
 def play(config: CollectConfig, numbers: range) -> Result:
@@ -178,28 +206,8 @@ def play(config: CollectConfig, numbers: range) -> Result:
     policy = make_policy(config.policy)
     adviser = make_policy(replace(config.policy, policy="expert")) if config.labels else None
     seeds = [episode_seed(config.seed, number) for number in numbers]
-    tried = [
-        rollouts(policy, config.seen_task, seeds, attempt=attempt, adviser=adviser)
-        for attempt in range(config.attempts)
-    ]
-    return as_result(_best(tried))
-
-
-def _best(tried: list[Episodes]) -> Episodes:
-    """Return each episode's shortest successful rollout, or else its first.
-
-    Its number of planned pulls is the sum over all rollouts of the episode.
-    """
-    if len(tried) == 1:
-        return tried[0]
-    success = np.stack([one.episodes["success"] for one in tried])
-    lengths = np.stack([one.episodes["length"] for one in tried])
-    # a successful one before any other; where none is, the first
-    chosen = np.argmin(np.where(success, lengths, lengths.max() + 1), axis=0)
-    count = len(chosen)
-    best = merged(tried).select(chosen * count + np.arange(count))
-    planned: NDArray[np.int64] = np.sum([one.episodes["planned"] for one in tried], axis=0)
-    return best._replace(episodes=best.episodes.replaced(planned=planned))
+    kept = PULLS if config.form == "recording" else STEPS
+    return as_result(rollouts(policy, config.seen_task, seeds, keep=kept, adviser=adviser))
 
 
 def _publish(
@@ -284,14 +292,13 @@ def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata
     task, policy = config.task, config.policy
     measured = task.engine == MUJOCO and task.rope == RopeConfig() and not task.endless
     scores = reference_scores().get(task.name, {}) if measured else {}
-    tried = f", the best of {config.attempts} attempts each" * (config.attempts > 1)
     labels = " At every state stands what an expert would do there (infos/expert_action)."
     planned = total["planned"] / max(total["played"], 1)
     planning = f" Planning took {planned:.0f} simulated pulls an episode."
     text = (
         f"KnotGym, task {' or '.join(task.tasks)} with"
         f" {' or '.join(map(str, task.crossings))} crossings, {task.split} split, engine"
-        f" {task.engine}: {total['kept']} episodes of policy {policy.policy}{tried}, seed"
+        f" {task.engine}: {total['kept']} episodes of policy {policy.policy}, seed"
         f" {config.seed}. {total['succeeded']} of {total['played']} episodes played reached the"
         f" goal within {task.horizon} steps; failed ones are"
         f" {'kept' if config.keep_failed else 'dropped'}.{labels * bool(config.labels)}"

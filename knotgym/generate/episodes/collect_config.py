@@ -3,8 +3,7 @@
 from dataclasses import replace
 from typing import Annotated
 
-from knotgym.common.configuration import Count, Seed, choice, configuration
-from knotgym.common.errors import InvalidInput
+from knotgym.common.configuration import Count, Seed, Whole, choice, configuration
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.rope.engines import MUJOCO
@@ -20,17 +19,18 @@ class CollectConfig:
         task: the environment; its `observation` is stored in Minari's form.
         policy: the acting policy.
         episodes: episodes to play for each dataset.
+        steps: keep as many episodes as it takes for so many steps, instead of `episodes`; 0 for
+            `episodes`. More steps only add episodes.
         seed: random seed; the same seed gives the same bytes. Episode i has
             `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
-        attempts: rollouts per episode; the shortest one that reaches the goal is kept, or else the
-            first.
         labels: "expert" stores the expert's action at every state.
         seen: observation given to functions and objects of your own; "" for the stored one.
         dataset_id: Minari id; "" for `collect.distinct_id`, for example knotgym/tie-nx3/expert-v0,
             with a mark for each setting that changes the data, as in expert-state-seed1-v0.
         form: files to write: columns, or minari for Minari's own beside them; by default these are
-            written for at most 100,000 pulls.
+            written for at most 100,000 pulls. Or recording: starts and pulls alone, a sixth of the
+            bytes or less; `knotgym dataset export --to compact` gets the columns by stepping.
         author: author of the dataset; may be repeated.
         author_email: author's email; may be repeated.
         code_permalink: URL of the code that made it.
@@ -39,23 +39,16 @@ class CollectConfig:
     task: TaskConfig = TaskConfig(task="tie", observation=OBSERVATION)
     policy: PolicyConfig = PolicyConfig(policy="expert")
     episodes: Count = 200
+    steps: Whole = 0
     seed: Seed = 0
     keep_failed: bool = True
-    attempts: Count = 1
     labels: Annotated[str, choice("", "expert")] = ""
     seen: Annotated[str, choice("", *OBSERVATIONS)] = ""
     dataset_id: str = ""
-    form: Annotated[str, choice("", "columns", "minari")] = ""
+    form: Annotated[str, choice("", "recording", "columns", "minari")] = ""
     author: tuple[str, ...] = ()
     author_email: tuple[str, ...] = ()
     code_permalink: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.policy.policy.startswith("prompt:"):
-            raise InvalidInput(
-                "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
-                f" {self.policy.policy}"
-            )
 
     @property
     def seen_task(self) -> TaskConfig:

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,7 @@ from knotgym.common.tables import Table
 from knotgym.control.policies import make_policy, training_card
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episode_outcomes import goal_reached
-from knotgym.datasets.episodes import STEPS, Episodes, merged
+from knotgym.datasets.episodes import STEPS, Episodes, goal_reached, merged
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.blocks import as_result, blocks, from_result
@@ -70,7 +70,7 @@ def evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
     results = []
     for setup, one in enumerate(setups):
         played = merged(parts[setup * len(numbers) : (setup + 1) * len(numbers)])
-        results.append(result_of(*one, played.episodes))
+        results.append(_result_of(*one, played.episodes))
     return results, parts[len(calls) :]
 
 
@@ -149,12 +149,10 @@ def run(
             place.write_text(text, encoding="utf-8")
         return f"{len(results)} results of {config.episodes} episodes each"
 
-    def prepare(shown: Progress) -> None:
-        compile_first(shown, config.task.engine, options.workers)
-
+    prepare = partial(compile_first, engine=config.task.engine, workers=options.workers)
     if out is None:
         prepare(progress)
-        with executor(options.workers, options.scheduler) as pool:
+        with executor(options.workers) as pool:
             compute(recipe(None), pool=pool)
     else:
         run_recipe(
@@ -255,7 +253,7 @@ def _write_film(
         write_film(temporary, frames)
 
 
-def result_of(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
+def _result_of(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
     """Return the result of a setup from the rows of its episodes."""
     success, length = played["success"], played["length"]
     named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}

@@ -13,7 +13,7 @@ from knotgym.common.configuration import Count, Share, Whole, configuration, fro
 from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.envs.task_states import OWN, SHIPPED
 from knotgym.rope.engines import MUJOCO
-from knotgym.runs.narrow_tables import narrow_table
+from knotgym.runs.progress import narrow_table
 
 _SETUP = ("policy", "task", "split", "nx")  # columns
 _OUTCOMES = ("start", "goal", "success", "steps")

@@ -26,7 +26,7 @@ from knotgym.generate.episodes.collect import collect, require_collectable
 from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.recordings import Recording, recordings
 from knotgym.generate.episodes.results import reference_scores
-from knotgym.generate.episodes.suite_config import POLICIES, SUITE, SuiteConfig
+from knotgym.generate.episodes.suite_config import BENCH, SIZES, SUITE, SuiteConfig
 from knotgym.generate.episodes.suite_facts import describe_set
 from knotgym.generate.episodes.suite_scores import read_scores, score_tables
 from knotgym.rope.engines import ENGINES
@@ -73,7 +73,8 @@ def make_suite(
         require_collectable(one, root, options)
     _require_own_card(folder, options)
     for number, one in enumerate(wanted, 1):
-        progress.say(f"set {number} of {len(wanted)}: {one.dataset_id}, {one.episodes} episodes")
+        size = f"{one.steps:,} steps" if one.steps else f"{one.episodes} episodes"
+        progress.say(f"set {number} of {len(wanted)}: {one.dataset_id}, {size}")
         collect(one, root, options, progress=progress, recorded=one.dataset_id in known)
     sets = _described(config, root)
     _write_card(sets, results, config.seed, folder)
@@ -92,7 +93,7 @@ def _recorded(config: SuiteConfig, known: Mapping[str, Recording]) -> list[Colle
     """List the requested sets that are recorded, by the policy that acted, and the random ones of
     the same setups.
     """
-    every = replace(config, policies=POLICIES).sets()
+    every = replace(config, policies=None).sets()
     setups = {one.task for one in every if one.dataset_id in known}
     wanted = [
         replace(one, policy=known[one.dataset_id].config.policy) if one.dataset_id in known else one
@@ -122,7 +123,9 @@ def _require_own_card(folder: Path, options: RunOptions) -> None:
 def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
     """Describe every existing dataset of the benchmark, of this run or earlier ones, by id."""
     whole = SuiteConfig(observation=config.observation, seed=config.seed)
-    ids = [one.dataset_id for engine in ENGINES for one in replace(whole, engine=engine).sets()]
+    parts = [replace(whole, engine=engine) for engine in ENGINES]
+    parts += [replace(whole, states=(BENCH,), size=size) for size in SIZES]
+    ids = [one.dataset_id for part in parts for one in part.sets()]
     return {name: describe_set(root / name) for name in ids if (root / name).exists()}
 
 

@@ -57,12 +57,13 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
     Scores of macro-actions have tables of their own, without the published scores.
     """
     setups = list(product(SUITE["tasks"], SUITE["nx"]))
+    setups += sorted({(row["task"], row["nx"]) for row in rows} - {*setups})
     head = (
         *("policy", "settings", "files", "code", *(f"{task} {nx}" for task, nx in setups)),
         "trained for, s",
     )
     published = [
-        (f"*{policy}, published*", "", "", "", *rates, "")
+        (f"*{policy}, published*", "", "", "", *rates, *[""] * (len(setups) + 1 - len(rates)))
         for policy, rates in SUITE["published"].items()
     ]
     lines: list[str] = []

@@ -26,11 +26,13 @@ class Chosen(NamedTuple):
         points: float64 (beads, 3), metres.
         split: one of IMAGE_SPLITS.
         source: rope, pulls, and the symmetry that was applied to the frame.
+        camera: tilt and heading of the camera in whose axes they were before that, degrees.
     """
 
     points: Array
     split: str
     source: dict[str, Any]
+    camera: tuple[float, float]
 
 
 class Chooser:
@@ -82,19 +84,21 @@ class Chooser:
             return self._refuse("no code wanted")
         _, index, code = min(able)
         symmetry = symmetry_of(frames["symmetries"][row, index])
-        points = symmetry.configuration(frames["points"][row])
+        points = symmetry.vertices(frames["points"][row])
         if not self._is_new(points, split):
             return self._refuse("near-duplicate")
         self._have[key] += 1
         self._hardest[key] += is_extreme
         self._codes[split, code] += 1
-        names = ("reflect", "switch", "reverse", "base_shift")
+        names = ("switch", "reverse", "base_shift")
         source = {
             "rope": int(frames["rope"][row]),
             "pulls": int(frames["pulls"][row]),
+            "reflect": symmetry.mirror,
             **{name: getattr(symmetry, name) for name in names},
         }
-        self.chosen.append(Chosen(points, split, source))
+        tilt, heading = frames["camera"][row].tolist()
+        self.chosen.append(Chosen(points, split, source, (tilt, heading)))
         return True
 
     def _refuse(self, reason: str) -> bool:

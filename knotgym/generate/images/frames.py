@@ -3,6 +3,8 @@
 A frame may be reflected, switched (over and under exchanged), reversed and renumbered from any
 bead; all of these are exact for a picture. So a frame with n crossings can show up to 8n codes.
 Each frame comes with a few symmetries, drawn at random, and the codes that it would show.
+
+Frames for photos are in the axes of a tilted camera, and everything is of its view.
 """
 
 from collections import Counter
@@ -24,6 +26,7 @@ from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.quality.difficulty import ease
 from knotgym.quality.limits import LEGIBLE
 from knotgym.quality.measures import base_spacing, measure
+from knotgym.rendering.photo import clearest, drawn_camera, tilted
 from knotgym.rope.model import Array
 from knotgym.runs.journal import Result
 from knotgym.topology.crossings import find_crossings
@@ -66,15 +69,23 @@ def frames_of(
         `nx` int64 (m,), `ease` float64 (m,) without the base bead (see `difficulty.ease`),
         `symmetries` int64 (m, SYMMETRIES, 4), which are the fields reflect, switch, reverse and
         base_shift, and `codes` str (m, SYMMETRIES), the Gauss code that each shows, or "-" if a
-        crossing would be at the base bead. `dropped` and `count`: why frames were dropped, and how
+        crossing would be at the base bead. `camera` float64 (m, 2), tilt and heading, degrees.
+        `dropped` and `count`: why frames were dropped, and how
         many.
     """
     rows: dict[str, list[Any]] = {
-        name: [] for name in ("points", "rope", "pulls", "nx", "ease", "symmetries", "codes")
+        name: []
+        for name in ("points", "rope", "pulls", "nx", "ease", "symmetries", "codes", "camera")
     }
+    look, sight = config.appearance, (0.0, 0.0)
     dropped: Counter[str] = Counter()
     for (index, pulls), points in _observed(config, ropes, start_qpos).items():
-        rope, crossings = ropes[index], find_crossings(points)
+        rope = ropes[index]
+        if look.style == "photo":
+            camera = generator(Stream.IMAGE_CAMERA, config.seed, rope.number, pulls)
+            sight = drawn_camera(camera, look.tilt)
+            points = tilted(points, *sight)
+        crossings = find_crossings(points)
         if crossings.nx not in wanted[rope.split]:
             dropped["crossings"] += 1
             continue
@@ -83,13 +94,16 @@ def frames_of(
         faults = config.limits.faults(quality, crossings.nx)
         if not faults and pyknotid_code(points) != crossings.code:
             faults = ["labellers disagree"]
+        if not faults and look.style == "photo":
+            faults = [] if clearest(points, min(look.sizes)).legible else ["illegible"]
         if faults:
             dropped[faults[0]] += 1
             continue
         rng = generator(Stream.IMAGE_CHOICE, config.seed, rope.number, pulls)
         symmetries = rng.integers((2, 2, 2, len(points)), size=(SYMMETRIES, 4))
         codes = [_shown(points, symmetry_of(one), config) for one in symmetries]
-        row = points, rope.number, pulls, crossings.nx, ease(quality, LEGIBLE), symmetries, codes
+        grade = ease(quality, LEGIBLE)
+        row = points, rope.number, pulls, crossings.nx, grade, symmetries, codes, sight
         for column, value in zip(rows.values(), row, strict=True):
             column.append(value)
     kinds = {"rope": np.int64, "pulls": np.int64, "nx": np.int64, "ease": np.float64}
@@ -97,6 +111,7 @@ def frames_of(
         "points": np.array(rows["points"] or np.empty((0, 0, 3)), np.float64),
         "symmetries": np.array(rows["symmetries"], np.int64).reshape(-1, SYMMETRIES, 4),
         "codes": np.array(rows["codes"], np.str_).reshape(-1, SYMMETRIES),
+        "camera": np.array(rows["camera"], np.float64).reshape(-1, 2),
         **{name: np.array(rows[name], kind) for name, kind in kinds.items()},
         "dropped": np.array(list(dropped), np.str_),
         "count": np.array(list(dropped.values()), np.int64),
@@ -106,8 +121,8 @@ def frames_of(
 def symmetry_of(fields: NDArray[np.int64]) -> Symmetry:
     """Return the symmetry whose fields are reflect, switch, reverse and base_shift."""
     *flags, base_shift = fields.tolist()
-    reflect, switch, reverse = map(bool, flags)
-    return Symmetry(reflect=reflect, switch=switch, reverse=reverse, base_shift=base_shift)
+    mirror, switch, reverse = map(bool, flags)
+    return Symmetry(mirror=mirror, switch=switch, reverse=reverse, base_shift=base_shift)
 
 
 def _observed(
@@ -143,7 +158,7 @@ def _observed(
 
 def _shown(points: Array, symmetry: Symmetry, config: ImagesConfig) -> str:
     """Return the code that a frame shows after a symmetry, or "-"."""
-    moved = symmetry.configuration(points)
+    moved = symmetry.vertices(points)
     crossings = find_crossings(moved)
     least = config.limits.base_spacing or 0.0
     return str(crossings.code) if base_spacing(moved, crossings) >= least else "-"

@@ -264,6 +264,6 @@ def _files(config: ImagesConfig, waves: _Waves) -> dict[str, list[PictureRow]]:
                     "seed": config.seed,
                     "row": number,
                 }
-                files[name].append(PictureRow(chosen[at].points, split, source))
+                files[name].append(PictureRow(chosen[at].points, split, source, chosen[at].camera))
                 number += 1
     return files

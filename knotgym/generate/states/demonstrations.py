@@ -73,6 +73,7 @@ def start_rows(
             nx=(nx,),
             count=_STARTS,
             source="drawing",
+            engine=config.engine_used,
             every_code=0,
             codes=(),
             demonstrations=False,

@@ -75,7 +75,10 @@ class _Order(NamedTuple):
 
 
 def drawn_rows(
-    config: GenerateConfig, report: dict[str, Any], stage: str = "drawing"
+    config: GenerateConfig,
+    report: dict[str, Any],
+    stage: str = "drawing",
+    apart_from: Sequence[Rows] = (),
 ) -> Recipe[Rows]:
     """Draw the states that a configuration asks for.
 
@@ -83,12 +86,13 @@ def drawn_rows(
         config: of source drawing.
         report: gets the run's counts.
         stage: first words of the keys of the calls.
+        apart_from: other states, which none may be near.
 
     Raises:
         Failed: states are missing, although all drawings have been made.
     """
     codes = {nx: WantedCodes(config, nx) for nx in config.nx}
-    selection, have = Selection(), {nx: Counter[int]() for nx in config.nx}
+    selection, have = Selection(apart_from), {nx: Counter[int]() for nx in config.nx}
     made, reserved = Counter[tuple[int, int]](), Counter[tuple[int, int]]()
     given_up: dict[int, set[int]] = {nx: set() for nx in config.nx}
     number = 0

@@ -5,6 +5,7 @@ The command line reads it first, so nothing here imports the simulator.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
@@ -21,16 +22,19 @@ from knotgym.common.errors import InvalidInput
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
 from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
-from knotgym.rope.engines import CHAIN, MUJOCO
 from knotgym.topology.diagrams import is_planar, not_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
-from knotgym.topology.knots import LISTED_NX, knot_type, shows
+from knotgym.topology.knots import LISTED_NX, codes_of, knot_type, shows
 
 if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig
 
 _BEADS = 100  # of the rope that demonstrations are made with
+# Settings that states taken from ropes need.
+_OF_ROPES = {"every_code": 0, "knot": UNKNOT, "codes": (), "beads": _BEADS}
+# Drawings of one code resemble each other: beyond so many, most are refused as near duplicates.
+_DRAWN = 20
 
 
 @configuration
@@ -87,11 +91,11 @@ class GenerateConfig:
         count: states per number of crossings, spread over as many Gauss codes as possible.
         source: "drawing": draw states from their Gauss codes; "play": take readable states from
             ropes that random and scripted policies pull; "random-walk": take states as uniform
-            random actions reach them, readable or not. The last two leave out over-twisted states,
-            and their splits share no rope.
+            random actions reach them, readable or not; "auto": play for each nx with so few codes
+            that more than 20 states of each are asked for, else drawing. Play and random-walk leave
+            out over-twisted states, and their splits share no rope.
         every_code: instead of --count: number of states for every existing Gauss code.
-        split_by: "state" or "code"; with "code", train and test share no Gauss code.
-        train_share: share of states, codes or ropes in the train split.
+        train_share: share of states or ropes in the train split.
         knot: knot type of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror image
             (m3_1) or a sum (3_1#4_1).
         codes: Gauss codes to use instead of all those of `knot`, with or without chirality; `nx`
@@ -103,7 +107,7 @@ class GenerateConfig:
             later ones start elsewhere and use the planner.
         seed: random seed; the same seed gives the same bytes.
         engine: simulation engine: mujoco, the reference; chain, which is many times as fast; or
-            auto, chain for source play and mujoco for the others.
+            auto, chain where states are taken by play and mujoco elsewhere.
         beads: number of beads of the rope, each 13.3 mm long; other numbers than 100 take source
             drawing without demonstrations. More crossings than 11 need more beads.
         drawing: settings of the curves of source drawing.
@@ -115,9 +119,8 @@ class GenerateConfig:
 
     nx: Crossings = (3,)
     count: Count = 40
-    source: Literal["drawing", "play", "random-walk"] = "drawing"
+    source: Literal["auto", "drawing", "play", "random-walk"] = "auto"
     every_code: Whole = 0
-    split_by: Literal["state", "code"] = "state"
     train_share: Share = 0.5
     knot: str = UNKNOT
     codes: tuple[str, ...] = ()
@@ -141,7 +144,7 @@ class GenerateConfig:
                 f"demonstrations are for a rope of {_BEADS} beads, got {self.beads};"
                 " leave them out: --no-demonstrations"
             )
-        if self.source != "drawing":
+        if self.source in ("play", "random-walk"):
             self._require_ropes()
         if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
             raise InvalidInput(
@@ -159,8 +162,7 @@ class GenerateConfig:
 
     def _require_ropes(self) -> None:
         """Require what states taken from ropes allow."""
-        usual = {"every_code": 0, "split_by": "state", "knot": UNKNOT, "codes": (), "beads": _BEADS}
-        for name, value in usual.items():
+        for name, value in _OF_ROPES.items():
             if getattr(self, name) != value:
                 dashed = name.replace("_", "-")
                 raise InvalidInput(f"--{dashed} needs --source drawing, not {self.source}")
@@ -198,11 +200,34 @@ class GenerateConfig:
         return rope_of(self.beads)
 
     @property
-    def engine_used(self) -> str:
+    def engine_used(self) -> Literal["mujoco", "chain"]:
         """The engine that `engine` stands for."""
         if self.engine != "auto":
             return self.engine
-        return CHAIN if self.source == "play" else MUJOCO
+        return "chain" if self.played and self.source != "random-walk" else "mujoco"
+
+    @property
+    def played(self) -> tuple[int, ...]:
+        """The numbers of crossings whose states are taken from ropes; the others are drawn."""
+        if self.source != "auto":
+            return () if self.source == "drawing" else self.nx
+        special = any(getattr(self, name) != value for name, value in _OF_ROPES.items())
+        if special or self.count <= _DRAWN:
+            return ()
+        few = (nx for nx in self.nx if nx <= LISTED_NX)
+        return tuple(nx for nx in few if self.count > _DRAWN * len(codes_of(UNKNOT, nx)))
+
+    @property
+    def parts(self) -> list[GenerateConfig]:
+        """The configuration of each source: itself, or for auto those of play and drawing."""
+        if self.source != "auto":
+            return [self]
+        drawn = tuple(nx for nx in self.nx if nx not in self.played)
+        sources: tuple[tuple[Literal["play", "drawing"], tuple[int, ...]], ...]
+        sources = ("play", self.played), ("drawing", drawn)
+        return [
+            replace(self, source=one, nx=nx, engine=self.engine_used) for one, nx in sources if nx
+        ]
 
     @property
     def lives(self) -> PlayConfig:

@@ -73,7 +73,7 @@ def import_curves(paths: Sequence[str | Path]) -> tuple[States, list[str]]:
 def _laid(curve: Array, number: int, simulation: Simulation) -> dict[str, Any]:
     """Lay a curve as a row of states; raise InvalidInput if that isn't possible."""
     rope, limits = simulation.rope, Limits()
-    code = shown_code(curve, rope)
+    code = _shown_code(curve, rope)
     if knot_type(code) == UNKNOWN:
         several = possible_types(code)
         which = f"; it is one of {', '.join(several)}, which share polynomials" if several else ""
@@ -105,7 +105,7 @@ def _laid(curve: Array, number: int, simulation: Simulation) -> dict[str, Any]:
     raise InvalidInput(f"refused, relaxed and flattened too: {why}")
 
 
-def shown_code(curve: Array, rope: Rope) -> GaussCode:
+def _shown_code(curve: Array, rope: Rope) -> GaussCode:
     """Return the Gauss code of a closed curve (n, 3) from +z, which the rope must show, too.
 
     Raises:

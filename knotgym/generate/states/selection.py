@@ -12,13 +12,14 @@ from knotgym.topology.gauss import GaussCode
 
 
 class Selection:
-    """States kept so far, none near another.
+    """States kept so far, none near another or one of `apart_from`.
 
     Attributes:
         rejected: nx -> reason -> number of rejected candidates; `offer` counts near duplicates.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, apart_from: Sequence[Rows] = ()) -> None:
+        self._others = [points for rows in apart_from for points in rows["points"]]
         self.rejected = defaultdict[int, Counter[str]](Counter)
         self._parts: list[Rows] = []
         self._kept: list[tuple[GaussCode, Array]] = []
@@ -36,6 +37,7 @@ class Selection:
         points = rows["points"][row]
         code = GaussCode.parse(str(rows["gauss_code_chiral"][row]))
         like = [one for shown, one in self._kept if not lenient or code.matches(shown)]
+        like += self._others
         near = bool(like) and bool(pairs_within(points[None], np.stack(like)))
         if lenient and not near:
             others = [one for shown, one in self._kept if shown.nx == code.nx]

@@ -1,10 +1,11 @@
-"""The recipe of `knotgym generate`: states from one of three sources, then their demonstrations.
+"""The recipe of `knotgym generate`: states from their sources, then their demonstrations.
 
-rows = drawing | play | random-walk        (rows that pass the filter and are new)
+rows = drawing and play | random-walk      (rows that pass the filter and are new)
   -> splits -> states.h5 -> the expert's episodes to their codes -> gallery, card, manifest
 """
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from knotgym.generate.states.demonstrations import (
 )
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.state_rows import Rows, states_of
+from knotgym.generate.states.state_rows import Rows, joined, states_of, taken
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.identity import identity
 from knotgym.runs.progress import Progress
@@ -57,17 +58,19 @@ def make_states(
     asked = {name: value for name, value in as_json(config).items() if name not in _PATIENCE}
     made_by = identity(asked)
 
-    def prepare(progress: Progress) -> None:
-        plan = compile_planning if config.demonstrations else None
-        compile_first(progress, config.engine_used, options.workers, draws=True, plan=plan)
-
     return run(
         lambda place: state_recipe(config, place, made_by),
         Path(out),
         made_by,
         options,
         progress,
-        prepare=prepare,
+        prepare=partial(
+            compile_first,
+            engine=config.engine_used,
+            workers=options.workers,
+            draws=True,
+            plan=compile_planning if config.demonstrations else None,
+        ),
     )
 
 
@@ -82,17 +85,10 @@ def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]
     report: dict[str, Any] = {
         "version": knotgym.__version__,
         "mujoco": mujoco.__version__,
-        "source": config.source,
+        "source": " and ".join(one.source for one in config.parts),
         "knot": type_of(config.knot),
     }
-    if config.source == DRAWING:
-        rows = yield from drawn_rows(config, report)
-        split = _splits(config, rows)
-    else:
-        from knotgym.generate.states.play_source import ropes_of, rows_of_ropes, split_of
-
-        rows = yield from rows_of_ropes(config, report)
-        split = np.array([split_of(config, rope) for rope in ropes_of(rows)])
+    rows, split = yield from _rows(config, report)
     engine, facts = config.engine_used, made_by["config"]
     place.mkdir(parents=True)
     located: dict[str, NDArray[Any]] = {}
@@ -114,6 +110,29 @@ def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]
     return _summary(states, report)
 
 
+def _rows(config: GenerateConfig, report: dict[str, Any]) -> Recipe[tuple[Rows, NDArray[np.str_]]]:
+    """Take states from their sources, with their splits; no two are near duplicates."""
+    parts, splits = list[Rows](), list[NDArray[np.str_]]()
+    for one in config.parts:
+        found: dict[str, Any] = {}
+        if one.source == DRAWING:
+            rows = yield from drawn_rows(one, found, apart_from=parts)
+            splits.append(_splits(one, rows))
+        else:
+            from knotgym.generate.states.play_source import ropes_of, rows_of_ropes, split_of
+
+            rows = dict((yield from rows_of_ropes(one, found)))
+            if len(config.parts) > 1:  # a column that drawings have
+                rows["source/drawing"] = np.full(len(rows["nx"]), "")
+            splits.append(np.array([split_of(one, rope) for rope in ropes_of(rows)]))
+        parts.append(rows)
+        report["attempts"] = report.get("attempts", 0) + found.pop("attempts")
+        report.update({name: {**report.get(name, {}), **each} for name, each in found.items()})
+    rows = joined(parts)
+    order = np.argsort([config.nx.index(nx) for nx in rows["nx"].tolist()], kind="stable")
+    return taken(rows, order), np.concatenate(splits)[order]
+
+
 def _splits(config: GenerateConfig, rows: Rows) -> NDArray[np.str_]:
     """Assign drawn rows to train and test; near duplicates stay together."""
     codes = [GaussCode.parse(text) for text in rows["gauss_code_chiral"].tolist()]
@@ -122,7 +141,7 @@ def _splits(config: GenerateConfig, rows: Rows) -> NDArray[np.str_]:
         own = np.flatnonzero(rows["nx"] == nx)
         rng = generator(Stream.SPLIT, config.seed, nx)
         shown = [codes[row] for row in own]
-        assigned[own] = split(shown, config.split_by, config.train_share, rng)
+        assigned[own] = split(shown, config.train_share, rng)
     return kept_together(assigned, rows["points"], codes)
 
 

@@ -7,6 +7,7 @@ from itertools import count, islice
 from knotgym.common.errors import InvalidInput
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.topology.diagrams import uniform_code
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import based_diagrams, diagram_of, type_of
 from knotgym.topology.knots import LISTED_NX, codes_of, shows
@@ -73,7 +74,6 @@ class WantedCodes:
 
     def _next(self) -> GaussCode:
         """Draw the next random code that shows the knot."""
-        from knotgym.topology.uniform_codes import uniform_code  # most runs list their codes
 
         for _ in range(_RARE):
             code = uniform_code(self._nx, self._rng)

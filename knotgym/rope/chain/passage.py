@@ -127,7 +127,7 @@ def judge(
 
 
 @njit(nogil=True)
-def relative_motion(x: Array, new: Array, i: int, j: int) -> Any:
+def _relative_motion(x: Array, new: Array, i: int, j: int) -> Any:
     """How far a point of edge i moves against a point of edge j at most, as vertices move straight.
 
     Both points' motions are mixtures of their vertices', so the largest is between two vertices.
@@ -145,7 +145,7 @@ def relative_motion(x: Array, new: Array, i: int, j: int) -> Any:
 def _check(x: Array, new: Array, i: int, j: int, spot: Array, accepted: NDArray[np.bool_]) -> None:
     """Reject the lanes where it isn't proved that edges i and j didn't meet."""
     both = closest(x, i, j)[0] + closest(new, i, j)[0]
-    put(spot, (0,), both - relative_motion(x, new, i, j))
+    put(spot, (0,), both - _relative_motion(x, new, i, j))
     for lane in range(LANES):
         if not spot[0, lane] > SAFE:
             accepted[lane] = False

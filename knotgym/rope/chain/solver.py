@@ -183,7 +183,7 @@ def _substep(
     # contact forces are added to it there, so that A is factored once.
     assemble(tangent1, side, v, spin, pull, step, physics, system, right)
     factor(system)
-    forward(system, right, 0)
+    forward(system, right, np.int64(0))  # a literal would be a type of its own, and compiled twice
     for i in range(n + 1):
         for c in range(4):
             put(loaded, (i, c), load(right, (i, c)))
@@ -194,8 +194,8 @@ def _substep(
     # other is missed, and left to `judge`.
     middles(x, middle)
     find_rows(x, v1, tangent, middle, pairs, step, physics, motion, rows, found)
-    most = 0
-    for lane in range(LANES):
+    most = found[0]
+    for lane in range(1, LANES):
         most = max(most, found[lane])
     if most > 0:
         push_apart(rows, found, most, v1, step, physics, system, loaded)
@@ -208,7 +208,7 @@ def _substep(
     for i in range(n):
         put_vector(x1, i, along(vector(x, i), h, vector(v1, i)))
         put_vector(side1, i, vector(side, i))
-    set_lengths(x1, length, 2)
+    set_lengths(x1, length, np.int64(2))
     put(ahead, (0,), 0.0)
     tangents(x1, v1, ahead, tangent1)
     turn_sides(side1, tangent, tangent1, spin1, step)

@@ -2,18 +2,16 @@ import numpy as np
 import pytest
 
 from knotgym.control.planning.batched_search import BatchedSearch, Orders, Report, Search, Trial
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import Pass, propose_haul
 from knotgym.rope.towing import TowBound
 from knotgym.topology.gauss import GaussCode
 
 KINK = GaussCode.parse("1+c,1-c")
-CONFIG = MacroActionConfig()
 
 
 @pytest.fixture
 def ropes() -> BatchedSearch:
-    return BatchedSearch(3, CONFIG)
+    return BatchedSearch(3)
 
 
 def two_passes(ropes: BatchedSearch, bead: int) -> Search[Report]:
@@ -23,7 +21,7 @@ def two_passes(ropes: BatchedSearch, bead: int) -> Search[Report]:
     return landing
 
 
-START = [BatchedSearch(1, CONFIG).ropes.states()[0]]
+START = [BatchedSearch(1).ropes.states()[0]]
 
 
 def test_searches_find_the_same_in_any_company(ropes: BatchedSearch) -> None:

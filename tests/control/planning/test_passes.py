@@ -14,7 +14,6 @@ from knotgym.control.planning.passes import (
 )
 from knotgym.control.planning.sights import IMAGES, Diagram, see
 from knotgym.control.policy_config import PassPlannerConfig
-from knotgym.rope.macro_action_config import MacroActionConfig
 from knotgym.rope.macro_actions import Pass
 from knotgym.rope.model import Array
 from knotgym.topology.gauss import GaussCode
@@ -60,7 +59,7 @@ def test_images_of_a_state_and_goal_have_the_same_order(image: int) -> None:
 
 
 def test_a_pass_that_lands_elsewhere_in_the_engine_that_counts_is_not_taken() -> None:
-    desk = BatchedSearch(1, MacroActionConfig())
+    desk = BatchedSearch(1)
     state, points = desk.ropes.states()[0], desk.ropes.points[0].copy()
     refused = list[Pass]()
 
@@ -80,7 +79,7 @@ def test_a_pass_that_lands_elsewhere_in_the_engine_that_counts_is_not_taken() ->
 
 def test_a_template_on_an_image_is_the_image_of_the_pass(curve: Array) -> None:
     turned = Symmetry(switch=True, reverse=True)
-    here, there = see(np.array([curve, turned.configuration(curve)]))
+    here, there = see(np.array([curve, turned.vertices(curve)]))
     for template in templates(here.diagram.nx)[::37]:
         before, after = template.on(here, 0), template.on(there, 0b110)
         wanted = turned.beads(np.array(before[:2]), len(curve))

@@ -1,0 +1,155 @@
+"""Export pictures for vision tools: COCO (photos alone) and WebDataset.
+
+    SPLIT.json            COCO: rope, strands and crossings of split/000000.png, ...
+    SPLIT-000000.tar      WebDataset: 000000.png, 000000.strands.png (photos), 000000.json, ...
+
+In COCO a strand is a piece of rope between two visits of crossings, `edge` its number in the PD
+code. A crossing has five keypoints: itself, and its two strands a bead before and behind it. Masks
+are run lengths that pycocotools reads.
+"""
+
+import io
+import json
+import tarfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common.atomic_files import atomic_write, require_output
+from knotgym.common.errors import InvalidInput
+from knotgym.datasets.image_table import decode, file_stem, read_rows, shards
+from knotgym.datasets.located import Located
+from knotgym.states.splits import IMAGE_SPLITS
+
+_PER_SHARD = 1000  # pictures in a tar file
+_KEYPOINTS = ("crossing", "over_before", "over_behind", "under_before", "under_behind")
+_CATEGORIES = [
+    {"id": 1, "name": "rope"},
+    {"id": 2, "name": "strand", "supercategory": "rope"},
+    {"id": 3, "name": "crossing", "supercategory": "rope", "keypoints": [*_KEYPOINTS]}
+    | {"skeleton": [[2, 1], [1, 3], [4, 1], [1, 5]]},
+]
+_TOLD = ("gauss_code_chiral", "canonical_code", "pd_code", "dt_code", "nx", "knot", "photo")
+
+
+def to_coco(source: Located, out: Path, overwrite: bool = False) -> str:
+    """Write photos and their annotations, a folder and a file for each split.
+
+    Raises:
+        InvalidInput: there are no pictures, or they aren't photos, which alone have masks.
+        Occupied: `out` exists, and `overwrite` is False.
+    """
+    counts = {"images": 0, "annotations": 0}
+    with _folder(source, out, overwrite) as folder:
+        for split, rows in _splits(source):
+            coco: dict[str, Any] = {"categories": _CATEGORIES, "images": [], "annotations": []}
+            (folder / split).mkdir()
+            for number, row in enumerate(rows):
+                if "photo" not in row:
+                    raise InvalidInput(
+                        f"{source.title} has no masks for COCO; knotgym images --style photo makes"
+                        " pictures with masks"
+                    )
+                name, size = f"{split}/{number:06d}.png", row["appearance"]["size"]
+                (folder / name).write_bytes(row["image"])
+                facts = {one: row[one] for one in _TOLD}
+                picture = {"id": number, "file_name": name, "width": size, "height": size}
+                coco["images"].append(picture | facts)
+                for annotation in _annotations(row):
+                    place = {"id": len(coco["annotations"]) + 1, "image_id": number}
+                    coco["annotations"].append(place | annotation)
+            (folder / f"{split}.json").write_text(json.dumps(coco), encoding="utf-8")
+            counts = {name: counts[name] + len(coco[name]) for name in counts}
+    return f"{counts['images']} pictures, {counts['annotations']} annotations"
+
+
+def to_webdataset(source: Located, out: Path, overwrite: bool = False) -> str:
+    """Write pictures as tar files in the order of their rows; errors are those of `to_coco`."""
+    total = 0
+    with _folder(source, out, overwrite) as folder, ExitStack() as shards_open:
+        for split, rows in _splits(source):
+            for number, row in enumerate(rows):
+                if number % _PER_SHARD == 0:
+                    shard = folder / f"{split}-{number // _PER_SHARD:06d}.tar"
+                    tar = shards_open.enter_context(tarfile.open(shard, "w"))
+                pictures = {name: row.pop(name) for name in ("image", "strands") if name in row}
+                files = {"png": pictures["image"], "json": json.dumps(row).encode()}
+                if "strands" in pictures:
+                    files["strands.png"] = pictures["strands"]
+                for end, data in files.items():
+                    entry = tarfile.TarInfo(f"{number:06d}.{end}")
+                    entry.size = len(data)
+                    tar.addfile(entry, io.BytesIO(data))
+                total += 1
+    return f"{total} pictures"
+
+
+@contextmanager
+def _folder(source: Located, out: Path, overwrite: bool) -> Iterator[Path]:
+    """Yield a new folder, which is published at the end."""
+    require_output(out, folder=True, overwrite=overwrite)
+    if source.pictures is None:
+        raise InvalidInput(f"{source.title} contains no pictures")
+    with atomic_write(out, overwrite=overwrite) as folder:
+        folder.mkdir()
+        yield folder
+
+
+def _splits(source: Located) -> Iterator[tuple[str, Iterator[dict[str, Any]]]]:
+    """Yield the name of each split, as in file names, and its rows."""
+    assert source.pictures is not None
+    present = {shard.name.partition("-")[0] for shard in shards(source.pictures)}
+    for split in IMAGE_SPLITS:
+        if file_stem(split) in present:
+            yield file_stem(split), read_rows(source.pictures, split)
+
+
+def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield rope, strands and crossings."""
+    strands = decode(row["strands"])[..., 0]
+    boxes = {
+        one["strand"]: [one["x"], one["y"], one["width"], one["height"]] for one in row["boxes"]
+    }
+    for strand in (0, *boxes):
+        mask = strands == strand if strand else strands > 0
+        y, x = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+        if not len(y):
+            continue  # an occluder hides all of it
+        box = [int(x[0]), int(y[0]), int(x[-1] - x[0] + 1), int(y[-1] - y[0] + 1)]
+        found = {"category_id": 2, "edge": strand} if strand else {"category_id": 1}
+        yield found | _region(mask) | {"bbox": box}
+    line = np.reshape(row["line"], (-1, 3))[:, :2]
+    reach = float(row["photo"]["rope_width"])
+    for crossing in row["crossings"]:
+        x, y = crossing["x"], crossing["y"]
+        points = [(x, y)]
+        for place in (crossing["over_place"], crossing["under_place"]):
+            for at in (place - 1, place + 1):
+                index, part = int(np.floor(at)) % len(line), at % 1
+                here, after = line[index], line[(index + 1) % len(line)]
+                points.append(tuple((here + part * (after - here)).tolist()))
+        around: list[float] = [x - reach, y - reach, 2 * reach, 2 * reach]
+        keypoints = [value for point in points for value in (*point, 2)]
+        yield {
+            "category_id": 3,
+            "sign": crossing["sign"],
+            "keypoints": keypoints,
+            "num_keypoints": len(points),
+            "bbox": around,
+            "area": 4 * reach**2,
+            "iscrowd": 0,
+            "segmentation": [],
+        }
+
+
+def _region(mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return a mask as run lengths, column by column, beginning with background."""
+    flat = mask.ravel(order="F")
+    ends = np.flatnonzero(np.diff(flat, prepend=False, append=~flat[-1]))
+    counts = np.diff(ends, prepend=0).tolist()
+    size = [*mask.shape]
+    return {"area": int(mask.sum()), "iscrowd": 0, "segmentation": {"size": size, "counts": counts}}

@@ -1,0 +1,131 @@
+"""Photos as rows of a perception table: what is written is read back, and verified."""
+
+import json
+import tarfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from knotgym.control.verification import replay
+from knotgym.datasets.exports.exporters import export
+from knotgym.datasets.image_rows import PictureRow, appearance_of, record
+from knotgym.datasets.image_table import COLUMNS, decode, parquet, read_rows, table_of
+from knotgym.datasets.image_verification import row_faults
+from knotgym.rendering.appearance_config import AppearanceConfig
+from knotgym.rendering.photo import Photo, take, tilted
+from knotgym.states.state_file import read_states, shipped
+
+
+@pytest.fixture(scope="module")
+def rows(folder: Path) -> list[dict[str, Any]]:
+    """Rows of three photos, written and read again."""
+    pytest.importorskip("pyarrow")
+    states = read_states(shipped(), images=False)
+    config, made = AppearanceConfig(style="photo", sizes=(128,), marked=1.0), []
+    for number, state in enumerate([20, 70, 120]):
+        flags = dict.fromkeys(("reflect", "switch", "reverse"), False)
+        source = dict.fromkeys(COLUMNS["source"], 0) | flags | {"policy": "", "row": number}
+        points = tilted(states.points[state], 10.0, 40.0)
+        made.append(record(PictureRow(points, "train", source, (10.0, 40.0)), config))
+    path = folder / "data/train-00000-of-00001.parquet"
+    path.parent.mkdir()
+    path.write_bytes(parquet(table_of(made)))
+    return list(read_rows(path))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the rows."""
+    return tmp_path_factory.mktemp("photos")
+
+
+def test_a_photo_and_its_answers_are_taken_again_from_its_row(rows: list[dict[str, Any]]) -> None:
+    for row in rows:
+        look = appearance_of(dict(row))
+        assert isinstance(look, Photo)
+        shot = take(np.reshape(row["points"], (-1, 3)), look)
+        assert np.array_equal(decode(row["image"]), shot.image)
+        assert np.array_equal(decode(row["strands"])[..., 0], shot.strands)
+        assert [*row_faults(dict(row))] == []
+        assert (row["photo"]["tilt"], row["photo"]["marked"]) == (10.0, True)
+
+
+def test_boxes_hold_their_strands(rows: list[dict[str, Any]]) -> None:
+    for row in rows:
+        strands = decode(row["strands"])[..., 0]
+        for box in row["boxes"]:
+            inside = np.zeros_like(strands, dtype=bool)
+            inside[box["y"] : box["y"] + box["height"], box["x"] : box["x"] + box["width"]] = True
+            assert not (strands == box["strand"])[~inside].any()
+            assert (strands == box["strand"])[inside].any()
+
+
+@pytest.mark.parametrize("column", ["line", "strands", "canonical_code", "photo"])
+def test_a_spoilt_answer_is_found(rows: list[dict[str, Any]], column: str) -> None:
+    changed = {
+        "line": [0.0, *rows[0]["line"][1:]],
+        "strands": rows[1]["strands"],
+        "canonical_code": "1+,1-,2+,2-,3+,3-,4+,4-",
+        "photo": rows[0]["photo"] | {"order": 99.0},
+    }
+    assert any(
+        fault.startswith(column) for fault in row_faults(rows[0] | {column: changed[column]})
+    )
+
+
+def test_a_photo_with_a_thousand_shapes_and_more_is_refused(rows: list[dict[str, Any]]) -> None:
+    spoilt = rows[0] | {"photo": rows[0]["photo"] | {"clutter": 10**9}}
+    assert [*row_faults(spoilt)] == ["photo.clutter is 1000000000, should be at most 1000"]
+
+
+def test_coco_has_a_mask_for_each_strand_and_keypoints_for_each_crossing(
+    folder: Path, rows: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    export(str(folder), tmp_path / "coco", "coco", replay)
+    found = json.loads((tmp_path / "coco/train.json").read_text(encoding="utf-8"))
+    assert [one["gauss_code_chiral"] for one in found["images"]] == [
+        row["gauss_code_chiral"] for row in rows
+    ]
+    for number, row in enumerate(rows):
+        own = [one for one in found["annotations"] if one["image_id"] == number]
+        kinds = [one["category_id"] for one in own]
+        assert [kinds.count(k) for k in (1, 2, 3)] == [1, len(row["boxes"]), row["nx"]]
+        strands = decode(row["strands"])[..., 0]
+        for one in own[: len(row["boxes"]) + 1]:
+            counts, size = one["segmentation"]["counts"], one["segmentation"]["size"]
+            flat = np.repeat(np.arange(len(counts)) % 2, counts)
+            right = strands == one["edge"] if "edge" in one else strands > 0
+            assert np.array_equal(flat.reshape(size, order="F"), right)
+
+
+def test_a_webdataset_holds_pictures_strands_and_the_rest(
+    folder: Path, rows: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    export(str(folder), tmp_path / "tars", "webdataset", replay)
+    with tarfile.open(tmp_path / "tars/train-000000.tar") as tar:
+        held = {one.name: tar.extractfile(one).read() for one in tar}  # type: ignore[union-attr]
+    for number, row in enumerate(rows):
+        assert held[f"{number:06d}.png"] == row["image"]
+        assert held[f"{number:06d}.strands.png"] == row["strands"]
+        assert json.loads(held[f"{number:06d}.json"])["boxes"] == row["boxes"]
+
+
+@pytest.mark.clients
+def test_pycocotools_and_webdataset_read_what_is_exported(
+    folder: Path, rows: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    tools, tars = pytest.importorskip("pycocotools.coco"), pytest.importorskip("webdataset")
+    export(str(folder), tmp_path / "coco", "coco", replay)
+    export(str(folder), tmp_path / "tars", "webdataset", replay)
+    coco = tools.COCO(str(tmp_path / "coco/train.json"))
+    shards = tars.WebDataset(str(tmp_path / "tars/train-000000.tar"), shardshuffle=False)
+    samples = list(shards.decode("rgb8"))
+    for number, (row, sample) in enumerate(zip(rows, samples, strict=True)):
+        strands = decode(row["strands"])[..., 0]
+        (rope,) = coco.loadAnns(coco.getAnnIds(imgIds=number, catIds=1))
+        assert np.array_equal(coco.annToMask(rope), strands > 0)
+        assert len(coco.getAnnIds(imgIds=number, catIds=3)) == row["nx"]
+        assert np.array_equal(sample["png"], decode(row["image"]))
+        assert sample["json"]["gauss_code"] == row["gauss_code"]
