@@ -33,7 +33,7 @@ from rich.console import Console
 from knotgym.cli.main import COMMANDS, application, main
 from knotgym.datasets.episode_dataset import FILE
 
-DATASET = "show verify gallery replay page select split merge import export".split()
+DATASET = "show verify gallery replay page select split delete merge import export".split()
 NAMES = [*(name for name in COMMANDS if name not in ("dataset", "play", "demo"))]
 NAMES += [f"dataset {name}" for name in DATASET]
 OPTION = re.compile(r"^ *\*? +(--[a-z-]+)(?: (--[a-z-]+))?(?: ([A-Z,]+))?", re.MULTILINE)

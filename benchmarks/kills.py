@@ -75,6 +75,7 @@ KINDS = {
     "split": Kind("dataset split {s}/set --parts train=0.5,test=0.5 --out {o}.h5"),
     "merge": Kind(f"dataset merge {{s}}/sets/{ID} {{s}}/sets/{OTHER} --out {{o}}"
                   " --id knotgym/x-v0"),
+    "delete": Kind("dataset delete {s}/set --rows 0 --out {o}.h5"),
     "import": Kind("dataset import {s}/curves.npz --out {o}.h5"),
     "compact": Kind("dataset export {s}/set --to compact --out {o}"),
     "recording": Kind(f"dataset export {{s}}/sets/{ID} --to recording --out {{o}}.h5"),

@@ -1,18 +1,20 @@
-"""Behaviour cloning of an expert on state observations, in torch; takes half a minute.
+"""Behaviour cloning of an expert on state observations, in torch; takes some CPU minutes.
 
     python examples/learners/clone.py --data knotgym/tie-nx2/expert-v0 --out cloned.pt
 
-The policy chooses the bead by classification and the force by regression. Beside the network it
-writes a module with its policy: `knotgym evaluate --policy cloned:act`, in the same folder.
+The policy chooses the bead by classification and the force by regression. In each epoch every
+sample is shown in another of its symmetric images. Beside the network it writes a module with its
+policy: `knotgym evaluate --policy cloned:act`, in the same folder.
 """
 
 import argparse
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import nn
 
-from knotgym.loaders import arrays
+from knotgym.loaders import Symmetries, arrays
 
 # the policy of the file that is written, as module:name
 MODULE = '''"""The policy of {model}: knotgym evaluate --policy {name}:act, in this folder."""
@@ -53,14 +55,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("cloned.pt"), help="TorchScript file")
     options = parser.parse_args()
     data = arrays(options.data, observation="state")
-    states, actions = torch.tensor(data["observations"]), torch.tensor(data["actions"])
-    # the bead that the expert pulled is the one nearest to the action's position
-    offsets = states.reshape(-1, 200, 3)[:, :100] - 2 * actions[:, None, :3]
-    beads = (offsets**2).sum(2).argmin(1)
+    data = {name: data[name] for name in ("observations", "actions")}
     torch.manual_seed(0)
+    rng = np.random.default_rng(0)
     policy = Policy()
     optimizer = torch.optim.AdamW(policy.parameters(), 3e-4)
     for _ in range(options.epochs):
+        images = Symmetries.drawn(len(data["actions"]), rng).applied(data)
+        states, actions = map(torch.from_numpy, (images["observations"], images["actions"]))
+        # the bead that the expert pulled is the one nearest to the action's position
+        offsets = states.reshape(-1, 200, 3)[:, :100] - 2 * actions[:, None, :3]
+        beads = (offsets**2).sum(2).argmin(1)
         for rows in torch.randperm(len(states)).split(128):
             hidden = policy.body(5 * states[rows])
             loss = nn.functional.cross_entropy(policy.bead(hidden), beads[rows])

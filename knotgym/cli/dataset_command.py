@@ -194,6 +194,21 @@ def split(given: Given) -> None:
         given.progress.say(f"{made}: {subsets.kept(made)}")
 
 
+@_command("run.overwrite", _SOURCE, extra("rows", str, ...), _FILE)
+def delete(given: Given) -> None:
+    """Write a dataset without some of its rows as a new file.
+
+    Args:
+        rows: Rows of states or pictures, or numbers of episodes, such as 3,7-9.
+    """
+    from knotgym.datasets import subsets
+
+    given.progress.stage("deleting")
+    chosen = {name: given[name] for name in ("rows", "out")}
+    made = subsets.delete(given["path_or_id"], **chosen, overwrite=given.run.overwrite)
+    given.progress.say(f"{made}: {subsets.kept(made)}")
+
+
 @_command("run.overwrite", extra("CURVES", list[str]), extra("out", Path, ...))
 def import_(given: Given) -> None:
     """Write closed curves as states of the rope.
@@ -204,8 +219,8 @@ def import_(given: Given) -> None:
     and the exit status is then 1, or 2 if there is no other curve.
 
     Args:
-        curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat), .vect,
-            .npy or .npz.
+        curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat, .xyz),
+            .obj, .vect, .json, .npy or .npz.
         out: State file to write, such as states.h5.
     """
     if not given["curves"]:
@@ -228,7 +243,7 @@ def import_(given: Given) -> None:
 
 
 dataset = App(name="dataset", help="Inspect, check and convert datasets.", help_epilogue="", **APP)
-for _one in (show, gallery, verify, merge, replay, page, export, select, split, import_):
+for _one in (show, gallery, verify, merge, replay, page, export, select, split, delete, import_):
     dataset.command(_one)
 
 

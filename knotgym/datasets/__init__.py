@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from knotgym.datasets.image_table import read_table as read_table
     from knotgym.datasets.minari_form import MinariMetadata as MinariMetadata
     from knotgym.datasets.minari_form import publish as publish
+    from knotgym.datasets.subsets import delete as delete
     from knotgym.datasets.subsets import select as select
     from knotgym.datasets.subsets import split as split
     from knotgym.states.state_file import States as States
@@ -40,7 +41,7 @@ else:
             "knotgym.datasets.episodes": "Episodes goals_reached",
             "knotgym.datasets.image_table": "read_table",
             "knotgym.datasets.minari_form": "MinariMetadata publish",
-            "knotgym.datasets.subsets": "select split",
+            "knotgym.datasets.subsets": "delete select split",
             "knotgym.states.state_file": "States merge_states read_states shipped write_states",
         },
     )

@@ -1,4 +1,4 @@
-"""Select and split rows of a dataset: states, episodes or pictures.
+"""Select, split and delete rows of a dataset: states, episodes or pictures.
 
 The result is a file of rows: a state file, an episode file or a Parquet file. It has under
 "selection" the sources and the conditions. Pictures and pulls are copied, not made again.
@@ -18,6 +18,7 @@ from knotgym.common.streams import Stream, generator
 from knotgym.datasets.conditions import matching_rows
 from knotgym.datasets.selectable import Rows, opened, require_file, write_rows
 
+_RANGE = re.compile(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*")
 _PART = re.compile(r"([A-Za-z0-9_]+)=([0-9]{0,9}\.?[0-9]{1,9})")
 
 
@@ -56,6 +57,32 @@ def select(
     how: dict[str, Any] = {"where": where, "sample": sample}
     how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
     return write_rows(given, str(source), rows, how, Path(out), overwrite)
+
+
+def delete(source: str | Path, rows: str, out: str | Path, *, overwrite: bool = False) -> Path:
+    """Write a dataset without some rows as a new file; return its path.
+
+    Args:
+        source: as for `select`.
+        rows: numbers of rows, which for episodes are those of the episodes, such as "3,7-9".
+        out: the new file.
+        overwrite: replace what is there.
+
+    Raises:
+        InvalidInput: there is no such row, or none would be left.
+        Occupied: the output exists.
+    """
+    given = opened(source)
+    left = np.ones(given.count, dtype=bool)
+    for word in rows.split(","):
+        found = _RANGE.fullmatch(word)
+        if not found or not int(found[1]) <= (last := int(found[2] or found[1])) < given.count:
+            raise InvalidInput(
+                f"rows of {source} are numbers such as 3,7-9 below {given.count}, got {word!r}"
+            )
+        left[int(found[1]) : last + 1] = False
+    how = {"deleted": rows}
+    return write_rows(given, str(source), np.flatnonzero(left), how, Path(out), overwrite)
 
 
 def split(

@@ -20,8 +20,8 @@ from knotgym.learn.checkpoint import CARD, Learned, save_reader
 from knotgym.learn.clone_policy import save_clone
 from knotgym.learn.clone_training import CloneTraining, first_guesses
 from knotgym.learn.decisions import Examples, examples
-from knotgym.learn.demonstrations import TOGETHER, demonstrate
 from knotgym.learn.reader_training import ReaderTraining
+from knotgym.learn.searched_passes import TOGETHER, demonstrate
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
 from knotgym.learn.training import draw_curve, fit
 from knotgym.learn.training_data import (

@@ -1,22 +1,25 @@
 """Files of closed curves, read in the forms in which others publish them.
 
-    .csv .tsv .txt .dat   rows x y z or name x y z; the first may name the columns
-    .vect                 polylines of Geomview
-    .npy .npz             arrays (n, 3)
+    .csv .tsv .txt .dat .xyz   rows x y z or name x y z; the first may name the columns
+    .obj                       line elements, or else the vertices of each object in their order
+    .vect                      polylines of Geomview
+    .json                      [[x, y, z], ...], also by name
+    .npy .npz                  arrays (n, 3)
 
-Several curves in one file have names of their own: in the first column, or as keys. Components
-without them, such as parts between empty rows, polylines and stacked arrays, are those of a link,
-which is refused.
+Several curves in one file have names of their own: in the first column, after `o` or `g`, or as
+keys. Components without them, such as parts between empty rows, pieces of an object, polylines and
+nested lists, are those of a link, which is refused.
 """
 
 import codecs
+import json
 import re
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import chain, groupby, pairwise
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, groupby, islice, pairwise
 from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +31,7 @@ from knotgym.rope.model import Array
 _MOST = 1_000_000  # lines or points of a file, characters of a line
 _MOST_CURVES = 20_000  # of a file
 _COMMENT = re.compile(r"(?:^|\s)#.*")  # 3_1#4_1 is a name
+_Vertex = tuple[tuple[int, str], tuple[float, float, float]]  # its object, and where it is
 Components = Iterator[tuple[str, ArrayLike]]  # a name, "" without, and points (n, 3)
 
 
@@ -100,9 +104,12 @@ def _lines(path: Path) -> Iterator[str]:
 
 def _from_table(path: Path) -> Components:
     """Read rows x y z or name x y z, parted by commas, semicolons, tabs or spaces."""
+    lines = _lines(path)
+    if path.suffix.lower() == ".xyz":
+        lines = _without_counts(lines)
     component: list[tuple[str, list[float]]] = []
     begun = False
-    for number, line in enumerate(chain(_lines(path), [""]), 1):
+    for number, line in enumerate(chain(lines, [""]), 1):
         text = _COMMENT.sub("", line).strip()
         parted_by = next((mark for mark in ",;\t" if mark in text), None)
         words = [word.strip(" \t\"'") for word in text.split(parted_by)]
@@ -138,6 +145,93 @@ def _by_name(rows: list[tuple[str, list[float]]]) -> Components:
         yield name, [point for _, point in same]
 
 
+def _without_counts(lines: Iterator[str]) -> Iterator[str]:
+    """Leave x y z of a molecule's file: the number of atoms, a comment, and a row for each."""
+    first = next(lines, "")
+    lines = chain([first], lines)
+    if not first.strip().isdecimal():
+        yield from lines
+        return
+    for line in lines:
+        yield ""
+        yield next(lines, "") and "#"
+        for row in islice(lines, int(line or 0)):
+            yield " ".join(row.split()[1:])
+
+
+def _from_obj(path: Path) -> Components:
+    part = (0, "")  # number and name of the object
+    vertices: list[_Vertex] = []
+    joined: dict[_Vertex, list[_Vertex]] = {}  # by line elements, each to at most two
+    for number, line in _continued(_lines(path)):
+        kind, *words = line.partition("#")[0].split() or [""]
+        try:
+            if kind in ("o", "g"):
+                part = (part[0] + 1, " ".join(words))
+            elif kind == "v":
+                x, y, z = [float(word) for word in words[:3]]
+                vertices.append((part, (x, y, z)))
+            elif kind == "l":
+                for one, other in pairwise([_vertex(word, vertices) for word in words]):
+                    _join(one, other, joined)
+            elif kind == "f":
+                raise InvalidInput("a face of a surface; curves have line elements")
+        except ValueError as error:
+            raise InvalidInput(f"line {number}: {error}") from error
+    if not joined:
+        for (_, name), row in groupby(vertices, itemgetter(0)):
+            yield name, [point for _, point in row]
+    seen: set[_Vertex] = set()
+    for start in joined:
+        if start not in seen:
+            yield start[0][1], [point for _, point in _walk(start, joined, seen)]
+
+
+def _continued(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
+    r"""Number lines; one that ends with \ goes on in the next."""
+    held = ""
+    for number, line in enumerate(lines, 1):
+        held += line.rstrip()
+        if len(held) > _MOST:
+            raise InvalidInput(f"line {number} goes on for more than {_MOST} characters")
+        if held.endswith("\\"):
+            held = held[:-1] + " "
+            continue
+        yield number, held
+        held = ""
+
+
+def _vertex(word: str, vertices: Sequence[_Vertex]) -> _Vertex:
+    """Return the vertex that a line element names as 3, 3/1 or, counted from the last, -1."""
+    given = int(word.partition("/")[0])
+    if not 0 < abs(given) <= len(vertices):
+        raise InvalidInput(f"there are {len(vertices)} vertices before it, and not {given}")
+    return vertices[given - 1 if given > 0 else given]
+
+
+def _join(one: _Vertex, other: _Vertex, joined: dict[_Vertex, list[_Vertex]]) -> None:
+    for here, there in ((one, other), (other, one)):
+        neighbours = joined.setdefault(here, [])
+        if here != there and there not in neighbours:  # a vertex may be written twice
+            neighbours.append(there)
+        if len(neighbours) > 2:
+            raise InvalidInput("three line elements meet in one vertex")
+
+
+def _walk(
+    start: _Vertex, joined: dict[_Vertex, list[_Vertex]], seen: set[_Vertex]
+) -> list[_Vertex]:
+    """Follow line elements from a vertex in the direction of the first, then in the other."""
+    walk = deque([start])
+    seen.add(start)
+    for end, add in ((-1, walk.append), (0, walk.appendleft)):
+        while following := [vertex for vertex in joined[walk[end]] if vertex not in seen]:
+            seen.add(following[0])
+            add(following[0])
+    closed = len(walk) > 2 and walk[0] in joined[walk[-1]]
+    return [*walk, walk[0]] if closed else [*walk]
+
+
 def _from_vect(path: Path) -> Components:
     words = [word for line in _lines(path) for word in line.partition("#")[0].split()]
     if words[:1] != ["VECT"] or len(words) < 4:
@@ -152,6 +246,23 @@ def _from_vect(path: Path) -> Components:
     points = np.reshape(numbers[: 3 * vertices], (-1, 3))
     for count, part in zip(counts, np.split(points, np.cumsum(np.abs(counts))[:-1]), strict=True):
         yield "", part if count > 0 else np.concatenate([part, part[:1]])
+
+
+def _from_json(path: Path) -> Components:
+    return _nested("", json.loads(path.read_text("utf-8-sig")))
+
+
+def _nested(name: str, value: Any) -> Components:
+    """Yield the lists of points in a value; what else an object holds isn't read."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _nested(f"{name}.{key}".strip("."), inner)
+    elif isinstance(value, list):
+        if value and isinstance(value[0], list) and value[0] and isinstance(value[0][0], list):
+            for inner in value:
+                yield from _nested(name, inner)
+        else:
+            yield name, value
 
 
 def _from_numpy(path: Path) -> Components:
@@ -172,7 +283,9 @@ def _stacked(name: str, values: np.ndarray) -> Components:
 
 # Reader and largest size, MB. Texts that are parsed as a whole take up to 40 times their size.
 _FORMS = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), (_from_table, 64)),
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".xyz"), (_from_table, 64)),
+    ".obj": (_from_obj, 64),
     ".vect": (_from_vect, 16),
+    ".json": (_from_json, 16),
     **dict.fromkeys((".npy", ".npz"), (_from_numpy, 64)),
 }

@@ -1,4 +1,4 @@
-"""Executors: this process, or processes of this machine.
+"""Executors: this process, processes of this machine, or a Dask cluster.
 
 Each is a `concurrent.futures.Executor` with an attribute `workers`. A call depends on its arguments
 alone, so the choice of executor doesn't change a byte of the output.
@@ -60,11 +60,22 @@ def cores() -> int:
 
 
 @contextmanager
-def executor(workers: int) -> Iterator[Executor]:
+def executor(workers: int, scheduler: str = "") -> Iterator[Executor]:
     """Open an executor of `workers` processes, 0 for one per core; 1 uses this process.
 
-    On an error the processes end without waiting for their work.
+    With the address of a Dask scheduler its cluster is used instead. On an error the processes end
+    without waiting for their work.
+
+    Raises:
+        InvalidInput: the cluster can't be used.
+        Failed: the cluster or its workers are gone.
     """
+    if scheduler:
+        from knotgym.runs.dask_executor import cluster
+
+        with cluster(scheduler) as remote:
+            yield remote
+        return
     count = workers or cores()
     if count == 1:
         yield InProcess()

@@ -164,7 +164,7 @@ def run(
             if prepare is not None:
                 prepare(shown)
             place, show = folder / "made" / out.name, _shown_on(shown, count)
-            with (pool or partial(executor, options.workers))() as workers:
+            with (pool or partial(executor, options.workers, options.scheduler))() as workers:
                 try:
                     summary = compute(recipe(place), journal, workers, shard, show)
                 except _Missing as missing:

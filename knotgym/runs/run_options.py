@@ -95,11 +95,22 @@ class RunOptions(Existing):
 
     Attributes:
         workers: worker processes, 0 for one per core; doesn't change the result.
+        scheduler: address of a Dask scheduler, such as tcp://127.0.0.1:8786, whose workers share a
+            file system and run the work (needs the extra dask); by default local processes do.
         shard: 2/8 makes the second eighth of the run, and leaves its journal; the same run without
             a shard, where all eight journals lie, makes the output.
         quiet: print errors only.
     """
 
     workers: Whole = 0
+    scheduler: str = ""
     shard: Annotated[Shard, BeforeValidator(_shard)] = Shard()
     quiet: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.scheduler and self.workers:
+            raise InvalidInput(
+                f"--workers {self.workers} is for local processes; a Dask cluster uses all of its"
+                " workers"
+            )

@@ -261,6 +261,7 @@ REFUSED = [
     ("dataset replay {states} --row x", "--row takes a whole number, got 'x'"),
     ("dataset select {states} --where nx== --out {new}", "nx=="),
     ("dataset split {states} --parts a=0.5,a=0.5 --out {new}", "a"),
+    ("dataset delete {states} --rows 99 --out {new}", "rows of {states} are numbers such as 3,7-9"),
     ("dataset import --out {new}", "name the files of curves"),
 ]
 

@@ -83,7 +83,7 @@ def test_without_out_they_stand_beside_what_they_show(tmp_path: Path) -> None:
     [
         ("select {states} --where nx>10 --out {new}/a.h5", "a.h5: 2 of 8 rows"),
         ("split {states} --parts a=0.5,b=0.5 --out {new}/a.h5", "of 8 rows"),
-        ("select {states} --where row>2 --out {new}/a.h5", "a.h5: 5 of 8 rows"),
+        ("delete {states} --rows 0,2-3 --out {new}/a.h5", "a.h5: 5 of 8 rows"),
         ("merge {states} --out {new}/a.h5", "a.h5: 8 states"),
         ("select {id} --where length>2 --sample 2 --out {new}/a.h5", "2 of 4 rows"),
         ("merge {id} --id a/b-v0 --out {new}", "a/b-v0: 4 episodes"),

@@ -1,4 +1,4 @@
-"""Tests of select, split and merge: table operations on states and episodes alike."""
+"""Tests of select, split, delete and merge: table operations on states and episodes alike."""
 
 import shutil
 from pathlib import Path
@@ -10,7 +10,7 @@ from synthetic_episodes import TASK, TINY, episodes, written
 
 from knotgym.common.errors import InvalidInput, MissingExtra, MissingFile, Occupied
 from knotgym.control.verification import replay
-from knotgym.datasets import open_episodes, select, split
+from knotgym.datasets import delete, open_episodes, select, split
 from knotgym.datasets.conditions import matching_rows
 from knotgym.datasets.episodes import differences, merged
 from knotgym.datasets.exports.exporters import export
@@ -118,6 +118,16 @@ def test_a_selection_becomes_a_minari_dataset_that_tells_how_it_was_selected(
     assert found.episodes.episodes.rows == 1 and found.name == "knotgym/tie-nx2/short-v0"
     assert (found.path.parent / "main_data.hdf5").is_file()
     assert found.attributes["selection"][0]["where"] == "length < 10"
+
+
+def test_rows_are_deleted_by_number(tmp_path: Path, states_path: str) -> None:
+    states = read_states(states_path)
+    left = read_states(delete(states_path, "0, 2-3", tmp_path / "b.h5"))
+    np.testing.assert_array_equal(left.qpos, states.qpos[[1, *range(4, len(states))]])
+    assert left.attributes["selection"][0]["deleted"] == "0, 2-3"
+    for rows in ("", "a", "3-1", "0-99999999999", f"{len(states)}", "-1"):
+        with pytest.raises(InvalidInput, match="are numbers such as 3,7-9 below"):
+            delete(states_path, rows, tmp_path / "c.h5")
 
 
 def test_no_row_that_is_left_is_refused(tmp_path: Path) -> None:

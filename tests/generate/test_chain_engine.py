@@ -34,16 +34,25 @@ def test_an_action_that_is_taken_back_shows_in_info() -> None:
     assert env.step(np.full(6, 0.5, dtype=np.float32))[4]["applied_share"] == 1.0
 
 
-@pytest.mark.slow  # compiles for half a minute
-def test_a_fresh_compilation_collects_the_same_bytes_as_a_cached_one(tmp_path: Path) -> None:
+@pytest.mark.slow  # compiles for a minute
+def test_a_fresh_compilation_a_cached_one_and_one_for_avx2_collect_the_same_bytes(
+    tmp_path: Path,
+) -> None:
+    narrow = {
+        "NUMBA_CPU_NAME": "haswell",
+        "NUMBA_CPU_FEATURES": "+sse4.2,+popcnt,+avx,+avx2,+bmi,+bmi2,+fma",
+        "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
+    }
     words = "collect --task tie --policy random --episodes 2 --set task.horizon=5".split()
     found = []
-    for name in ("cold", "warm"):
+    for name, processor in (("cold", {}), ("warm", {}), ("narrow", narrow)):
         subprocess.run(
             [sys.executable, "-m", "knotgym", *words, "--engine", "chain", "--workers", "1"]
             + ["--quiet", "--out", str(tmp_path / name), "--id", "a/b-v0"],
-            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), **processor},
             check=True,
         )
         found.append((tmp_path / name / "a/b-v0/data/episodes.h5").read_bytes())
-    assert found[0] == found[1] and any((tmp_path / "cache").rglob("solver.advance*.nbc"))
+    assert found[0] == found[1] == found[2] and any(
+        (tmp_path / "cache").rglob("solver.advance*.nbc")
+    )

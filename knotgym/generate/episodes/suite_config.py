@@ -128,6 +128,4 @@ class SuiteConfig:
             return replace(one, episodes=self.episodes.get(name, size))
         if self.episodes:
             raise InvalidInput(f"sets on {BENCH} states have a --size, not a number of --episodes")
-        steps = SIZES[self.size]
-        form = "recording" if steps >= own["recorded_from"] else ""
-        return replace(one, steps=steps, form=form)
+        return replace(one, steps=SIZES[self.size], form=own["forms"][self.size])

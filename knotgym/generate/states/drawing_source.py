@@ -5,7 +5,7 @@ left to rest and judged. Drawings are random, so this is repeated until enough a
 """
 
 import json
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -65,6 +65,7 @@ class _Order(NamedTuple):
         first: number of the first drawing.
         drawings: most drawings.
         wanted: states, at most.
+        kept: float64 (n, beads, 3), states of the code that there are; none may be near them.
     """
 
     code: GaussCode
@@ -72,6 +73,7 @@ class _Order(NamedTuple):
     first: int
     drawings: int
     wanted: int
+    kept: NDArray[np.float64]
 
 
 def drawn_rows(
@@ -95,6 +97,7 @@ def drawn_rows(
     selection, have = Selection(apart_from), {nx: Counter[int]() for nx in config.nx}
     made, reserved = Counter[tuple[int, int]](), Counter[tuple[int, int]]()
     given_up: dict[int, set[int]] = {nx: set() for nx in config.nx}
+    kept = defaultdict[tuple[int, int], list[NDArray[np.float64]]](list)
     number = 0
     while True:
         orders = list[_Order]()
@@ -102,7 +105,8 @@ def drawn_rows(
             for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items():
                 for wanted in _parts(lacking, _COPIES):
                     first, most = reserved[nx, index], _DRAWINGS * wanted
-                    orders.append(_Order(codes[nx][index], index, first, most, wanted))
+                    there = np.array(kept[nx, index])
+                    orders.append(_Order(codes[nx][index], index, first, most, wanted, there))
                     reserved[nx, index] += most
         if not orders:
             break
@@ -120,6 +124,7 @@ def drawn_rows(
                 nx, index, drawing = seed[2:].tolist()
                 if selection.offer(rows, row, lenient=drawing >= UNLIKE_DRAWINGS):
                     have[nx][index] += 1
+                    kept[nx, index].append(rows["points"][row])
         for nx in config.nx:
             given_up[nx] |= {
                 index
@@ -154,7 +159,7 @@ def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Rows:
     simulation = simulation_of(1, config.rope, config.engine_used)
     rows, drawn = list[dict[str, Any]](), []
     for order in orders:
-        selection, number = Selection(), order.first
+        selection, number = Selection([{"points": order.kept}]), order.first
         rejected = selection.rejected[order.code.nx]
         letters = _letters(order.code, config.knot)
         while number < order.first + order.drawings and len(selection) < order.wanted:

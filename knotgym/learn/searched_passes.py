@@ -1,4 +1,4 @@
-"""Demonstrations for a clone: what the expert's search finds, and what it tried in vain.
+"""Passes for a clone to imitate: what the expert's search finds, and what it tried in vain.
 
 A search begins in a start of the task, after up to _WANDER random passes, so that ropes lie in more
 ways than the states of a set. All of its passes are examples: those on the way to the goal are to
