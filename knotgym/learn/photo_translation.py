@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 VIEWS = 2  # of a photo that are read; an episode has many
 _APART = 0.012  # height difference of strands that cross, metres
+_JUMP = 0.03  # metres; a base that moves the beads by more than any other numbering is misread
 _LIFTED = 5  # beads on either side of a crossing that are raised or lowered with it
 
 
@@ -66,7 +67,12 @@ def rope_points(reader: RopeReader, photo: NDArray[np.uint8], before: Array | No
     ]
     votes = np.column_stack([*places, np.ones(crossings.nx)])
     enforce_votes(points, votes, _APART, _LIFTED)
-    return points if reading.based or before is None else _numbered_as(points, before)
+    if before is None:
+        return points
+    nearest = _numbered_as(points, before)
+    # a pull moves the rope little, so a base far from where it was is a misread one
+    seen = reading.based and _apart(points, before) < _apart(nearest, before) + _JUMP**2
+    return points if seen else nearest
 
 
 def _loop() -> Array:
@@ -78,6 +84,10 @@ def _loop() -> Array:
 def _numbered_as(points: Array, before: Array) -> Array:
     """Renumber beads so that they are as near as possible to those before."""
     ways = [np.roll(walk, k, axis=0) for walk in (points, points[::-1]) for k in range(BEADS)]
-    centred = before[:, :2] - before[:, :2].mean(axis=0)
-    off = [((way[:, :2] - way[:, :2].mean(axis=0) - centred) ** 2).sum() for way in ways]
-    return ways[int(np.argmin(off))]
+    return min(ways, key=lambda way: _apart(way, before))
+
+
+def _apart(one: Array, other: Array) -> float:
+    """Return the mean squared distance of beads in the pictures, square metres."""
+    off = one[:, :2] - other[:, :2]
+    return float(((off - off.mean(axis=0)) ** 2).sum(axis=1).mean())
