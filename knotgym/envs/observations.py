@@ -20,7 +20,7 @@ from knotgym.rendering.picture import draw_many
 from knotgym.topology.code_arrays import plain_codes
 
 if TYPE_CHECKING:
-    from knotgym.rendering.photo import Photo
+    from knotgym.rendering.appearance import Appearance
 
 SYMBOLS = 64  # visits of a code in an observation, two per crossing
 
@@ -31,7 +31,7 @@ def picture_config(task: TaskConfig) -> PictureConfig:
     return picture_of(task.beads, size=task.image_size, views=task.views, depth=task.depth, **drawn)
 
 
-def looks(task: TaskConfig, goals: Iterable[tuple[int, ArrayLike]]) -> list[Photo | None]:
+def looks(task: TaskConfig, goals: Iterable[tuple[int, ArrayLike]]) -> list[Appearance | None]:
     """Return the appearance of each episode's pictures; None for the published one.
 
     Args:
@@ -40,21 +40,28 @@ def looks(task: TaskConfig, goals: Iterable[tuple[int, ArrayLike]]) -> list[Phot
     """
     if task.appearance == "published":
         return [None for _ in goals]
+    if task.appearance == "line":
+        from knotgym.rendering.appearance import line_look
+
+        return [line_look(task.image_size) for _ in goals]
     from knotgym.rendering.photo import episode_look
 
     return [episode_look(_stored(points), task.image_size, row) for row, points in goals]
 
 
 def alone(
-    points: ArrayLike, looks: Sequence[Photo | None], picture: PictureConfig
+    points: ArrayLike, looks: Sequence[Appearance | None], picture: PictureConfig
 ) -> NDArray[np.uint8]:
     """Draw ropes (n, beads, 3), metres, each as its episode looks; see `draw_many`."""
     if all(look is None for look in looks):
         return draw_many(points, picture)
-    from knotgym.rendering.photo import take
+    from knotgym.rendering.appearance import render
+    from knotgym.rendering.photo import Photo, take
 
-    ropes = zip(_stored(points), looks, strict=True)
-    return np.stack([take(rope, look).image for rope, look in ropes if look is not None])
+    ropes = [(rope, look) for rope, look in zip(_stored(points), looks, strict=True) if look]
+    return np.stack(
+        [take(*one).image if isinstance(one[1], Photo) else render(*one) for one in ropes]
+    )
 
 
 def _stored(points: ArrayLike) -> NDArray[np.float64]:
@@ -67,7 +74,7 @@ def pixels(
     goal_pictures: Sequence[NDArray[np.uint8]],
     picture: PictureConfig,
     threads: Threads = ALONE,
-    looks: Sequence[Photo | None] = (),
+    looks: Sequence[Appearance | None] = (),
 ) -> NDArray[np.uint8]:
     """Draw ropes on the left and their goals on the right; views are stacked vertically.
 

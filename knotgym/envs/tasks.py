@@ -112,9 +112,9 @@ class TaskConfig:
         layout: "beside", rope left and goal right, (size, 2 size, 3); or "stacked", the goal's
             channels after the rope's, (size, size, 6).
         camera: projection: orthographic or perspective.
-        appearance: "published", or "photo": rope of one colour on a table, with a white mark on the
-            base bead and a black one on the bead before it. Each goal state has its own rope, table
-            and light.
+        appearance: "published"; "photo", rope of one colour on a table, with a white mark on the
+            base bead and a red one on the bead before it: each goal state has its own rope, table
+            and light; or "line", a diagram with gaps, which marks neither base nor direction.
         renderer: "auto", "opencv" or "mujoco"; "mujoco" doesn't draw depth.
         integrator_steps: MuJoCo steps per action; 20 is faster and gives slightly different
             trajectories.
@@ -142,7 +142,7 @@ class TaskConfig:
     depth: bool = False
     layout: Annotated[str, choice("beside", "stacked")] = "beside"
     camera: Annotated[str, choice("orthographic", "perspective")] = "orthographic"
-    appearance: Annotated[str, choice("published", "photo")] = "published"
+    appearance: Annotated[str, choice("published", "photo", "line")] = "published"
     renderer: Annotated[str, choice("auto", "opencv", "mujoco")] = "auto"
     # an action takes 0.192 s; with fewer steps, ropes under large forces blow up
     integrator_steps: Annotated[Int, Field(ge=20, le=96)] = 24
@@ -167,10 +167,10 @@ class TaskConfig:
                 f" leave it at 24, got {self.integrator_steps}"
             )
         plain = self.views == ("top",) and not self.depth and self.camera == "orthographic"
-        if self.appearance == "photo" and not (plain and self.renderer != "mujoco"):
+        if self.appearance != "published" and not (plain and self.renderer != "mujoco"):
             raise InvalidInput(
-                'appearance "photo" is the orthographic top view, without depth and not drawn by'
-                " MuJoCo; leave out views, depth, camera and renderer"
+                f'appearance "{self.appearance}" is the orthographic top view, without depth and'
+                " not drawn by MuJoCo; leave out views, depth, camera and renderer"
             )
         if self.hold > self.horizon:
             raise InvalidInput(

@@ -90,9 +90,7 @@ def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator
     zoom, kind = 1.0, plain.colours
     if config.style == "knotbench":
         kind, zoom = "lines", _largest_zoom(points, turn, width)
-        # the line is as wide at every zoom
-        own = PictureConfig(size=size, zoom=zoom)
-        width *= LINE * size / LINE_SIZE / (own.rope_radius * own.pixels_per_metre)
+        width *= line_look(size, zoom).width
     if "zoom" in vary:
         most = _largest_zoom(points, turn, width)
         low, high = config.zoom
@@ -122,6 +120,13 @@ def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator
         blur=blur,
         seed=int(rng.integers(2**62)) if noise else 0,
     )
+
+
+def line_look(size: int, zoom: float = 1.0) -> Appearance:
+    """Return the look of a line drawing, whose line is as wide at every zoom."""
+    plain = PictureConfig(size=size, zoom=zoom)
+    width = LINE * size / LINE_SIZE / (plain.rope_radius * plain.pixels_per_metre)
+    return Appearance(size=size, zoom=zoom, width=width, colours="lines")
 
 
 def render(points: Array, look: Appearance) -> NDArray[np.uint8]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -151,6 +152,14 @@ def test_a_photo_keeps_its_table_for_an_episode_and_marks_the_base(make: Make) -
     assert np.array_equal(first[:, 96:], take(points, look).image)
     others = {episode_look(points, 96, row).background for row in range(6)}
     assert len(others) == 6
+
+
+def test_lines_are_black_on_white_and_broken_where_a_strand_goes_under(make: Make) -> None:
+    env = make("convert", nx=3, observation="pixels", image_size=256, appearance="line")
+    picture, info = env.reset(seed=1)
+    assert (picture[0] == 255).all() and (picture.min(axis=2) == picture.max(axis=2)).all()
+    dark = (picture[:, 256:, 0] < 128).astype(np.uint8)
+    assert cv2.connectedComponents(dark)[0] - 1 == info["goal_gauss_code"].count("-") == 3
 
 
 def test_states_hold_the_rope_and_then_the_goal(make: Make, states: States) -> None:

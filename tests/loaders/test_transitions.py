@@ -128,9 +128,11 @@ def test_observations_are_those_of_the_environment(observation: str) -> None:
     np.testing.assert_allclose(seen, np.stack(right), rtol=0, atol=near)
 
 
-def test_photos_are_those_of_the_environment() -> None:
+@pytest.mark.parametrize("appearance", ["photo", "line"])
+def test_photos_and_lines_are_those_of_the_environment(appearance: str) -> None:
     opened = open_episodes(TINY["expert"])
-    dataset = replace(opened, task=replace(opened.task, observation="pixels", appearance="photo"))
+    seen = replace(opened.task, observation="pixels", appearance=appearance)
+    dataset = replace(opened, task=seen)
     (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
     env = KnotEnv(**vars(dataset.task))
     right = [env.reset(seed=int(own["seed"][1]))[0]]
