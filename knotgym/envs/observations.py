@@ -58,9 +58,13 @@ def alone(
     from knotgym.rendering.appearance import render
     from knotgym.rendering.photo import Photo, take
 
-    ropes = [(rope, look) for rope, look in zip(_stored(points), looks, strict=True) if look]
+    ropes = zip(_stored(points), looks, strict=True)
     return np.stack(
-        [take(*one).image if isinstance(one[1], Photo) else render(*one) for one in ropes]
+        [
+            take(rope, look).image if isinstance(look, Photo) else render(rope, look)
+            for rope, look in ropes
+            if look is not None
+        ]
     )
 
 
