@@ -137,7 +137,7 @@ def test_random_walks_need_no_actions_and_no_readability(walked: Path) -> None:
 
 @pytest.mark.parametrize("config", [DRAWN, WALKED])
 def test_shards_are_merged_to_the_rows_of_the_whole_run(config: GenerateConfig) -> None:
-    source = drawn_rows if config.source == "drawing" else rows_of_ropes
+    source = drawn_rows if config is DRAWN else rows_of_ropes
     memory = dict[str, Rows]()
     for number in (1, 2):
         with contextlib.suppress(Failed):  # results of the other are missing
