@@ -172,8 +172,14 @@ ELSEWHERE = {
 }
 
 
+def with_blocks(page: Path) -> Any:
+    """Mark the pages whose blocks need the extra learn."""
+    marks = [pytest.mark.clients] if page.name == "perception.md" else []
+    return pytest.param(page, marks=marks, id=page_name(page))
+
+
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if blocks(page) and page.name != "clients.md"], ids=page_name
+    "page", [with_blocks(page) for page in PAGES if blocks(page) and page.name != "clients.md"]
 )
 def test_the_blocks_of_a_page_run(
     page: Path, minari: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -211,7 +217,7 @@ def test_every_page_is_in_the_navigation_and_the_appendix_lists_its_own() -> Non
     assert own == ["appendix.md", *listed]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=page_name)
+@pytest.mark.parametrize("page", [with_blocks(page) for page in PAGES if blocks(page)])
 def test_examples_name_what_is_there(page: Path) -> None:
     for block in blocks(page):
         for node in ast.walk(ast.parse(block)):

@@ -50,8 +50,8 @@ class Stream(IntEnum):
     NOISE_SURVIVAL = 33  # the seed is a digest of the configuration that the noise is added to
     DRAWING = 40  # nx, code, number of the drawing
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
-    SELECTION = 43  # which rows (0) or codes (2) are sampled, or how rows are split (1)
     EPISODE_LOOK = 42  # goal row: the appearance of its photos; the seed is always 0
+    SELECTION = 43  # which rows (0) or codes (2) are sampled, or how rows are split (1)
     IMPORT = 44  # nx, number of the curve: its noise survival
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_PLACES = 52  # the start positions of ropes that are kept

@@ -143,8 +143,7 @@ def _answers(shot: Shot) -> dict[str, Any]:
 
 def appearance_of(row: Mapping[str, Any]) -> Appearance:
     """Read the appearance of a picture from its row, as `read_rows` gives it."""
-    look = row["appearance"]
-    look |= {name: tuple(look[name]) for name in _RGB}
+    look = row["appearance"] | {name: tuple(row["appearance"][name]) for name in _RGB}
     if "photo" not in row:
         return Appearance(**look)
     own = {name: row["photo"][name] for name in _OF_PHOTOS}

@@ -19,6 +19,7 @@ from knotgym.learn.checkpoint import ROPE_READER, policy_folder, read_weights
 from knotgym.learn.reader import inference
 from knotgym.learn.strand_network import CELL, DEPTH, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.learn.strand_walk import exchange, follow, link, ridge_points, unite
+from knotgym.rendering.photo import TAPE
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 
@@ -31,7 +32,7 @@ _SHORT = 8  # points; fewer are no rope
 _CROWDED = 1200  # points; more aren't a rope's
 _BASE = 0.3  # least response at the base bead
 _BEADS = 100  # of a rope with tape
-_WHITE, _BLACK = 210.0, 29.0  # levels of tape in usual light
+_WHITE = 210.0  # levels of white tape in usual light
 
 
 class RopeReading(NamedTuple):
@@ -127,7 +128,7 @@ def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
 
 
 def _taped(picture: NDArray[np.uint8], line: Array) -> tuple[int, bool, bool]:
-    """Find tape on a rope, black and then white, where the network saw none.
+    """Find tape on a rope, red and then white, where the network saw none.
 
     Returns:
         The point of the line that is nearest to the base, whether the walk goes on from there, and
@@ -145,7 +146,8 @@ def _taped(picture: NDArray[np.uint8], line: Array) -> tuple[int, bool, bool]:
     for forwards in (True, False):
         seen = levels if forwards else levels[::-1]
         gain = np.zeros(count)
-        for first, tape in ((0, _WHITE), (-4, _BLACK)):  # the bead ahead, and that behind
+        # the bead ahead, and that behind
+        for first, tape in ((0, np.full(3, _WHITE)), (-4, np.array(TAPE, dtype=np.float64))):
             bead = np.mean([np.roll(seen, -first - k, axis=0) for k in range(4)], axis=0)
             gain += ((bead - usual) ** 2 - (bead - tape) ** 2).sum(axis=1)
         place = int(gain.argmax())

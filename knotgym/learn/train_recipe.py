@@ -144,7 +144,7 @@ def _train_clone(
     calls = _demonstrations(config)
     for made in (yield calls):
         own = Examples(**made)
-        # numbers of searches are counted anew for each task and nx
+        # searches are numbered from 0 for each task and nx
         parts.append(own._replace(episodes=own.episodes % TOGETHER + count))
         count += TOGETHER
     data = Examples(*(np.concatenate(own) for own in zip(*parts, strict=True)))

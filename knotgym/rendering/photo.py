@@ -33,7 +33,7 @@ BACKGROUNDS = (*SURFACES, "clutter", "ropes")
 WIDTHS = (3.0, 12.0)  # of the rope, px
 _TRIES = 12  # cameras
 _DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
-_TAPE = (200, 30, 36)  # RGB, of the bead before the base
+TAPE = (200, 30, 36)  # RGB, of the bead before the base
 
 
 class Legibility(NamedTuple):
@@ -569,7 +569,7 @@ def _painted(
     colours = np.empty((n, 2, 3), np.float32)
     colours[:, 0], colours[:, 1] = look.first, look.last
     if look.marked:
-        colours[: rope.parts], colours[-rope.parts :] = 240, _TAPE
+        colours[: rope.parts], colours[-rope.parts :] = 240, TAPE
     curve, after = view.curve, view.after
     if look.others:
         curve, after, colours = _with_others(view, look, colours, rng)

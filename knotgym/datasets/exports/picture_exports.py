@@ -12,7 +12,8 @@ import io
 import json
 import tarfile
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -70,22 +71,26 @@ def to_coco(source: Located, out: Path, overwrite: bool = False) -> str:
 def to_webdataset(source: Located, out: Path, overwrite: bool = False) -> str:
     """Write pictures as tar files in the order of their rows; errors are those of `to_coco`."""
     total = 0
-    with _folder(source, out, overwrite) as folder, ExitStack() as shards_open:
+    with _folder(source, out, overwrite) as folder:
         for split, rows in _splits(source):
-            for number, row in enumerate(rows):
-                if number % _PER_SHARD == 0:
-                    shard = folder / f"{split}-{number // _PER_SHARD:06d}.tar"
-                    tar = shards_open.enter_context(tarfile.open(shard, "w"))
-                pictures = {name: row.pop(name) for name in ("image", "strands") if name in row}
-                files = {"png": pictures["image"], "json": json.dumps(row).encode()}
-                if "strands" in pictures:
-                    files["strands.png"] = pictures["strands"]
-                for end, data in files.items():
-                    entry = tarfile.TarInfo(f"{number:06d}.{end}")
-                    entry.size = len(data)
-                    tar.addfile(entry, io.BytesIO(data))
-                total += 1
+            done = 0
+            while few := [*islice(rows, _PER_SHARD)]:
+                with tarfile.open(folder / f"{split}-{done // _PER_SHARD:06d}.tar", "w") as tar:
+                    for number, row in enumerate(few, done):
+                        for end, data in _sample(row).items():
+                            entry = tarfile.TarInfo(f"{number:06d}.{end}")
+                            entry.size = len(data)
+                            tar.addfile(entry, io.BytesIO(data))
+                done += len(few)
+            total += done
     return f"{total} pictures"
+
+
+def _sample(row: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return the files of a picture, by the ends of their names."""
+    facts = {name: value for name, value in row.items() if name not in ("image", "strands")}
+    files = {"png": row["image"], "json": json.dumps(facts).encode()}
+    return files | ({"strands.png": row["strands"]} if "strands" in row else {})
 
 
 @contextmanager

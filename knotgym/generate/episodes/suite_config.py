@@ -44,8 +44,8 @@ class SuiteConfig:
             which shares no code with test-code and which bench hasn't. All by default.
         states: sets of states, comma-separated: readable, random-walk; or bench, whose datasets
             are nested tiers of the chain engine.
-        size: steps of each tier of bench states: 10k, 100k, 1M or 10M. A tier is the beginning of
-            the next.
+        size: steps of each tier of bench states: 10k (the default), 100k, 1M or 10M. A tier is the
+            beginning of the next.
         episodes: policy -> episodes per dataset; by default those of `data/suite.toml`. Tiers have
             a size instead.
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
@@ -63,7 +63,7 @@ class SuiteConfig:
     policies: Policies | None = None
     splits: Splits | None = None
     states: States = STATES
-    size: Annotated[str, choice(*SIZES)] = next(iter(SIZES))
+    size: Annotated[str, choice(*SIZES)] | None = None
     episodes: Mapping[Annotated[str, choice(*TIERS)], Count] = field(default_factory=dict)
     engine: str = MUJOCO
     observation: str = SUITE["observation"]
@@ -71,7 +71,7 @@ class SuiteConfig:
     recorded: bool = False
 
     def __post_init__(self) -> None:
-        if self.size != next(iter(SIZES)) and BENCH not in self.states:
+        if self.size and BENCH not in self.states:
             raise InvalidInput(f"--size {self.size} is of --states {BENCH}, not {self.states[0]}")
         if not [*self.sets()]:  # which raises if a size, seed or observation is invalid
             raise InvalidInput(
@@ -108,6 +108,7 @@ class SuiteConfig:
         self, own: Mapping[str, Any], task: str, nx: int, split: str, states: str, name: str
     ) -> CollectConfig:
         policy, tiered = PolicyConfig(policy=own.get("acting", {}).get(name, name)), states == BENCH
+        tier = self.size or next(iter(SIZES))
         settings = own["settings"].get(task, {}) | own["settings"].get(name, {})
         setup = TaskConfig(
             task=task,
@@ -118,7 +119,7 @@ class SuiteConfig:
             observation=self.observation,
             **settings,
         )
-        marks = [setup.states or "", self.size if tiered else ""]
+        marks = [setup.states or "", tier if tiered else ""]
         marks += [] if self.seed == SUITE["seed"] else [f"seed{self.seed}"]
         dataset_id = plain_id(setup, PolicyConfig(policy=name), *marks)
         one = CollectConfig(task=setup, policy=policy, seed=self.seed, dataset_id=dataset_id)
@@ -128,4 +129,4 @@ class SuiteConfig:
             return replace(one, episodes=self.episodes.get(name, size))
         if self.episodes:
             raise InvalidInput(f"sets on {BENCH} states have a --size, not a number of --episodes")
-        return replace(one, steps=SIZES[self.size], form=own["forms"][self.size])
+        return replace(one, steps=SIZES[tier], form=own["forms"][tier])
