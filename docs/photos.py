@@ -15,7 +15,8 @@ import numpy as np
 
 from knotgym.common.errors import Failed
 from knotgym.drawing.drawn_curve import drawn_curve
-from knotgym.rendering.photo import Shot, photograph
+from knotgym.rendering.photo import photograph
+from knotgym.rendering.photo_painting import Shot
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.diagrams import uniform_code
 from knotgym.topology.notation import pd_text

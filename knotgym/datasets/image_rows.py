@@ -18,7 +18,9 @@ from knotgym.quality.difficulty import grade
 from knotgym.quality.limits import LEGIBLE, Quality
 from knotgym.rendering.appearance import Appearance, appearance, render
 from knotgym.rendering.appearance_config import AppearanceConfig
-from knotgym.rendering.photo import Photo, Shot, drawn_photo, take
+from knotgym.rendering.photo import drawn_photo, take
+from knotgym.rendering.photo_look import Photo
+from knotgym.rendering.photo_painting import Shot
 from knotgym.rendering.picture import crossing_pixels
 from knotgym.rope.model import Array
 from knotgym.states.derivation import derived_row

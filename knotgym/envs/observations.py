@@ -56,7 +56,8 @@ def alone(
     if all(look is None for look in looks):
         return draw_many(points, picture)
     from knotgym.rendering.appearance import render
-    from knotgym.rendering.photo import Photo, take
+    from knotgym.rendering.photo import take
+    from knotgym.rendering.photo_look import Photo
 
     ropes = zip(_stored(points), looks, strict=True)
     return np.stack(

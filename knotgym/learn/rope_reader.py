@@ -19,7 +19,7 @@ from knotgym.learn.checkpoint import ROPE_READER, policy_folder, read_weights
 from knotgym.learn.reader import inference
 from knotgym.learn.strand_network import CELL, DEPTH, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.learn.strand_walk import exchange, follow, link, ridge_points, unite
-from knotgym.rendering.photo import TAPE
+from knotgym.rendering.photo_look import TAPE
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 

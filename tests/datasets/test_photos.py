@@ -14,7 +14,8 @@ from knotgym.datasets.image_rows import PictureRow, appearance_of, record
 from knotgym.datasets.image_table import COLUMNS, decode, parquet, read_rows, table_of
 from knotgym.datasets.image_verification import row_faults
 from knotgym.rendering.appearance_config import AppearanceConfig
-from knotgym.rendering.photo import Photo, take, tilted
+from knotgym.rendering.photo import take, tilted
+from knotgym.rendering.photo_look import Photo
 from knotgym.states.state_file import read_states, shipped
 
 

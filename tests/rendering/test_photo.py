@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.rendering import photo_kernels
-from knotgym.rendering.photo import Shot, photograph, take
+from knotgym.rendering.photo import photograph, take
+from knotgym.rendering.photo_painting import Shot
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.notation import pd_code
 

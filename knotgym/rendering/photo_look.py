@@ -1,0 +1,206 @@
+"""What a photo looks like: rope, surface, things on it, light; drawn from a generator."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.rendering.appearance import Appearance
+from knotgym.rendering.camera import DEFAULT, RGB
+
+Array = NDArray[Any]
+
+SURFACES = ("cloth", "wood", "gradient", "noise")
+BACKGROUNDS = (*SURFACES, "clutter", "ropes")
+WIDTHS = (3.0, 12.0)  # of the rope, px
+TAPE = (200, 30, 36)  # RGB, of the bead before the base
+_DYES = (4, 14, 30, 48, 130, 205, 222, 280, 335)  # hues of dyed ropes, degrees
+
+
+class Legibility(NamedTuple):
+    """What a picture must show for a person to decide every crossing.
+
+    Lengths are in pixels of pictures up to 256 pixels large, and grow with larger ones.
+
+    Attributes:
+        crossings: maximum.
+        angle: smallest angle at a crossing, degrees.
+        gap: background between strands that don't cross, px.
+        region: smallest region enclosed by the rope, less half a gap at its border, square px.
+        contrast: colour difference of rope and background (CIELAB, a and b at half weight), on all
+            but a twentieth of the rope.
+        order: the same, between the over strand at a crossing and the under strand beside it, at
+            every crossing.
+    """
+
+    crossings: int = 12
+    angle: float = 30.0
+    gap: float = 2.0
+    region: float = 14.0
+    contrast: float = 18.0
+    order: float = 14.0
+
+
+LIMITS = Legibility()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photo(Appearance):
+    """Appearance of a photo; with the points it determines every byte.
+
+    `first` and `last` are the colours of the two strands of the rope, `background` is one of the
+    two of the surface. Angles are in degrees, px256 are pixels of a 256-pixel picture.
+
+    Attributes:
+        colours: "photo".
+        right, down: position of the rope's centre of mass relative to the picture's middle, px.
+        tilt: angle between the line of sight and the vertical.
+        heading: direction in which the camera leans, seen from above.
+        marked: whether tape marks the base bead, white, and the bead before it, red.
+        twisted: whether the rope is laid of two strands.
+        pitch: length of one turn of the twist, widths of the rope.
+        gloss: strength of the highlight.
+        surface: one of SURFACES.
+        grain: size of its pattern, px256; grain_turn: direction of it.
+        ground: RGB, the other colour of the surface.
+        clutter, others, occluders: flat shapes below the rope, pieces of other ropes, which touch
+            nothing, and things on the rope, which hide no crossing.
+        light_turn, light_height: direction that light comes from.
+        ambient: share of light without direction.
+        shadow: share of light that shadows take.
+        falloff: change of light across the picture, a share.
+        warmth: gain of red over blue, a share.
+        exposure: gain.
+        jpeg: quality; 100 for none.
+    """
+
+    colours: str = "photo"
+    right: float = 0.0
+    down: float = 0.0
+    tilt: float = 0.0
+    heading: float = 0.0
+    marked: bool = False
+    twisted: bool = False
+    pitch: float = 3.0
+    gloss: float = 0.1
+    surface: str = "gradient"
+    grain: float = 5.0
+    grain_turn: float = 0.0
+    ground: RGB = (40, 44, 52)
+    clutter: int = 0
+    others: int = 0
+    occluders: int = 0
+    light_turn: float = 225.0
+    light_height: float = 50.0
+    ambient: float = 0.5
+    shadow: float = 0.7
+    falloff: float = 0.0
+    warmth: float = 0.0
+    exposure: float = 1.0
+    jpeg: int = 100
+
+    @property
+    def kind(self) -> str:
+        """The kind of background, one of BACKGROUNDS."""
+        return "ropes" if self.others else "clutter" if self.clutter else self.surface
+
+    @property
+    def scale(self) -> float:
+        """Pixels per metre."""
+        return self.zoom * self.size / DEFAULT.view
+
+    @property
+    def radius(self) -> float:
+        """Radius of the rope, px."""
+        return DEFAULT.rope_radius * self.width * self.scale
+
+
+def drawn_look(look: Photo, rng: np.random.Generator) -> Photo:
+    """Draw everything but the frame and the rope's colours."""
+    kind = BACKGROUNDS[rng.integers(len(BACKGROUNDS))]
+    surface = kind if kind in SURFACES else SURFACES[rng.integers(len(SURFACES))]
+    if surface == "wood":
+        first = _hsv(rng.uniform(18, 36), rng.uniform(0.3, 0.65), rng.uniform(0.3, 0.9))
+        last = first * rng.uniform(0.55, 0.8)
+    else:
+        first = _hsv(rng.uniform(0, 360), 0.65 * rng.random() ** 1.6, rng.uniform(0.15, 0.95))
+        last = first * rng.uniform(0.5, 0.92)
+    grains = {"cloth": (2.5, 6.0), "wood": (5.0, 14.0), "gradient": (256, 256), "noise": (8, 60)}
+    count = {"clutter": (2, 9), "ropes": (1, 5)}
+    return replace(
+        look,
+        background=levels_of(first),
+        ground=levels_of(last),
+        surface=surface,
+        grain=float(rng.uniform(*grains[surface])),
+        grain_turn=float(rng.uniform(0, 360)),
+        clutter=int(rng.integers(*count["clutter"])) if kind == "clutter" else 0,
+        others=int(rng.integers(*count["ropes"])) if kind == "ropes" else 0,
+        occluders=int(rng.integers(1, 3)) if rng.random() < 0.25 else 0,
+        twisted=bool(rng.random() < 0.5),
+        pitch=float(rng.uniform(2.4, 4.5)),
+        gloss=float(rng.uniform(0, 0.35)),
+        light_turn=float(rng.uniform(0, 360)),
+        light_height=float(rng.uniform(35, 75)),
+        ambient=float(rng.uniform(0.35, 0.65)),
+        shadow=float(rng.uniform(0.6, 0.9)),
+        falloff=float(rng.uniform(0, 0.35)),
+        warmth=float(rng.uniform(-0.12, 0.18)),
+        exposure=float(rng.uniform(0.8, 1.15)),
+        blur=float(rng.uniform(0, 0.9)) * look.size / 256,
+        noise=float(rng.uniform(0, 8)),
+        jpeg=int(rng.integers(45, 101)),
+        seed=int(rng.integers(2**62)),
+    )
+
+
+def light_of(look: Photo) -> Array:
+    """Return the direction towards the light, (3,); y points down."""
+    turn, height = math.radians(look.light_turn), math.radians(look.light_height)
+    flat = math.cos(height)
+    return np.array([flat * math.cos(turn), flat * math.sin(turn), math.sin(height)])
+
+
+def drawn_dyes(rng: np.random.Generator, count: int) -> Array:
+    """Draw RGB colours of ropes (count, 3), none so dark that it hides shadows and edges."""
+    natural = rng.random(count) < 0.45  # hemp, cotton, sisal, nylon
+    hue = np.array(_DYES)[rng.integers(len(_DYES), size=count)] + rng.uniform(-12, 12, count)
+    saturation, value = rng.random(count), rng.random(count)
+    # greens and violets are seldom pure
+    most = np.where((80 < hue) & (hue < 190) | (hue > 250), 0.6, 0.88)
+    hue = np.where(natural, rng.uniform(22, 48, count), hue)
+    saturation = np.where(natural, 0.03 + 0.45 * saturation, 0.25 + (most - 0.25) * saturation)
+    value = np.where(natural, 0.6 + 0.4 * value, 0.55 + 0.43 * value)
+    return _hsv(hue[:, None], saturation[:, None], value[:, None])
+
+
+def _hsv(hue: Any, saturation: Any, value: Any) -> Array:
+    """Return the RGB, 0 to 255, of a hue in degrees."""
+    part = (hue / 60.0 + np.array([5.0, 3.0, 1.0])) % 6.0
+    return 255 * value * (1 - saturation * np.clip(np.minimum(part, 4 - part), 0, 1))
+
+
+def levels_of(colour: Array) -> RGB:
+    """Round a colour (3,) to levels from 0 to 255."""
+    red, green, blue = np.rint(np.clip(colour, 0, 255)).astype(int).tolist()
+    return red, green, blue
+
+
+def lab(colours: Array) -> Array:
+    """Return CIELAB (n, 3) of RGB levels (n, 3), with a and b at half weight."""
+    levels = np.clip(colours, 0, 255).astype(np.uint8)
+    return cv2.cvtColor(levels[None], cv2.COLOR_RGB2LAB)[0] * np.array([100 / 255, 0.5, 0.5])
+
+
+def lengths(vectors: Array) -> Array:
+    """Return the lengths of vectors along the last axis."""
+    return np.sqrt((vectors**2).sum(axis=-1))
+
+
+def low_of(values: Array) -> Array:
+    """Return the value that a twentieth of the last axis is below."""
+    k = values.shape[-1] // 20
+    return np.partition(values, k, axis=-1)[..., k]

@@ -1,0 +1,367 @@
+"""Paint a photo of a rope, with the answers, and measure whether it can be read.
+
+The rope is painted in two layers. Cut half-way between visits, it falls into arcs that each visit
+one crossing; arcs that go over are the upper layer, arcs that go under are the lower one. Arcs of a
+layer don't cross, so that the nearest piece at a pixel is all that is needed of each layer.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.rendering import photo_kernels as kernels
+from knotgym.rendering.photo_look import (
+    LIMITS,
+    SURFACES,
+    TAPE,
+    Photo,
+    drawn_dyes,
+    lab,
+    lengths,
+    light_of,
+    low_of,
+)
+from knotgym.rendering.strand_spacing import strand_spacing
+from knotgym.topology.crossings import Crossings, find_crossings
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A photo with its answers.
+
+    Attributes:
+        image: uint8 (size, size, 3), RGB.
+        look: its appearance.
+        points: float64 (beads, 3), metres, in the camera's axes; what is computed from a rope seen
+            from above, such as `find_crossings` and PD codes, is of this camera's view.
+        crossings: of the points.
+        pixels: float64 (nx, 2), x and y of the crossings, px, in order of labels.
+        line: float32 (beads, 3), x and y of the rope's axis at each vertex, px, and its height
+            towards the camera above the centre of mass, metres.
+        strands: uint8 (size, size), 0 where no rope is visible, else the edge of the PD code: edge
+            k leads to visit k, and edge 1 passes the base. 1 everywhere without crossings.
+        contrast, order, region: measured, see `Legibility`; infinity where nothing is to measure.
+    """
+
+    image: NDArray[np.uint8]
+    look: Photo
+    points: Array
+    crossings: Crossings
+    pixels: Array
+    line: Array
+    strands: NDArray[np.uint8]
+    contrast: float
+    order: float
+    region: float
+
+    @property
+    def legible(self) -> bool:
+        """Whether a person can decide every crossing."""
+        shown = self.contrast >= LIMITS.contrast and self.order >= LIMITS.order
+        return self.region > 0 and shown
+
+
+class PhotoRope:
+    """The smooth rope, centred, and its crossings; `parts` pieces for each bead."""
+
+    def __init__(self, points: Array, size: int) -> None:
+        self.points, self.parts = points, min(-(-size // 128), 3)
+        self.crossings, flat = find_crossings(points), points - points.mean(axis=0)
+        n, t = len(points), (np.arange(self.parts) / self.parts)[:, None]
+        before, after = np.arange(-1, n - 1), np.append(np.arange(1, n), 0)
+        # vertices are eased towards their neighbours, as no rope bends at a point; less, or along
+        # the polygon, where that would change the code
+        for ease, bent in ((0.25, 1.0), (0.1, 1.0), (0.0, 1.0), (0.0, 0.0)):
+            here = flat
+            for _ in range(2 if ease else 0):
+                here = here + ease * (here[before] + here[after] - 2 * here)
+            step = here[after] - here
+            slope = step - 0.5 * bent * (step - step[before])
+            end = step + bent * (slope[after] - step)
+            # the cubic through here and the next vertex, with these slopes at its ends
+            square, cube = 3 * step - 2 * slope - end, slope + end - 2 * step
+            parts = [one[:, None] for one in (here, slope, square, cube)]
+            self.curve = (parts[0] + t * (parts[1] + t * (parts[2] + t * parts[3]))).reshape(-1, 3)
+            self.shown = find_crossings(self.curve)
+            if self.shown.code == self.crossings.code:
+                return
+
+
+class PhotoView:
+    """The rope in a picture: its axis in pixels, and the nearest pieces at every pixel.
+
+    Attributes:
+        curve: float32 (n, 3), x and y, and height in px.
+        visits: float64 (2 nx,), sorted places of the visits, in pieces.
+        square, place: as `photo_kernels.stamp` finds them, after `stamp`.
+    """
+
+    def __init__(self, rope: PhotoRope, look: Photo) -> None:
+        self.unit, self.size, shown = max(look.size / 256, 1.0), look.size, rope.shown
+        middle = 0.5 * look.size + np.array([look.right, look.down, -0.5 * look.size])
+        curve = projected(rope.curve, look.turn, look.scale) + middle
+        self.curve = curve.astype(np.float32)
+        self.after = np.append(np.arange(1, len(self.curve)), 0)
+        self.over, self.under = shown.over_place, shown.under_place
+        places = np.concatenate([self.over, self.under])
+        order = np.argsort(places)
+        self.visits, self.goes_over = places[order], order < len(self.over)
+        flat = self.curve[:, :2]
+        step = flat[self.after] - flat
+        self.along = step + step[self.after - 2]  # about twice the direction at each point
+        self.along /= np.sqrt((self.along**2).sum(axis=1))[:, None]
+        walked = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
+        self.walked = walked
+        visits = np.interp(self.visits, np.arange(len(walked)), walked)
+        # lengths between consecutive visits; between the base and the nearest visit
+        self.apart = np.diff(visits, append=visits[:1] + walked[-1]).min(initial=np.inf)
+        self.base_spacing = np.minimum(visits, walked[-1] - visits).min(initial=np.inf)
+        a, b = self.along[np.array([self.over, self.under]).astype(np.int64) % len(flat)]
+        self.sines = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+    def stamp(self, radius: float) -> None:
+        """Find the nearest pieces of a rope of this radius, px."""
+        self.radius = radius
+        self.square = np.full((2, self.size, self.size), kernels.FAR, np.float32)
+        self.place = np.empty_like(self.square)
+        flags = kernels.layers(self.visits, self.goes_over, len(self.curve))
+        kernels.stamp(self.curve, self.after, flags, _reach(radius), self.square, self.place)
+
+    def region(self, width: float) -> float:
+        """Draw a rope of this width, px; return its smallest region, 0 if it isn't legible."""
+        gap = LIMITS.gap * self.unit
+        if (self.sines < math.sin(math.radians(LIMITS.angle))).any():
+            return 0.0
+        if self.apart < 1.5 * width + gap:
+            return 0.0
+        # a fold whose arms touch can't be told from a small kink
+        length = self.walked[-1]
+        further = np.searchsorted(self.walked, (self.walked[:-1] + 2.0 * width) % length) - 1
+        if ((self.along * self.along[further]).sum(axis=1) < -0.85).any():
+            return 0.0
+        # strands that touch but belong to one bend or crossing, at most so long, can be told apart
+        flat = self.curve[:, :2].astype(np.float64)
+        if strand_spacing(flat, self.over, self.under, 4.5 * width) < width + gap:
+            return 0.0
+        self.stamp(0.5 * width)
+        near = (self.radius + 0.5 * gap) ** 2
+        low = np.maximum(self.curve[:, :2].min(axis=0) - self.radius - 4, 0).astype(int)
+        high = (self.curve[:, :2].max(axis=0) + self.radius + 5).astype(int)
+        square = self.square[:, low[1] : high[1], low[0] : high[0]]
+        free = ((square[0] > near) & (square[1] > near)).view(np.uint8)
+        areas = cv2.connectedComponentsWithStats(free, connectivity=8, ltype=cv2.CV_16U)[2][1:, -1]
+        least = float(areas.min()) / self.unit**2
+        return least if len(areas) == len(self.over) + 2 and least >= LIMITS.region else 0.0
+
+    def at(self, places: Array) -> Array:
+        """Return x and y (n, 2) of places along the curve."""
+        index = np.floor(places).astype(np.int64)
+        n, part = len(self.curve), (places - index)[:, None]
+        return (1 - part) * self.curve[index % n, :2] + part * self.curve[(index + 1) % n, :2]
+
+    def beside(self) -> tuple[Array, Array]:
+        """Return pixels (n, 2), x and y, on the rope, and on the background beside each."""
+        inner = self.curve[::2, :2]
+        off = (self.radius + 1.5) * self.along[::2, ::-1] * np.array([-1, 1], np.float32)
+        inner, outer = np.concatenate([inner, inner]), np.concatenate([inner - off, inner + off])
+        inner, outer = inner.astype(np.int64), outer.astype(np.int64)
+        x, y = np.clip(outer, 0, self.size - 1).T
+        free = self.square[:, y, x].min(axis=0) > (self.radius + 1) ** 2
+        free &= (x == outer[:, 0]) & (y == outer[:, 1])
+        return inner[free], outer[free]
+
+
+def _reach(radius: float) -> float:
+    """Return how far from its axis the rope and its shadows reach, px."""
+    return 1.8 * radius + 1.5
+
+
+def projected(offset: Array, turn: float, scale: float) -> Array:
+    """Return x and y down in the picture, and height, (n, 3), of positions in the camera's axes."""
+    x, y, z = offset.T
+    c, s = math.cos(turn) * scale, math.sin(turn) * scale
+    return np.stack([c * x + s * y, s * x - c * y, scale * z], axis=1)
+
+
+def ground_of(look: Photo, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Paint the surface with its clutter; return the random texture of all patterns, too."""
+    texture = rng.random((64, 64), dtype=np.float32)
+    small = min(look.size, 256)  # surfaces are no finer than that
+    cell = look.grain * small / 256
+    lean = math.radians(look.heading) - look.turn  # in the picture, y up
+    c, s, tilt = math.cos(lean), math.sin(lean), math.cos(math.radians(look.tilt))
+    flat = np.array([[c / tilt, -s / tilt], [s, c]])  # along the leaning, stretched; across it
+    turn = math.radians(look.grain_turn) + lean
+    axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    axes = axes @ flat / cell
+    start = rng.uniform(0, 64, 2) * (look.surface != "gradient") - axes.sum(axis=1) * small / 2
+    picture = np.empty((small, small, 3), np.uint8)
+    ends = [np.array(one, np.float32) for one in (look.background, look.ground)]
+    kind = SURFACES.index(look.surface)
+    kernels.surface(
+        picture, kind, texture, np.column_stack([axes, start]).astype(np.float32), *ends
+    )
+    if small < look.size:
+        picture = np.asarray(cv2.resize(picture, (look.size, look.size)))
+    if look.clutter:
+        middles = rng.uniform(0, look.size, (look.clutter, 2))
+        reach = rng.uniform(0.04, 0.2, look.clutter) * look.size
+        mixed = 0.5 * (ends[0] + ends[1]) + 0.5 * (drawn_dyes(rng, look.clutter) - 128)
+        _lay(picture, look, middles, reach, np.clip(mixed, 0, 255), rng)
+    return texture, picture
+
+
+def _lay(
+    picture: Array, look: Photo, middles: Array, reach: Array, colours: Array,
+    rng: np.random.Generator,
+) -> Array:  # fmt: skip
+    """Lay polygons and discs on a picture; return where they are, uint8 (size, size)."""
+    sides, outlines = 12, np.empty((len(middles), 13, 3), np.float32)
+    outlines[:, 0] = np.column_stack([middles, reach])
+    for outline, far in zip(outlines, reach, strict=True):
+        corners = (3, 4, 4, 5, 6, 12)[rng.integers(6)]
+        angles = rng.uniform(0, 2 * np.pi) + 2 * np.pi * (np.arange(sides) % corners) / corners
+        off = (
+            far
+            * (math.cos(math.pi / corners) if corners < 12 else 0.97)
+            * np.where(np.arange(sides) % corners % 2, rng.uniform(0.5, 1.0), 1.0)
+        )
+        outline[1:] = np.column_stack([np.cos(angles), np.sin(angles), off])
+    light, hidden = light_of(look), np.zeros(picture.shape[:2], np.uint8)
+    shift = (-0.012 * look.size * light[:2]).astype(np.float32)
+    kernels.shapes(picture, hidden, outlines, colours.astype(np.float32), shift, 0.5 * look.shadow)
+    return hidden
+
+
+def painted(
+    rope: PhotoRope, view: PhotoView, look: Photo, region: float, texture: Array, picture: Array,
+    rng: np.random.Generator,
+) -> Shot:  # fmt: skip
+    """Paint the rope and what lies beside and on it on the ground, and measure the picture."""
+    n, strands = len(view.curve), np.zeros(picture.shape[:2], np.uint8)
+    beside = view.beside()
+    colours = np.empty((n, 2, 3), np.float32)
+    colours[:, 0], colours[:, 1] = look.first, look.last
+    if look.marked:
+        colours[: rope.parts], colours[-rope.parts :] = 240, TAPE
+    curve, after = view.curve, view.after
+    if look.others:
+        curve, after, colours = _with_others(view, look, colours, rng)
+    step = curve[np.maximum(after, 0)] - curve
+    step[after < 0] = 0
+    length = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
+    turns = max(round(length[n] / (2 * look.pitch * view.radius)), 1)  # whole, to have no seam
+    tangent = step.copy()
+    np.add.at(tangent, np.maximum(after, 0), step)
+    tangent /= np.maximum(np.sqrt((tangent**2).sum(axis=1)), 1e-6)[:, None]
+    light = light_of(look)
+    grown = 3.0 * view.radius * n / length[n]
+    kernels.compose(
+        picture, strands, view.visits, view.square, view.place, curve, after,
+        tangent.astype(np.float32),
+        (length * turns / length[n]).astype(np.float32), colours, view.radius, look.twisted,
+        look.gloss, look.ambient, look.shadow, light.astype(np.float32), texture, grown, n,
+    )  # fmt: skip
+    if look.occluders:
+        strands[_occlude(view, look, picture, rng) > 0] = 0
+    if look.blur > 0.2:
+        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), look.blur))
+    contrast, order = _contrasts(view, picture, *beside)
+    line = view.curve[:: rope.parts].copy()
+    line[:, 2] = rope.curve[:: rope.parts, 2]
+    answers = rope.points, rope.crossings, view.at(view.over), line, strands
+    return Shot(picture, look, *answers, contrast, order, region)
+
+
+def exposed(picture: Array, look: Photo) -> Array:
+    """Add what the lamp and the camera do to a picture, which is changed."""
+    light = light_of(look)
+    gain = look.exposure * np.array([1 + 0.5 * look.warmth, 1.0, 1 - 0.5 * look.warmth])
+    slope = (look.falloff * light[:2]).astype(np.float32)
+    kernels.expose(picture, gain.astype(np.float32), slope, look.noise, look.seed)
+    if look.jpeg < 100:
+        quality = [cv2.IMWRITE_JPEG_QUALITY, look.jpeg]
+        _, packed = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), quality)
+        picture = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR_RGB))
+    return picture
+
+
+def _with_others(
+    view: PhotoView, look: Photo, colours: Array, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Lay pieces of other ropes that come in from the picture's edge and touch nothing."""
+    curve, after, size = view.curve, view.after, look.size
+    space = 2 * view.radius + 9.0 * view.unit  # between axes, px
+    own = lab(np.array([look.first], np.float64))
+    for _ in range(look.others):
+        dyes = drawn_dyes(rng, 8)
+        dye = dyes[int(np.argmax(np.linalg.norm(lab(dyes) - own, axis=1) > 15))]
+        side, start = rng.integers(4), rng.uniform(0.1, 0.9)
+        x, y = ((start, 0.0), (1.0, start), (start, 1.0), (0.0, start))[side]
+        bends = np.cumsum(0.3 * rng.uniform(-1, 1, 60)) * 0.3 + rng.uniform(-0.6, 0.6)
+        angles = math.pi / 2 * (1 + side) + np.cumsum(0.08 * bends)
+        steps = 0.014 * size * np.column_stack([np.cos(angles), np.sin(angles)])
+        path = np.array([x, y]) * size - 2 * steps[0] + np.cumsum(steps, axis=0)
+        apart = np.linalg.norm(path[:, None] - curve[None, :, :2], axis=2).min(axis=1)
+        path = path[: int(np.argmax(np.append(apart, 0.0) < space))]
+        if len(path) < 8:
+            continue
+        n, last = len(curve), len(curve) + len(path)
+        curve = np.concatenate([curve, np.column_stack([path, np.zeros(len(path))])])
+        curve = curve.astype(np.float32)
+        after = np.concatenate([after, np.arange(n + 1, last), [-1]])
+        colours = np.concatenate([colours, np.tile(dye, (len(path), 2, 1)).astype(np.float32)])
+    new = np.where(np.arange(len(curve)) < len(view.curve), -1, after)
+    flags = np.full(len(curve), kernels.UNDER, np.uint8)
+    kernels.stamp(curve, new, flags, _reach(view.radius), view.square, view.place)
+    return curve, after, colours
+
+
+def _occlude(view: PhotoView, look: Photo, picture: Array, rng: np.random.Generator) -> Array:
+    """Lay things on single straight strands; return where they are."""
+    flat, n, chosen = view.curve[:, :2], len(view.curve), list[tuple[int, float]]()
+    for _ in range(8 * look.occluders):
+        k, reach = int(rng.integers(n)), float(rng.uniform(1.2, 2.0)) * view.radius + 3.0
+        clear = 1.5 * (reach + view.radius + 3.0)
+        near = np.flatnonzero(lengths(flat - flat[k]) < clear)
+        apart = np.abs(near - k)
+        apart = np.minimum(apart, n - apart)
+        taken = [abs(k - other) < n // 20 for other, _ in chosen]
+        base = min(k, n - k) < n // 20 and look.marked
+        # all that is near is this strand, and it is straight
+        far = int(clear * n / view.walked[-1]) + 1
+        bend = (view.along[k - far] * view.along[(k + far) % n]).sum()
+        if apart.max() < 1.5 * far and bend > 0.8 and not any(taken) and not base:
+            chosen.append((k, reach))
+        if len(chosen) == look.occluders:
+            break
+    ks, reaches = [k for k, _ in chosen], np.array([far for _, far in chosen])
+    colours = drawn_dyes(rng, len(ks)) * rng.uniform(0.4, 1.0, (len(ks), 1))
+    return _lay(picture, look, flat[ks].astype(np.float64), reaches, colours, rng)
+
+
+def _contrasts(view: PhotoView, shown: Array, inner: Array, outer: Array) -> tuple[float, float]:
+    """Measure contrast and order of a picture without noise; see `Legibility`."""
+    rope, behind = (lab(shown[at[:, 1], at[:, 0]]) for at in (inner, outer))
+    # averaged along the rope, so that a twist's grooves don't count as its colour
+    rope = cv2.blur(rope, (1, 5))
+    contrast = float(low_of(lengths(rope - behind)))
+    if not len(view.over):
+        return contrast, math.inf
+    middle = view.at(view.over)
+    pieces = np.array([view.over, view.under]).astype(np.int64) % len(view.curve)
+    along, across = view.along[pieces]
+    sine = view.sines[:, None]
+    spots = [middle + share * view.radius * along for share in (-0.5, 0.0, 0.5)]
+    for side in (-1, 1):  # the under strand disappears on both sides
+        spots += [middle + side * (view.radius + off) / sine * across for off in (0.4, 1.0, 1.6)]
+    x, y = np.clip(np.concatenate(spots), 0, view.size - 1).astype(np.int64).T
+    seen = lab(shown[y, x]).reshape(9, -1, 3)
+    apart = lengths(seen[3:] - seen[:3].mean(axis=0)).reshape(2, 3, -1)
+    return contrast, float(apart.max(axis=1).min())
