@@ -265,6 +265,12 @@ def test_codes_are_balanced(tmp_path: Path) -> None:
     assert [codes.count(code) for code in set(codes)] == [10, 10]
 
 
+def test_ropes_start_from_an_included_set_by_its_name(tmp_path: Path) -> None:
+    config = ImagesConfig(nx=(1,), count=2, test_share=0, code_share=0, engine="chain")
+    options = RunOptions(workers=1, quiet=True)
+    assert list(read_rows(make_images(config, tmp_path / "table", options, states="bench")))
+
+
 def test_states_that_give_no_more_pictures_end_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
