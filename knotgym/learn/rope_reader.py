@@ -17,7 +17,7 @@ from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.learn.checkpoint import ROPE_READER, policy_folder, read_weights
 from knotgym.learn.reader import inference
 from knotgym.learn.strand_network import CELL, DEPTH, ORIENTATIONS, Fields, StrandNetwork
-from knotgym.learn.strand_walk import exchange, follow, link, ridge_points, unite
+from knotgym.learn.strand_walk import exchange, follow, link, ridge_points
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 
@@ -93,7 +93,7 @@ class RopeReader:
         whole = torch.from_numpy(picture.copy()).permute(2, 0, 1)[None].float()
         seen = functional.interpolate(whole, (side, side), mode="bilinear", align_corners=False)
         with inference():
-            maps = maps_of(self.network, seen, views)[0]
+            maps = _maps_of(self.network, seen, views)[0]
         found = read_maps(maps)
         if found is None:
             return None
@@ -148,24 +148,24 @@ def _confidence(nx: int, margin: float, share: float) -> float:
     return float(np.clip(margin * share**4 * 0.99**nx, 0.0, 1.0))
 
 
-def maps_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Maps]:
+def _maps_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Maps]:
     """Find strands in n pictures (n, 3, side, side), averaged over the first views of eight."""
     with torch.no_grad():
-        views = fields_of(network, pictures, votes)
+        views = _fields_of(network, pictures, votes)
     mean = Fields(*(torch.stack(part).mean(0) for part in zip(*views, strict=True)))
     parts = mean._replace(lines=torch.sigmoid(mean.lines), base=torch.sigmoid(mean.base))
     return [Maps(*one) for one in zip(*(part.cpu().numpy() for part in parts), strict=True)]
 
 
 def read_maps(maps: Maps) -> tuple[Array, GaussCode, float, float] | None:
-    """Return the line, float64 (n, 3), cells, its code, the margin and the share of `traced`."""
-    found = traced(maps)
+    """Return the line, float64 (n, 3), cells, its code, the margin and the share of `_traced`."""
+    found = _traced(maps)
     if found is None:
         return None
-    return *coded(found[0], maps), found[1]
+    return *_coded(found[0], maps), found[1]
 
 
-def fields_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Fields]:
+def _fields_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Fields]:
     """Run the network on `votes` of the eight mirror images and turns; turn the fields back."""
     found = []
     for vote in range(votes):
@@ -194,7 +194,7 @@ def turned_back(fields: Fields, turns: int, flip: bool) -> Fields:
     return Fields(lines, upper, base, along, stretch)
 
 
-def traced(maps: Maps) -> tuple[Array, float] | None:
+def _traced(maps: Maps) -> tuple[Array, float] | None:
     """Walk along the rope.
 
     Returns:
@@ -206,17 +206,16 @@ def traced(maps: Maps) -> tuple[Array, float] | None:
         return None
     partner, paid = link(points)
     exchange(points, partner, paid)
-    unite(points, partner, paid)
     order, line = follow(partner)
     closed = np.bincount(line[line >= 0]) if (line >= 0).any() else np.zeros(1)
     if closed.max() < _SHORT:
         return None
     own = order[line == closed.argmax()] // 2
-    line = smooth(points[own, :2])
+    line = _smooth(points[own, :2])
     return None if len(line) < _SHORT else (line, len(own) / len(points))
 
 
-def smooth(line: Array) -> Array:
+def _smooth(line: Array) -> Array:
     """Smooth a closed line (n, 2), and cut off loops too small to be a strand's."""
     for _ in range(2):
         line = 0.25 * (np.roll(line, 1, 0) + 2 * line + np.roll(line, -1, 0))
@@ -232,7 +231,7 @@ def smooth(line: Array) -> Array:
     return line[kept]
 
 
-def coded(line: Array, maps: Maps) -> tuple[Array, GaussCode, float]:
+def _coded(line: Array, maps: Maps) -> tuple[Array, GaussCode, float]:
     """Lift a closed line (n, 2), cells, at its crossings; return it, its code and the margin."""
     points = np.column_stack([line[:, 0], -line[:, 1], np.zeros(len(line))])
     flat = find_crossings(points)
