@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidPolicy, KnotgymError
+from knotgym.common.tables import Table
 from knotgym.control import policies
 from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
 from knotgym.control.policies import (
@@ -29,6 +30,9 @@ from knotgym.datasets.episode_dataset import write_episodes
 from knotgym.datasets.episodes import PULLS, Episodes, differences
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import TaskConfig
+from knotgym.states.state_file import States
+from knotgym.topology.code_arrays import WIDTH, code_texts
+from knotgym.topology.crossings import label
 
 TASK = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=12)
 ENDLESS = dataclasses.replace(TASK, endless=True)
@@ -177,6 +181,18 @@ def test_kept_columns_are_those_asked_for() -> None:
     outcomes = rollouts(RandomPolicy(), TASK, SEEDS[:2], keep=None)
     assert outcomes.episodes.rows == 2 and not len(outcomes.steps)
     assert rollouts(RandomPolicy(), TASK, []).episodes.rows == 0
+
+
+def test_codes_with_more_crossings_than_there_was_room_for_are_kept_whole() -> None:
+    turn = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    radius = 2 + np.cos(9 * turn)  # nine times round one way, five the other: 36 crossings
+    curve = [radius * np.cos(5 * turn), radius * np.sin(5 * turn), 3 * np.cos(turn + 0.2)]
+    laid = States.from_points([np.stack(curve, axis=1)]).qpos
+    begun = rollouts(RandomPolicy(), TASK, SEEDS[:1]).episodes
+    made = rollouts(RandomPolicy(), TASK, Table(begun.schema, {**begun, "start_qpos": laid}))
+    shown = code_texts(made.steps["visits"], made.steps["signs"])
+    assert [label(points).chiral for points in made.steps["observation"]] == shown.tolist()
+    assert int(made.steps["crossings"][0]) > WIDTH
 
 
 def test_macro_actions_of_plans_are_stored_with_their_pulls() -> None:

@@ -283,8 +283,8 @@ def test_quotas_add_up_and_hold_the_shares() -> None:
 
 def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
     limits, quality = Limits(), measure(rope.loop())
-    assert grade(quality, limits) == "easy"
-    for factor, name in ((1.2, "medium"), (0.7, "hard"), (0.2, "extreme")):
+    bounds = ((1.5, "easy"), (1.49, "medium"), (1, "medium"), (0.99, "hard"), (0.5, "hard"))
+    for factor, name in (*bounds, (0.49, "extreme")):
         worse = type(quality)(
             **{**vars(quality), "crossing_angle": factor * (limits.crossing_angle or 0)}
         )

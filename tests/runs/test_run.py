@@ -177,6 +177,18 @@ def test_an_interrupted_run_is_continued_or_deleted_only_on_request(tmp_path: Pa
     assert made_toy(out, replace(QUIET, overwrite=True)) == out
 
 
+def test_what_is_finished_is_found_before_anything_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = made_toy(tmp_path / "a", QUIET)
+    monkeypatch.setattr("tests.runs.recipes.drawn", None)
+    with pytest.raises(Occupied, match="exists already; --overwrite replaces it"):
+        made_toy(out, QUIET)
+    staging_folder(out).mkdir()  # as if killed after its output was in place
+    assert made_toy(out, RESUMED) == out
+    assert list(tmp_path.iterdir()) == [out]
+
+
 def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
     with interrupted(tmp_path / "a", after=30), pytest.MonkeyPatch.context() as patch:
         patch.setattr("tests.runs.recipes.drawn", None)
