@@ -206,33 +206,6 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> 
 # What is refused.
 
 
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
-        ("--nx -1", "--nx takes whole numbers such as 3, 2,3 or 0-4, got '-1'"),
-        ("--nx 12", "from 0 to 11, got"),
-        ("--set beads=40 --no-demonstrations", "beads must be at least 50"),
-        ("--set beads=200", "demonstrations are for a rope of 100 beads, got 200; leave them out"),
-        ("--set beads=200 --source random-walk --no-demonstrations", "--beads needs --source"),
-        ("--codes hard-unknots --nx 4", "hard-unknots.txt contains no code with nx 4"),
-        ("--nx 7", "limited to 6 crossings, got nx 7; --no-demonstrations makes states without"),
-        ("--count 0", "count must be at least 1"),
-        ("--every-code -2", "every_code must be at least 0"),
-        ("--source play --knot 3_1", "--knot needs --source drawing, not play"),
-        ("--knot 9_50", "no knot '9_50'; there are 0_1, the prime knots"),
-        ("--knot 3_1 --nx 2", "no diagram of 3_1 has 2 crossings"),
-    ],
-)
-def test_a_mistake_is_one_line_and_writes_nothing(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], options: str, problem: str
-) -> None:
-    words = ["--out", str(tmp_path / "made" / "a"), "--workers", "1", *options.split()]
-    assert knotgym("generate", *words) == 2
-    (line,) = said(capfd)
-    assert line.startswith("knotgym: ") and problem in line
-    assert [*tmp_path.iterdir()] == []
-
-
 def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

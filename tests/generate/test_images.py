@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.cli.main import main
-from knotgym.common.errors import Failed, InvalidFile, MissingExtra
+from knotgym.common.errors import Failed, InvalidFile
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import (
@@ -196,22 +195,13 @@ def test_missing_and_torn_files_are_found(folder: Path, tmp_path: Path) -> None:
     assert len(list(image_faults(torn))) == 1
 
 
-def test_a_foreign_parquet_file_is_refused(tmp_path: Path) -> None:
+def test_a_foreign_parquet_file_is_refused(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidFile, match="no split"):
+        read_table(folder, "validation")
     pa, parquet = tables.arrow(), tables.arrow("pyarrow.parquet")
     parquet.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
     with pytest.raises(InvalidFile, match="format"):
         read_table(tmp_path / "a.parquet")
-
-
-def test_without_pyarrow_one_line_names_the_extra(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingExtra, match="huggingface"):
-        read_table(folder)
-    with pytest.raises(SystemExit) as left:
-        main(["images", "--count", "5", "--out", str(tmp_path / "x")])
-    assert left.value.code == 2 and "pip install '.[huggingface]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -291,16 +281,6 @@ def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
         assert grade(worse, limits) == name
 
 
-def test_a_loader_without_its_library_names_the_extra(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for kind, module in (("torch", "torch"), ("huggingface", "datasets")):
-        with monkeypatch.context() as patch:
-            patch.setitem(sys.modules, module, None)
-            with pytest.raises(MissingExtra, match=rf"\.\[{kind}\]"):
-                load(folder, kind=kind)
-
-
 def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -310,13 +290,6 @@ def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(
     assert load(folder, kind="huggingface") == "theirs"
     del sys.modules["datasets"]
     assert sys.path == [str(ROOT), str(tmp_path)]
-
-
-def test_an_unknown_kind_or_split_is_refused(folder: Path) -> None:
-    with pytest.raises(ValueError, match="kind must be"):
-        load(folder, kind="jax")
-    with pytest.raises(InvalidFile, match="no split"):
-        read_table(folder, "validation")
 
 
 @pytest.mark.clients

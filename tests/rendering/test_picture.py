@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
 from knotgym.rendering.camera import PictureConfig, bead_colours, project
 from knotgym.rendering.picture import crossing_pixels, draw, draw_many
 from knotgym.topology.crossings import find_crossings
@@ -343,21 +342,6 @@ def test_crossing_pixels_lie_on_both_strands() -> None:
 
 
 # Settings and errors
-
-
-def test_points_that_are_no_rope_are_refused() -> None:
-    for points in (
-        np.zeros((2, 3)),
-        np.zeros((10, 2)),
-        np.zeros((1, 10, 3)),
-        np.full((10, 3), np.nan),
-    ):
-        with pytest.raises(InvalidInput):
-            draw(points)
-    with pytest.raises(InvalidInput):
-        draw_many(np.zeros((10, 3)))
-    with pytest.raises(InvalidInput):
-        draw(ring(), colours=np.zeros((99, 3), dtype=np.uint8))
 
 
 def test_no_opengl_is_one_clear_line() -> None:

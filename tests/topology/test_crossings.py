@@ -224,6 +224,7 @@ def test_exact_ties_still_give_planar_codes(points: np.ndarray) -> None:
     assert is_planar(crossings.code)
 
 
+@settings(max_examples=300)
 @given(st.sampled_from([1, 2, 4]).flatmap(grid_curves))
 def test_strands_that_run_along_each_other_cross_within_both_edges(points: np.ndarray) -> None:
     crossings = find_crossings(points)
