@@ -63,6 +63,14 @@ def batch(rows: Any, **opening: Any) -> Any:
     return Transitions(DATA, **opening).batch(rows)
 
 
+def rope(**settings: Any) -> Any:
+    return RopeConfig(**settings)
+
+
+def register(name: str) -> None:
+    register_policy(name, lambda config: policy("random"))
+
+
 def policy(name: str) -> Any:
     return make_policy(PolicyConfig(policy=name))
 
@@ -105,12 +113,12 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: many().reset(seed=[1, 2]), "one for each of 3 ropes, got 2"),
     (lambda: many().reset(options={"reset_mask": np.array([1, 0, 1])}), "must be 3 booleans"),
     (lambda: many().reset(options={"reset_mask": "all"}), "reset_mask must be 3 booleans"),
-    (lambda: RopeConfig(beads=100.0), "beads"),
-    (lambda: RopeConfig(sub_chains=1), "sub-chains"),
-    (lambda: RopeConfig(sub_chains=50), "sub-chains"),
-    (lambda: RopeConfig(radius=0.02), "bead"),
-    (lambda: RopeConfig(rooted="end"), "rooted"),
-    (lambda: RopeConfig(closure_solref=(0.02,)), "closure_solref"),
+    (lambda: rope(beads=100.0), "beads"),
+    (lambda: rope(sub_chains=1), "sub-chains"),
+    (lambda: rope(sub_chains=50), "sub-chains"),
+    (lambda: rope(radius=0.02), "bead"),
+    (lambda: rope(rooted="end"), "rooted"),
+    (lambda: rope(closure_solref=(0.02,)), "closure_solref"),
     (lambda: knotgym.shipped("best"), "no shipped set of states 'best'; there are readable"),
     (lambda: knotgym.verify("nope"), "no such file: nope, nor a Minari dataset of this id"),
     (lambda: knotgym.States.from_points([]), "points must have shape (n, beads, 3), got (0,)"),
@@ -147,8 +155,8 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: policy("recorded:nowhere"), "nowhere"),
     (lambda: policy("expert").compatible_task(BEADS), "action must be 'pull'"),
     (lambda: policy("play").compatible_task(BEADS), "action must be 'pull'"),
-    (lambda: register_policy("expert", policy), "expert"),
-    (lambda: register_policy("module:function", policy), "module:function"),
+    (lambda: register("expert"), "expert"),
+    (lambda: register("module:function"), "module:function"),
     (lambda: images("nope", kind="jax"), "kind must be one of torch, huggingface, got 'jax'"),
 ]
 

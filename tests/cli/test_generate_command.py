@@ -18,13 +18,11 @@ import numpy as np
 import pytest
 
 import knotgym as package
-from knotgym.cli import main as cli
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidFile
 from knotgym.loaders import arrays
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rope.model import Rope
-from knotgym.states.near_duplicates import NEAR, distances
 from knotgym.states.state_file import States, read_states
 
 from ..small_job import SECONDS, WANTED, knotgym, typed, wait_for_file
@@ -90,12 +88,6 @@ def test_both_splits_have_as_many_states_as_asked_for_of_as_many_codes_as_there_
     assert sorted(states.gauss_code.tolist()) == [""] * 4 + ["1+,1-"] * 2 + ["1-,1+"] * 2
     for nx in (0, 1):
         assert sorted(states.split[states.nx == nx].tolist()) == ["test"] * 2 + ["train"] * 2
-
-
-def test_no_two_states_are_near_duplicates(states: States) -> None:
-    for nx in (0, 1):
-        points = states.points[states.nx == nx]
-        assert all((distances(points[k], points[k + 1 :]) >= NEAR).all() for k in range(3))
 
 
 def test_the_gallery_shows_every_state_as_a_diagram(curated: Path, states: States) -> None:
@@ -174,20 +166,6 @@ def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
     assert np.array_equal(found["actions"], arrays(curated / name)["actions"])
     with pytest.raises(InvalidFile, match="holds several datasets; choose one of them"):
         arrays(curated)
-
-
-@pytest.mark.slow
-def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("signal.signal", lambda *_: None)
-    words = "generate --nx 0 --count 1 --no-demonstrations --workers 1 --quiet --seed 3"
-    with pytest.raises(SystemExit) as ended:
-        cli.main(words.split())
-    assert ended.value.code == 0
-    assert (tmp_path / "knotgym-data" / "nx0" / "states.h5").is_file()
-    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.thorough

@@ -4,17 +4,14 @@ it is read. Interrupted, divided and merged runs are in tests/runs/test_run.py.
 
 import importlib.metadata
 import importlib.util
-import json
 import shutil
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from knotgym.common.errors import Failed, InvalidFile
 from knotgym.datasets import image_table as tables
@@ -22,12 +19,11 @@ from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import (
     COLUMNS,
     decode,
-    encode,
     read_rows,
     read_table,
     shards,
 )
-from knotgym.datasets.image_verification import image_faults, row_faults
+from knotgym.datasets.image_verification import image_faults
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
 from knotgym.loaders import images as load
@@ -39,7 +35,6 @@ from knotgym.runs.run_options import RunOptions
 from knotgym.states.near_duplicates import NEAR, distances
 from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
 
 from ..small_job import knotgym
@@ -64,11 +59,6 @@ CONFIG = ImagesConfig(
 
 def made(out: Path, config: ImagesConfig = CONFIG, **options: Any) -> Path:
     return make_images(config, out, RunOptions(**{"workers": 1, "quiet": True, **options}))
-
-
-def _pixel_altered(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    image[5, 5, 0] ^= 1
-    return image
 
 
 @pytest.fixture(scope="module")
@@ -103,45 +93,6 @@ def test_no_two_rows_are_near_duplicates(folder: Path) -> None:
     assert len(points) == CONFIG.count
     for k in range(len(points) - 1):
         assert distances(points[k], points[k + 1 :]).min() >= NEAR
-
-
-@pytest.mark.parametrize(
-    ("spoil", "named"),
-    [
-        (
-            lambda row: row.update(gauss_code=str(GaussCode.parse(row["gauss_code"]).mirrored())),
-            "gauss_code is",
-        ),
-        (lambda row: row["crossings"][0].update(sign=-row["crossings"][0]["sign"]), "crossings is"),
-        (lambda row: row.update(nx=9), "nx is"),
-        (lambda row: row.update(knot="3_1"), "knot is"),
-        (lambda row: row.update(grade="nice"), "grade"),
-        (lambda row: row.update(split="validation"), "split is"),
-        (lambda row: row.update(accepted=not row["accepted"]), "accepted is"),
-        (lambda row: row["quality"].update(margin=1.0), "quality.margin"),
-        (
-            lambda row: row["appearance"].update(turn=row["appearance"]["turn"] + 0.1),
-            "image is not",
-        ),
-        (
-            lambda row: row.update(image=encode(_pixel_altered(decode(row["image"])))),
-            "image is not",
-        ),
-        (lambda row: row["crossings"][0].update(x=0.0), "crossings is"),
-        (
-            lambda row: row.update(points=(np.array(row["points"]) * float("nan")).tolist()),
-            "not finite",
-        ),
-    ],
-)
-def test_a_spoilt_row_is_found(
-    rows: list[dict[str, Any]], spoil: Callable[[dict[str, Any]], None], named: str
-) -> None:
-    row = json.loads(json.dumps({**next(row for row in rows if row["nx"] == 2), "image": None}))
-    row["image"] = next(row for row in rows if row["nx"] == 2)["image"]
-    assert list(row_faults(row)) == []
-    spoil(row)
-    assert any(named in fault for fault in row_faults(row))
 
 
 def test_a_leak_between_splits_is_found(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import pickle
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -249,15 +247,6 @@ def test_sequences_are_views_of_the_columns(made: Episodes, path: Path) -> None:
     np.testing.assert_array_equal(one["observation"], made.steps["observation"][7:10])
     assert one["episode"].tolist() == [2] and not one["observation"].flags.owndata
     assert len(pickle.loads(pickle.dumps(data))) == len(data) and len(Sequences(path, 99)) == 0
-
-
-def test_importing_the_loaders_imports_no_simulator_and_no_learner() -> None:
-    code = (
-        "import sys, knotgym.loaders as l; l.arrays, l.Transitions;"
-        "print([m for m in ('torch', 'mujoco', 'cv2', 'd3rlpy', 'polars') if m in sys.modules])"
-    )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout == "[]\n"
 
 
 @clients

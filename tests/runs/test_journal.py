@@ -92,7 +92,7 @@ def test_a_result_with_too_long_names_is_refused_or_comes_back(more: int, tmp_pa
     name = "x" * (2**20 + more - len(line))
     with Journal(tmp_path / "j", RUN) as journal:
         try:
-            journal["a"] = {name: np.uint8(3)}
+            journal["a"] = {name: np.array(3, np.uint8)}
         except InvalidInput:
             assert more > -128
         is_kept = "a" in journal

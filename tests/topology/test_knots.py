@@ -96,7 +96,7 @@ def torus_knot(p: int, q: int, beads: int = 100) -> np.ndarray:
     )
 
 
-def figure_eight(beads: int = 100) -> np.ndarray:
+def figure_eight(beads: int = 300) -> np.ndarray:
     angle = np.linspace(0.0, 2.0 * np.pi, beads, endpoint=False)
     radius = 2.0 + np.cos(2.0 * angle)
     return np.column_stack(
