@@ -108,12 +108,12 @@ def pixels(
     return seen
 
 
-def stacked(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _stacked(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Rearrange pictures (..., size, 2 size, 3) to (..., size, size, 6), goal channels last."""
     return np.concatenate(np.split(pictures, 2, axis=-2), axis=-1)
 
 
-def state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
+def _state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
     """Concatenate the vertices of each rope with those of its goal.
 
     Args:
@@ -168,7 +168,7 @@ def observe(
         return cut(np.stack([visits, goal_visits], axis=1))
     seen: dict[str, NDArray[Any]] = {}
     if task.observation != "state":
-        seen["pixels"] = stacked(pictures()) if task.layout == "stacked" else pictures()
+        seen["pixels"] = _stacked(pictures()) if task.layout == "stacked" else pictures()
     if task.observation != "pixels":
-        seen["state"] = state(points, goal_points)
+        seen["state"] = _state(points, goal_points)
     return seen if task.observation == "both" else seen[task.observation]
