@@ -33,7 +33,9 @@ CORE = (
 )
 STATES = "import knotgym.states.state_file, knotgym.common.atomic_files"
 LINKED = ("generate", "datasets", "loaders")
-ERRORS = [one for one in vars(errors).values() if isinstance(one, type(KnotgymError))]
+ERRORS = [
+    one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, KnotgymError)
+]
 
 
 def made_alone(task: str, states_path: str) -> str:

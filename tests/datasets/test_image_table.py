@@ -82,7 +82,7 @@ def test_a_sound_shard_has_no_fault(shard: Path) -> None:
         (("split", "validation"), "split is"),
         (("accepted", False), "accepted is"),
         (("appearance", "turn", 0.1), "image is not"),
-        (("image", encode(np.zeros((128, 128, 3), np.uint8))), "image is not"),
+        (("image", "bytes", encode(np.zeros((128, 128, 3), np.uint8))), "image is not"),
         (("crossings", 0, "x", 0.0), "crossings is"),
         (("crossings", 0, "sign", 7), "crossings is"),
     ],
