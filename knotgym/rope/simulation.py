@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.common.threads import Threads
 from knotgym.rope.actions import decode_actions, encode_actions
-from knotgym.rope.model import Array, Rope
+from knotgym.rope.model import Array, Rope, RopeConfig
 
 ROUNDING = 1e-6  # tolerance for float32 rounding of actions beyond 1; they are clipped to 1
 
@@ -51,13 +51,10 @@ class Simulation(ABC):
         self.applied_shares: Array = np.ones(count)
         self.threads = Threads(threads)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {
-            "config": self.rope.config,
-            "count": self.count,
-            "threads": self.threads.count,
-            "states": self.states(),
-        }
+    def __reduce__(self) -> Any:
+        # the compiled model isn't pickled but compiled again
+        made = type(self), self.count, self.rope.config, self.threads.count
+        return _with_states, (*made, self.states())
 
     @property
     def max_force(self) -> float:
@@ -145,3 +142,12 @@ class Simulation(ABC):
 
     def _all(self, ids: Ids) -> NDArray[np.int64]:
         return np.arange(self.count) if ids is None else np.asarray(ids, dtype=np.int64)
+
+
+def _with_states(
+    kind: type[Simulation], count: int, config: RopeConfig, threads: int, states: Array
+) -> Simulation:
+    """Unpickle a simulation."""
+    made = kind(count, Rope(config), threads)
+    made.restore(states)
+    return made

@@ -53,6 +53,7 @@ COUNTED_NX = 5  # most crossings of the diagrams in the tables
 _DOUBT, _DISCOUNT, _SWEEPS = 3.0, 0.97, 16
 _BOUNDED = 4  # times as many candidates where towing is limited: the order doesn't know what tows
 _CLOSE = 8  # fewest beads along the rope between the two of a random pass
+_STEPS = 50  # pulls of a path to the goal, at most: the horizon of the tasks
 
 
 class PassTemplate(NamedTuple):
@@ -272,7 +273,7 @@ class PassSearch:
     def run(self, state: Array, points: Array) -> Search[PassPlan]:
         """Search from a state of the chain engine, and its points (beads, 3)."""
         (sight,) = see(points[None])
-        passes = yield from self._passes(state, points, sight, self.config.steps, self.act_out)
+        passes = yield from self._passes(state, points, sight, _STEPS, self.act_out)
         return PassPlan(passes, self.spent, self.tried)
 
     def _passes(

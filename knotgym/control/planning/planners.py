@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.basic_policies import pull_task
+from knotgym.common.errors import InvalidPolicy
 from knotgym.control.planning.batched_search import BatchedSearch, Search
 from knotgym.control.planning.changes import shipped_guide
 from knotgym.control.planning.passes import (
@@ -56,8 +56,16 @@ class ChoosesPulls:
     """Base of policies that choose pulls."""
 
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task; its actions must be pulls."""
-        return pull_task(task)
+        """Return the task.
+
+        Raises:
+            InvalidPolicy: its actions are of another view than pulls.
+        """
+        if task.action != "pull":
+            raise InvalidPolicy(
+                f"this policy chooses pulls, so its action must be 'pull', got {task.action!r}"
+            )
+        return task
 
 
 @dataclass(frozen=True)
@@ -187,7 +195,7 @@ class PullPlayer(Player):
 
     def __init__(self, policy: PullPlanner, batch: EpisodeBatch, desk: Desk) -> None:
         self._config, self._batch, self._desk = policy.config, batch, desk
-        self._guide = shipped_guide(policy.config.strange)
+        self._guide = shipped_guide()
         self._rngs: dict[int, np.random.Generator] = {}
         self._plans: dict[int, PullPlan] = {}
         # pulls taken of the plan; pulls simulated for all plans of the episode

@@ -8,8 +8,6 @@ After a change run `pytest tests/rope/chain/test_chain_simulation.py`: beads end
 MuJoCo's after an action, and the same states lead to the same bytes.
 """
 
-from typing import Any
-
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,19 +39,9 @@ class ChainSimulation(Simulation):
     """
 
     engine = "chain"
-    shares = tuple((np.arange(_TICKS, -1, -1) / _TICKS).tolist())  # with SCHEDULE
+    shares = tuple((np.arange(_TICKS, -1, -1) / _TICKS).tolist())
 
-    def __init__(
-        self,
-        count: int = 1,
-        rope: Rope | None = None,
-        threads: int = 1,
-        schedule: tuple[int, ...] = SCHEDULE,
-    ) -> None:
-        """Start with `count` plain loops; `threads` 0 uses every core.
-
-        `schedule` are the relative lengths of an action's substeps.
-        """
+    def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         super().__init__(count, rope, threads)
         # The proof that no strand passes another holds for edges up to this length, see
         # `passage`.
@@ -70,21 +58,11 @@ class ChainSimulation(Simulation):
                     f"the chain engine closes the rope exactly and has no {name}; leave it at"
                     f" {usual}, got {given}"
                 )
-        self._schedule = np.array(schedule, dtype=np.int64)
         # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
         self._physics = physics_of(self.rope)
         self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
         self.points = np.empty((count, self.rope.config.beads, 3))
         self.lay(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "schedule": tuple(self._schedule.tolist())}
-
-    def __setstate__(self, saved: dict[str, Any]) -> None:
-        ChainSimulation.__init__(
-            self, saved["count"], Rope(saved["config"]), saved["threads"], saved["schedule"]
-        )
-        self.restore(saved["states"])
 
     def qpos(self, ids: Ids = None) -> Array:
         states = self._states[self._all(ids)]
@@ -147,7 +125,7 @@ class ChainSimulation(Simulation):
         where = self._all(ids)
         pulled = np.ascontiguousarray(beads, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=np.float64)
-        finite, total = np.empty(len(where), dtype=bool), TICKS * int(self._schedule.sum())
+        finite, schedule = np.empty(len(where), dtype=bool), np.array(SCHEDULE, dtype=np.int64)
 
         # Threads get whole groups of lanes. `advance` runs without the interpreter's lock, and no
         # rope's result depends on those beside it, so the number of threads changes nothing.
@@ -160,11 +138,11 @@ class ChainSimulation(Simulation):
                 forces[rows],
                 self._physics,
                 self.rope.config.timestep * self.rope.config.frame_skip,
-                self._schedule,
+                schedule,
                 counts,
             )
             self._states[own], self.points[own] = states, states[:, :, POSITION]
-            self.applied_shares[own] = (total - counts[:, layout.LOST]) / total
+            self.applied_shares[own] = (_TICKS - counts[:, layout.LOST]) / _TICKS
             finite[rows] = np.isfinite(states).all(axis=(1, 2))
 
         self.threads.spread(move, len(where), LANES)
