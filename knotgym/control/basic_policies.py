@@ -53,6 +53,7 @@ class ActionPlayer:
             positions = simulation.rope.config.reach * actions[:, :3].astype(np.float64)
             beads = nearest_beads(simulation.points[ids], positions)
             return Pulls(ids, beads, actions[:, 3:])
+        # The view learns of a pull when its lane acts again: then it can see where the bead is.
         before = ids[self._pulled[ids]]
         view.pulled(before, np.zeros(len(before), dtype=bool))
         deciding = ids[~view.busy[ids]]
@@ -62,6 +63,7 @@ class ActionPlayer:
         beads, forces = view.pulls_of(ids)
         if view.name != "macro":
             return Pulls(ids, beads, forces)
+        # whether this pull is the first of its macro-action, then bead, target and side
         macros = np.column_stack([view.pulls[ids] == 0, view.macros[ids]])
         return Pulls(ids, beads, forces, macros)
 
@@ -121,6 +123,7 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
     wanted = f"policy {name} must give {size} {numbers} for an episode"
     if not (isinstance(actions, np.ndarray) and actions.dtype == np.float32):
         try:
+            # one by one, so that a message can show the action that is wrong
             rows = [np.asarray(action, dtype=np.float32).reshape(-1) for action in actions]
         except (TypeError, ValueError) as error:
             raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error

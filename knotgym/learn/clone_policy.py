@@ -188,6 +188,7 @@ def _choose_block(
     values: PassValues | None,
 ) -> NDArray[np.int64]:
     """Choose macro-actions in up to _BLOCK states; missing ones are filled up with zeros."""
+    # Always _BLOCK rows, as sums of a network round by the shape of their batch.
     seen, count = mark(points, goals), len(points)
     states = Inputs(*(_filled(one) for one in inputs(seen[:4])))
     with inference():
@@ -201,8 +202,11 @@ def _choose_block(
     noise = np.zeros(chosen.shape)
     for row in np.flatnonzero(temperatures > 0).tolist():
         noise[row] = temperatures[row] * rngs[row].gumbel(size=noise.shape[1])
+    # all are logarithms: worth by the order, chance of being chosen, and weighed by WORKING the
+    # chance that it works
     best = (prior + share * chosen + WORKING * works + torch.from_numpy(noise)).argmax(1)[:count]
     beads, targets, sides = macros[torch.arange(count), best].numpy().T
+    # back from the canonical frame into the world; reversal is its own inverse
     beads, targets = seen.frames.renumber(beads), seen.frames.renumber(targets)
     targets = (targets + (targets == beads)) % points.shape[1]  # a bead can't pass itself
     return np.stack([beads, targets, seen.frames.sides(2 * sides - 1)], axis=1)
@@ -242,6 +246,7 @@ def _with_passes(
             own = marked.rows([row]).frames
             seen = own.renumber(beads), own.renumber(targets), (own.sides(sides) + 1) // 2
             macros[row, known : known + len(ordered)] = torch.from_numpy(np.hstack(seen))
+            # no pass of the order may be worth less than one that the order doesn't have
             worth = torch.tensor([value for _, value in ordered]).clamp(min=_UNORDERED)
             prior[row, known : known + len(ordered)] = worth.log()
     return macros, prior

@@ -66,6 +66,7 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
         [random_pass(setup.beads, rng) for _ in range(rng.integers(_WANDER + 1))] for rng in rngs
     ]
     given = zip(states, batch.simulation.points[ids].copy(), goals, wanders, strict=True)
+    # numbered by the order in which they were given, though they end in any order
     search = BatchedSearch(_ROPES)
     found = dict(search.run(_found(*one, values) for one in given))
     # a code that is held out is no goal, wherever passes lead
@@ -93,6 +94,7 @@ def _found(
     """Search a way from where random passes lead, unless they lead to the goal."""
     for move in wander:
         _, ((_, landing),) = yield Orders({0: Trial(state, move, LONGEST, goal)})
+        # a start that shows its goal would have nothing to find
         if landing.lost or landing.code.matches(goal):
             break
         state, points = landing.state, landing.points
@@ -110,6 +112,7 @@ def _shown(
     some = partial(_some, rng=rng)
     for one in some([one for one in plan.tried if _leads_elsewhere(one, goal)], elsewhere):
         yield _numbered(one, int(rng.integers(beads)), one.landing.points)
+    # by identity, as two tries of one pass from one state are different examples
     vain = [one for one in plan.tried if id(one) not in way]
     if not plan.passes:
         yield from ((one.points, goal, one.move, False) for one in some(vain, _IN_VAIN))
@@ -140,5 +143,6 @@ def _leads_elsewhere(one: TriedPass, goal: GaussCode) -> bool:
 
 
 def _some(passes: Sequence[TriedPass], most: int, *, rng: np.random.Generator) -> list[TriedPass]:
+    # drawn without replacement, then in the order of the search
     chosen = rng.permutation(len(passes))[:most]
     return [passes[k] for k in np.sort(chosen).tolist()]

@@ -113,11 +113,13 @@ def _train_reader(
     card: dict[str, Any],
     progress: Progress,
 ) -> Recipe[None]:
+    # a recipe yields calls at least once; this one has none to make
     yield []
     data = states_and_pulls([one.episodes for one in opened])
     training = ReaderTraining(data, config)
     fit(training, checkpoint_of(place), config.save_every, "reader", progress)
     rng = generator(Stream.LEARN_PLACES, config.seed)
+    # drawn without replacement, in the order of the data
     rows = data.starts[np.sort(rng.permutation(len(data.starts))[: config.positions])]
     learned = Learned(training.network.eval(), data.frames[rows].mean(axis=1, dtype=np.float32))
     facts = {"episodes": len(data.starts), "frames": len(data.frames)}
@@ -145,6 +147,7 @@ def _train_clone(
     for made in (yield calls):
         own = Examples(**made)
         # searches are numbered from 0 for each task and nx
+        # unique over all parts: held-out episodes are drawn by their numbers
         parts.append(own._replace(episodes=own.episodes % TOGETHER + count))
         count += TOGETHER
     data = Examples(*(np.concatenate(own) for own in zip(*parts, strict=True)))

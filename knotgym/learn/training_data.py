@@ -50,6 +50,7 @@ def decisions_of(one: Episodes, first: int = 0) -> Decisions:
     steps, episodes = one.steps, one.episodes
     # other macro-actions, which the scripted policy has too, pass no strand
     passes = (steps["macro_side"] != 0) & (steps["macro_target"] < steps["observation"].shape[1])
+    # the first pull of each: there the policy saw the state and chose
     chosen = np.flatnonzero(steps["macro_start"] & passes)
     number = one.episode_of()[chosen]
     macros = [steps[f"macro_{name}"][chosen] for name in ("bead", "target", "side")]

@@ -36,6 +36,7 @@ class ActionView:
         count, beads = simulation.points.shape[:2]
         self._counts = choices(view, beads) if view in CHOICES else None
         self.size = 6 if self._counts is None else len(self._counts)
+        # wide enough for every view; those of macro-actions are kept by the controller
         self._actions: NDArray[np.float64] = np.zeros((count, 6))
         self._controller = WaypointFollower(count)
         self.busy = np.zeros(count, dtype=bool)
@@ -57,6 +58,8 @@ class ActionView:
                 f"an action of the view {self.name!r} is {self.size} whole numbers; got"
                 f" shape {a.shape} for {len(ids)} ropes"
             )
+        # equal to their rounded values, so that an integer in a float array is taken, and NaN is
+        # not
         bad = ~((a == np.rint(a)) & (a >= 0) & (a < self._counts)).all(axis=1)
         if bad.any():
             raise InvalidInput(
@@ -81,6 +84,7 @@ class ActionView:
             self._actions[ids, : chosen.shape[1]] = chosen
             return
         self.macros[ids] = chosen
+        # an agent's 0 and 1 become the side -1 and +1 of `macro_actions.Pass`
         self.macros[ids, 2] = 2 * self.macros[ids, 2] - 1
         self._controller.begin_passes(ids, self.macros[ids], self._simulation.points)
 
@@ -101,6 +105,8 @@ class ActionView:
         self.pulls[ids] += 1
         self.busy[ids] = False
         if self.name == "macro":
+            # waypoints that the pull reached are passed now, so that an action that is over ends
+            # with this pull and not with one more
             arrived = self._controller.arrive(self._simulation.points, ids)
             spent = arrived | (self.pulls[ids] >= LONGEST)
             self.busy[ids] = ~spent & ~ended

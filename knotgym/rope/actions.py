@@ -57,6 +57,7 @@ def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
 
     It is the first one if several are equally near.
     """
+    # squared distances: their order is the same, and a root would only round
     return np.argmin(((points - positions[:, None]) ** 2).sum(axis=2), axis=1)
 
 
@@ -73,6 +74,8 @@ def encode_actions(
     Returns:
         float32 (n, 6).
     """
+    # The bead's own position names it best: no other bead is nearer to it. In float32 it is off by
+    # 1e-7 of `reach`, far less than beads are apart.
     position = points[np.arange(len(points)), np.asarray(beads)] / rope.reach
     force = np.asarray(forces, dtype=np.float64) / rope.max_force
     return np.clip(np.concatenate([position, force], axis=1), -1, 1).astype(np.float32)
@@ -105,6 +108,7 @@ def force_choices(forces: ArrayLike) -> NDArray[np.int64]:
     [0, 5, 10]
     """
     half = (FORCE_CHOICES - 1) // 2
+    # choices 0 to 2 half stand for -1 to 1, the one in the middle for no force
     return np.rint(half * (1 + np.asarray(forces, dtype=np.float64))).astype(np.int64)
 
 
@@ -124,5 +128,6 @@ def choices(view: str, beads: int) -> NDArray[np.int64]:
     >>> choices("macro", 100).tolist()
     [100, 100, 2]
     """
+    # 0 stands for as many as there are beads, which only the task knows
     counts = np.array(CHOICES[view])
     return np.where(counts, counts, beads)

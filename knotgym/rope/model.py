@@ -272,6 +272,8 @@ class Rope:
         if len(points) != self.config.beads:
             return False
         lengths = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+        # Inside a sub-chain beads are rigid, so a micrometre is rounding; a closure is soft, and
+        # open by less than a diameter in every state that a simulation can reach.
         off = np.abs(lengths - self.config.bead_length)
         return bool(off[self._next_in_chain].max() < 1e-6 and off.max() < 2 * self.config.radius)
 

@@ -126,6 +126,8 @@ class Simulation(ABC):
         bad = ~(np.abs(a) <= 1.0 + ROUNDING).all(axis=1)
         if bad.any():
             raise InvalidInput(f"an action's numbers must be in [-1, 1], got {a[bad][0].tolist()}")
+        # Actions of float32 may be beyond 1 by their rounding. Clipping keeps the largest force the
+        # largest, so a replay of stored actions applies what was applied.
         clipped, beads = np.clip(a, -1.0, 1.0), np.empty(len(where), dtype=np.int64)
         forces = np.empty((len(where), 3))
 
@@ -133,6 +135,7 @@ class Simulation(ABC):
             points, config = self.points[where[rows]], self.rope.config
             beads[rows], forces[rows] = decode_actions(clipped[rows], points, config)
 
+        # shared among the threads, as everything is that grows with the number of ropes
         self.threads.spread(read, len(where))
         return beads, forces
 

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 def centres(points: ArrayLike) -> NDArray[np.float64]:
     """Return the mean vertex of each rope (n, beads, 3): float64 (n, 3), metres."""
+    # Beads are alike and each lies between two vertices, so round the loop the mean vertex is their
+    # centre of mass.
     mean: NDArray[np.float64] = np.asarray(points, dtype=np.float64).mean(axis=1)
     return mean
 

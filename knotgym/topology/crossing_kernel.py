@@ -193,6 +193,7 @@ def _crosses(points: np.ndarray, i: int, j: int) -> int:
     """
     beads = points.shape[0]
     i_end, j_end = (i + 1) % beads, (j + 1) % beads
+    # the side of edge i on which edge j ends, and on which it begins: equal if j lies on one side
     turn: int = side(points, i, i_end, j_end)
     if side(points, i, i_end, j) == turn:
         return 0
@@ -266,6 +267,7 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
         slot = filled[edge]
         filled[edge] += 1
         while slot > starts[edge]:
+            # insertion from behind: strands of one edge that are farther along move up
             rival = walk[slot - 1]
             if fractions[rival] < fractions[strand]:
                 break

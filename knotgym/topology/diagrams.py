@@ -73,6 +73,7 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
         return ()
     part, turns = found
     patterns = []
+    # Components may be flipped independently, so there are 2 ** parts patterns.
     for flips in product((1, -1), repeat=max(part, default=-1) + 1):  # one per part
         signs = _signs(code.visits, [turn * flips[part[label]] for label, turn in enumerate(turns)])
         patterns.append(_letters(signs))
@@ -152,6 +153,8 @@ def uniform_code(nx: int, rng: np.random.Generator) -> GaussCode:
     """
     while True:
         word = np.empty(2 * nx, dtype=np.int64)
+        # even positions hold each label once, odd ones a permutation of them: every pairing of
+        # opposite parities, equally often
         word[0::2] = np.arange(1, nx + 1)
         word[1::2] = rng.permutation(nx) + 1
         over = rng.integers(2, size=nx)
@@ -199,6 +202,7 @@ def _signs(visits: tuple[int, ...], turns: list[int] | tuple[int, ...]) -> list[
     """Convert turns to crossing signs, or signs to turns; the conversion is its own inverse."""
     first: dict[int, int] = {}
     for visit in visits:
+        # only whether the first visit is over matters
         first.setdefault(abs(visit), visit)
     return [turn if visit > 0 else -turn for turn, visit in zip(turns, first.values(), strict=True)]
 
@@ -272,6 +276,7 @@ def _interlacement(visits: tuple[int, ...]) -> list[int]:
 def _labels(bits: int) -> Iterator[int]:
     """Yield the indices of the bits that are set."""
     while bits:
+        # the lowest bit that is set
         low = bits & -bits
         yield low.bit_length() - 1
         bits ^= low

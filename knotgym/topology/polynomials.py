@@ -150,6 +150,7 @@ def _alexander_matrix(code: GaussCode, t: int) -> list[list[int]]:
     matrix = []
     for label, sign in enumerate(code.signs[:-1]):
         row = [0] * code.nx
+        # added, as an arc may meet itself at a crossing
         row[over[label]] += 1 - t
         after = (before[label] + 1) % code.nx
         row[before[label]] += t if sign > 0 else -1

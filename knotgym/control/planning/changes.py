@@ -127,6 +127,7 @@ class Guide:
             start: code of the rope. Single moves are used if it has more than five crossings, or
                 the goal more than four.
         """
+        # whether single moves are needed is part of the key, as they make other distances of a goal
         key = goal.plain, goal.nx > _COUNTED_NX or start.nx > _COUNTED_NX + 1
         if key not in self._known:
             if len(self._known) >= _GOALS_KEPT:  # drop the oldest
@@ -146,6 +147,7 @@ class Distances:
         while single_moves and (near := self._nearest(done)[: _MOST_MOVED - moved]):
             moved += len(near)
             # what leads to one of a code's images stands for what leads to all of them
+            # one of each class of images, in order of distance
             codes = [*dict.fromkeys(map(canonical_form, near))]
             done.update(image for code in codes for image in images(code))
             rows, examples = _single_moves(codes, _NEW + len(self._moves.rows))
@@ -251,6 +253,7 @@ class Proposals:
         """
         if not self._changes or rng.random() >= GUIDED:
             return propose(points, rng)
+        # a change by its promise, then any of the macro-actions that made it
         change = self._changes[int(self._shares.searchsorted(rng.random(), side="right"))]
         (sight,) = see(points[None])
         example = change.examples[int(rng.integers(len(change.examples)))]

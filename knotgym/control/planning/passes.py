@@ -75,6 +75,7 @@ class PassTemplate(NamedTuple):
         """Return the pass of a rope whose diagram is the image of the template's diagram."""
         flip = 2 * sight.diagram.nx + 1 if image & REVERSE else 0
         # Walked backwards, what lay at position p along the 2 nx + 1 arcs lies at 2 nx + 1 - p.
+        # `abs`: without a reversal flip is 0, and the position itself is meant
         bead = sight.bead(abs(flip - self.bead))
         if self.apart:
             target = (bead + (-self.apart if flip else self.apart)) % int(sight.cuts[-1])
@@ -137,6 +138,7 @@ class PassValues:
 
     def __init__(self, moves: Moves) -> None:
         self.moves = moves
+        # by outcome: seen of tried, as if _DOUBT more tries had failed
         self._chance = _DISCOUNT * moves.seen / (moves.tried + _DOUBT)
         self._values: dict[GaussCode, tuple[Array, Array]] = {}
         self._orders: dict[tuple[GaussCode, Diagram], list[tuple[int, float]]] = {}

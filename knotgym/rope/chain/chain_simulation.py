@@ -68,6 +68,7 @@ class ChainSimulation(Simulation):
         states = self._states[self._all(ids)]
         points, sides = states[:, :, POSITION], states[:, :, SIDE]
         along = _along(points)
+        # MuJoCo's frame of a bead: x along it, y its side, z what is left of a right-handed frame.
         axes = np.stack([along, sides, np.cross(along, sides)], axis=-1)
         return self.rope.turned_qpos(points, _quaternions(axes))
 
@@ -192,6 +193,7 @@ def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
         points: float64 (ropes, beads, 3), metres.
     """
     # Beads are rows, x along the bead: column 1 of a bead's matrix is its y axis.
+    # Twist is in qpos alone and not in the vertices, so MuJoCo itself says how each bead is turned.
     data, sides = mujoco.MjData(rope.model), np.empty_like(points)
     for row, positions in enumerate(qpos):
         data.qpos[:] = positions
@@ -228,6 +230,8 @@ def _quaternions(axes: Array) -> Array:
             [across[2], along[1], along[2], square[3]],
         ]
     )
+    # The four numbers 4 q_i^2 sum to 4, so the largest is at least 1, and the row that is divided
+    # by its norm, 4 |q_i|, by 2 at least: that amplifies no rounding.
     best = np.argmax(square, axis=0)
     found = np.moveaxis(np.take_along_axis(rows, best[None, None], axis=0)[0], 0, -1)
     unit: Array = found / np.linalg.norm(found, axis=-1, keepdims=True)
