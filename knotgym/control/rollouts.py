@@ -6,6 +6,9 @@ played beside it.
 
 A `Policy` is a description; its `player` acts in the lanes of one batch, so nothing is left over
 from an earlier run. A player may leave lanes out while it plans: the others go on without them.
+
+After a change run `pytest tests/control/test_policies.py`: an episode must depend on its own seed
+alone; then `python benchmarks/golden.py --compare tests/data/golden.json`: nothing may differ.
 """
 
 from collections.abc import Sequence

@@ -13,6 +13,8 @@ is mapped back to the world:
     origin        the centre of the rope
 
 The observation is one float32 vector; `split` names its parts.
+
+After a change run `pytest tests/envs/test_marked.py`: all images of a state must look the same.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 At each step it updates its hypotheses of the rope's shape and position from the picture, infers
 which bead its last action pulled, and either continues its plan or replans. Planning is that of
 policy `planner`, in the chain engine.
+
+After a change run what `shape_hypotheses` says.
 """
 
 from dataclasses import dataclass, field

@@ -1,4 +1,7 @@
-"""A convolutional network over the beads of a closed rope, with circular padding."""
+"""A convolutional network over the beads of a closed rope, with circular padding.
+
+After a change run what `shape_hypotheses` says; weights that ship must still load.
+"""
 
 import torch
 from torch import Tensor, nn

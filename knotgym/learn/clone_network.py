@@ -3,6 +3,10 @@
 A macro-action is chosen as bead, strand given bead, and side given both, so that a state with
 several good macro-actions doesn't get a mixture of them. Another head tells whether a macro-action
 works here. All is in the canonical frame of `envs.marked`.
+
+After a change run `pytest tests/learn/test_clone.py`; weights that ship must still load, and
+`knotgym evaluate --policy pretrained-clone --task tie --nx 2 --episodes 256` stay in the interval
+of docs/benchmark.md.
 """
 
 from collections.abc import Sequence

@@ -5,6 +5,8 @@ the order of policy `expert`, also by what they are worth in that order. Nothing
 
 It sees the rope and the goal's code from vertices; if the observation is "pixels" it sees nothing
 but the pictures, as the reader of `shape_hypotheses` reads them.
+
+After a change run what `clone_network` says.
 """
 
 import math

@@ -2,6 +2,9 @@
 
 Weights are averaged over steps, and of the averages the one with the lowest held-out loss is kept:
 a few thousand decisions are learned by heart in minutes.
+
+After a change run `pytest tests/learn`: an interrupted training must end with the
+same weights.
 """
 
 import math

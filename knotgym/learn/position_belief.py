@@ -4,6 +4,8 @@ The camera follows the rope's middle (the mean of its beads), and an action name
 world and pulls the bead nearest to it. So to pull a bead that is visible in the picture, the agent
 must also know where the middle is. Each particle is one possible middle; observing which bead an
 action moved reweights them. Positions are in metres.
+
+After a change run what `shape_hypotheses` says.
 """
 
 import numpy as np

@@ -9,6 +9,8 @@ Two bead networks work on what the colours tell (`colour_reading`).
   taken. So heights that the picture doesn't show persist from earlier steps.
 
 Positions are in metres, z up, the rope's middle at the origin.
+
+After a change run what `shape_hypotheses` says; weights that ship must still load.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,8 @@
-"""Train the reader on pictures rendered on the fly from stored states, with augmentation."""
+"""Train the reader on pictures rendered on the fly from stored states, with augmentation.
+
+After a change run `pytest tests/learn/test_training.py`: an interrupted training must end with the
+same weights.
+"""
 
 import numpy as np
 import torch

@@ -2,6 +2,9 @@
 
 Each step draws from its own random stream, so a resumed training draws what an uninterrupted one
 would have drawn, and ends with the same bits.
+
+After a change run `pytest tests/learn/test_training.py`: an interrupted training must end with the
+same weights.
 """
 
 import csv

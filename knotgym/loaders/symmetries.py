@@ -19,6 +19,9 @@ by `inverse`.
 
     frame = Symmetries.canonical(observations)
     actions = frame.inverse().actions(policy(frame.observations(observations)))
+
+After a change run `pytest tests/loaders/test_symmetries.py`: an image of a step must be the step of
+the image.
 """
 
 from collections.abc import Mapping

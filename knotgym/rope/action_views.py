@@ -8,6 +8,8 @@
 A macro-action is a pass without chance, carried out by the `WaypointFollower` until the
 bead has reached its last waypoint, the episode has ended, or LONGEST pulls were made. A change of
 code doesn't end it: a crossing that has only just been made comes undone in the next one.
+
+After a change run `pytest tests/envs/test_action_views.py`.
 """
 
 import numpy as np

@@ -10,6 +10,8 @@ each component has. These are evenly spaced from -1 to 1.
 A pull with a *quantized* force fits into four bytes: the bead, and three whole numbers of 1 / 127
 of the largest force. Policies that pull beads quantize their forces, so that a recording of their
 episodes is the starts and four bytes a step.
+
+After a change run `pytest tests/rope/test_actions.py`: what was encoded must be decoded.
 """
 
 from __future__ import annotations

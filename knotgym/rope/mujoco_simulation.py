@@ -1,6 +1,9 @@
 """The reference engine: MuJoCo, many ropes in one batch.
 
 A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...).
+
+After a change run `pytest tests/rope/test_mujoco_simulation.py tests/rope/test_simulations.py`: a
+rope of a batch must move as in MuJoCo's own loop, to the bit.
 """
 
 import mujoco

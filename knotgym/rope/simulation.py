@@ -3,6 +3,9 @@
 A rope's *state* is everything that the engine needs to continue bit for bit, with any number of
 threads and beside any other ropes. Its *qpos* are MuJoCo's generalized positions with either
 engine. Actions follow the published interface, see `actions`; `engines` makes simulations by name.
+
+After a change run `pytest tests/rope/test_simulations.py`, one contract for both engines: the same
+bytes in any company, on any number of threads.
 """
 
 from abc import ABC, abstractmethod

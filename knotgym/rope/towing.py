@@ -3,6 +3,8 @@
 The medium is viscous, so the centre follows the sum of all applied forces. A rope that is pulled in
 one direction for long enough trails behind the pulled bead, stretches and untangles. A limit on the
 displacement rules this out, but still allows pulls that cancel out over an episode.
+
+After a change run `pytest tests/rope/test_towing.py`: the expert's plans must keep to the bound.
 """
 
 from __future__ import annotations

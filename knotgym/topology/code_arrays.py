@@ -6,6 +6,9 @@
 
 The width is the same for all rows of a batch, at least WIDTH, and grows with the rope that shows
 the most crossings, so no code is ever cut.
+
+After a change run `pytest tests/topology/test_crossings.py tests/envs`: codes must be those of
+`crossings.label`.
 """
 
 from collections.abc import Sequence

@@ -7,6 +7,9 @@ and the plain loop is "".
 Chirality adds one letter per crossing, as in pyknotid: "c" for a positive (right-handed) crossing,
 where (d_over x d_under)_z > 0 with d the direction of walking, and "a" for a negative one.
 Reversing the walk changes no letter.
+
+After a change run `pytest tests/topology/test_gauss.py`: each symmetry, applied twice, must be
+nothing.
 """
 
 from __future__ import annotations

@@ -23,6 +23,9 @@ their DT codes.
 
 The plain loop is written [] in both, as by spherogram; KnotInfo leaves it blank, and KnotTheory's
 PD[Loop[1]] can be read too.
+
+After a change run `pytest tests/topology/test_notation.py`: every code of up to four crossings must
+come back, and spherogram and SnapPy read the same knot.
 """
 
 import json

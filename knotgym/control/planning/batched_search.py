@@ -5,6 +5,9 @@ after another can't use that alone, so searches share the ropes. A search is a g
 many *slots*, each a rope of its own. It yields `Orders`: what to try in which slots; slots without
 an order go on with theirs. It is sent what became of its trials, in the order of its slots. What a
 search finds doesn't depend on its company.
+
+After a change run `pytest tests/control/planning/test_batched_search.py`: what a search finds must
+not depend on its company.
 """
 
 from collections import deque

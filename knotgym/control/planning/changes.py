@@ -11,6 +11,9 @@ over the mean rate at which macro-actions from codes of four crossings make such
 (three crossings for a finger), with the same doubt: 1.9 % for adding a kink (R1), 1.2 % for a
 finger laid over an arc (R2), 4.5 % and 5.1 % for undoing them, 2.1 % for a third move (R3) and
 2.2 % for a move of the base point.
+
+After a change run `pytest tests/control/planning/test_changes.py`: distances from the plain loop
+must be those that were counted; then as `planners` says.
 """
 
 from __future__ import annotations

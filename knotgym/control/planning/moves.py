@@ -11,6 +11,9 @@ Values follow one equation, V(node) = max over its moves of (reward + sum of wei
 - distance: a change of code that is tried until it succeeds is a certain move that costs
   1 / chance macro-actions, so reward = -1 / chance, weight = 1, and V = 0 at the goal. This is the
   shortest path.
+
+After a change run `pytest tests/control/planning/test_moves.py`: chances must be those of brute
+force, and certain moves make shortest paths.
 """
 
 from __future__ import annotations

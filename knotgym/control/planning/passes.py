@@ -5,6 +5,9 @@ lie. All diagrams of so many crossings have the same templates. Play counts to w
 leads (`moves`), and values turn the counts into an order: at the same diagram and goal always the
 same passes, the best first. The search goes through them depth first, in the chain engine. It draws
 nothing at random, so the passes that it finds are a function of the rope's state.
+
+After a change run `pytest tests/control/planning/test_passes.py`: images of a state and goal must
+have the same order, and the tables that ship say what was counted; then as `planners` says.
 """
 
 from __future__ import annotations

@@ -7,6 +7,9 @@ pass on the same code has other outcomes. So a `Diagram` is a code and its outer
 Arcs are the stretches between consecutive visits of crossings. Arc 0 runs from the base bead to the
 first visit, the last arc from the last visit back to the base bead, so a code of nx crossings has
 2 nx + 1 arcs. A *position* is an arc plus a fraction: 2.25 is a quarter of the way along arc 2.
+
+After a change run `pytest tests/control/planning/test_sights.py`: a symmetry of the rope must be
+the same symmetry of its diagram.
 """
 
 from __future__ import annotations

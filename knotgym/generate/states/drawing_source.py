@@ -2,6 +2,9 @@
 
 A curve with the code is drawn (`drawing.drawn_curve`), laid in the simulator, stirred a little,
 left to rest and judged. Drawings are random, so this is repeated until enough are accepted.
+
+After a change run `python benchmarks/golden.py --compare tests/data/golden.json`: nothing
+may differ.
 """
 
 import json

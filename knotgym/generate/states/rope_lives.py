@@ -5,6 +5,9 @@
 
 Opening and spreading pull random beads out of a tangle, so that ropes become loose and readable,
 which random actions alone never leave them.
+
+After a change run `python benchmarks/golden.py --compare tests/data/golden.json`: nothing
+may differ.
 """
 
 from collections.abc import Callable, Sequence
