@@ -40,6 +40,8 @@ _STATES = frozenset({"observation", "visits", "signs", "crossings"})  # the last
 _CODES = ("visits", "signs")  # columns that widen with the longest code
 _OUTCOMES = ("reward", "terminated", "truncated", "share")
 
+# Of speed and memory alone: no result depends on these three. `python benchmarks/collect.py`
+# measures what they are about.
 LANES = 256  # ropes side by side, by default
 _BLOCK = 64  # starts that are drawn and laid together
 _MOST_BYTES = 2**28  # of the steps of episodes under way; more lanes than fit aren't used

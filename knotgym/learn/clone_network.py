@@ -18,6 +18,8 @@ from torch.nn import functional
 
 from knotgym.learn.imagination import BEADS
 
+# Sizes: other widths and numbers of layers are in docs/experiments.md; of these no others are on
+# record.
 _PATCH = 10  # neighbouring beads in one token
 _VISITS = 12  # visits of a code that the network sees
 _ARCS, _ARC_WIDTH = 2 * _VISITS + 1, 6

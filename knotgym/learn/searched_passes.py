@@ -36,6 +36,7 @@ from knotgym.topology.gauss import GaussCode
 
 TOGETHER = 250  # searches of one call
 _ROPES = 128  # that are searched in side by side
+# Of these only the budget has a measurement.
 _WANDER = 2  # random passes before a search, at most
 # A search that finds a way finds it early: at tie nx 3 one of budget 2,000 simulates 240 pulls on
 # average, most of them in searches that fail.

@@ -27,6 +27,7 @@ from knotgym.common.errors import InvalidFile, one_line
 from knotgym.runs.progress import Progress, Status
 
 _SEAL = "seal"  # name of the array that holds the digest of the others
+# set by hand; no record says what others would score
 _WARM_UP, _LEAST_RATE = 50, 0.02  # steps over which the rate rises; share of the peak at the end
 _CURVE_ROWS = 100  # of a learning curve, at most
 

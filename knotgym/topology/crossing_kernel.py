@@ -28,6 +28,7 @@ from knotgym.topology.orientation import side
 OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
 ALL = np.iinfo(np.int64).max  # crossings
+# about speed alone; `python benchmarks/codes.py` measures it
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
 

@@ -46,6 +46,8 @@ from knotgym.topology.gauss import GaussCode
 
 Ids = NDArray[np.int64]
 SLOTS = 12  # most slots that a search of a policy of passes takes
+# The next two are about speed, and no result depends on them. Why these, no record says; the CPU
+# time of `knotgym collect --policy expert --engine chain` would tell.
 _FEW = 8  # lanes; fewer don't wait for each other
 _SPARE = 2  # ropes to search in, per rope of the batch
 # share of the limit on towing that passes go to, as engines differ a little; not measured
