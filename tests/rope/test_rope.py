@@ -34,8 +34,6 @@ def chords(points: NDArray[np.float64]) -> NDArray[np.float64]:
         ({"sub_chains": 50}, "sub-chains"),
         ({"radius": 0.02}, "bead"),
         ({"rooted": "end"}, "rooted"),
-        ({"closure_solref": (0.02,)}, "closure_solref"),
-        ({"closure_solimp": (0.9, 0.95, 0.001, 0.5, float("nan"))}, "closure_solimp"),
         *(
             ({name: 0}, name)
             for name in ("length", "medium_density", "timestep", "frame_skip", "reach")

@@ -18,7 +18,7 @@ from knotgym.rope.chain.dynamics import set_all_lengths
 from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import SCHEDULE, TICKS, advance
-from knotgym.rope.model import Array, Rope, RopeConfig, sub_chains
+from knotgym.rope.model import Array, Rope, sub_chains
 from knotgym.rope.simulation import Ids, Simulation
 
 POSITION, VELOCITY = slice(layout.X, layout.V), slice(layout.V, layout.SIDE)
@@ -51,13 +51,6 @@ class ChainSimulation(Simulation):
                 "the chain engine takes ropes whose beads are at most"
                 f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
             )
-        for name in ("closure_solref", "closure_solimp"):
-            given, usual = getattr(self.rope.config, name), getattr(RopeConfig(), name)
-            if given != usual:
-                raise InvalidInput(
-                    f"the chain engine closes the rope exactly and has no {name}; leave it at"
-                    f" {usual}, got {given}"
-                )
         # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
         self._physics = physics_of(self.rope)
         self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
