@@ -25,7 +25,7 @@ from knotgym.control.planning.passes import (
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.learn.decisions import Decisions, examples
+from knotgym.learn.decisions import examples
 from knotgym.learn.train_config import CloneConfig
 from knotgym.rope.macro_actions import LONGEST, Pass
 from knotgym.rope.model import Array
@@ -79,14 +79,13 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     ]
     # none where the order of the passes knows no way to any of the goals
     episodes, points, codes, macros, worked = zip(*rows, strict=True) if rows else ((),) * 5
-    decisions = Decisions(
+    return examples(
         np.array(points, dtype=np.float32).reshape(-1, setup.beads, 3),
-        np.array([str(code) for code in codes], dtype=np.str_),
+        codes,
         np.array(macros, dtype=np.int64).reshape(-1, 3),
         np.array(worked, dtype=np.bool_),
         np.array(episodes, dtype=np.int64),
-    )
-    return examples(decisions)._asdict()
+    )._asdict()
 
 
 def _found(

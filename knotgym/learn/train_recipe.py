@@ -19,7 +19,7 @@ from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.learn.checkpoint import CARD, Learned, save_reader
 from knotgym.learn.clone_policy import save_clone
 from knotgym.learn.clone_training import CloneTraining, first_guesses
-from knotgym.learn.decisions import Examples, examples
+from knotgym.learn.decisions import Examples
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.searched_passes import TOGETHER, demonstrate
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
@@ -141,7 +141,7 @@ def _train_clone(
                 f"{one.name} doesn't say which macro-actions its policy chose, so the clone can't"
                 " learn them; use a set of expert or noisy"
             )
-        parts.append(examples(decisions_of(one.episodes, count)))
+        parts.append(decisions_of(one.episodes, count))
         count += one.episodes.episodes.rows
     calls = _demonstrations(config)
     for made in (yield calls):

@@ -164,10 +164,8 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
         )
     # the base point is on the edge of the lowest number, whatever the numbers are
     start = walk.index(min(walk)) if walk else 0
-    code = GaussCode.relabelled([visit for _, visit in walk[start:] + walk[:start]], letters)
-    if not is_planar(code):
-        raise _invalid("no planar diagram has it", crossings, "PD", _PLANAR)
-    return code
+    visits = [visit for _, visit in walk[start:] + walk[:start]]
+    return _planar(GaussCode.relabelled(visits, letters), crossings, "PD")
 
 
 def from_dt(partners: Sequence[int]) -> GaussCode:
@@ -194,10 +192,7 @@ def from_dt(partners: Sequence[int]) -> GaussCode:
         odd_over = partner > 0
         visits[2 * label - 2] = label if odd_over else -label
         visits[abs(partner) - 1] = -label if odd_over else label
-    code = GaussCode.relabelled(visits)
-    if not is_planar(code):
-        raise _invalid("no planar diagram has it", partners, "DT", _PLANAR)
-    return code
+    return _planar(GaussCode.relabelled(visits), partners, "DT")
 
 
 def parse_code(text: str) -> GaussCode:
@@ -304,9 +299,7 @@ def _from_signed(numbers: list[int], signs: str = "") -> GaussCode:
         )
     letters = [POSITIVE if sign == "+" else NEGATIVE for sign in signs]
     code = GaussCode.relabelled(numbers, dict(zip(labels, letters, strict=True)) if signs else None)
-    if not is_planar(code):
-        raise _invalid("no planar diagram has it", numbers, "Gauss", _PLANAR)
-    return code
+    return _planar(code, numbers, "Gauss")
 
 
 def _from_over_under(text: str) -> GaussCode:
@@ -333,19 +326,24 @@ def _from_over_under(text: str) -> GaussCode:
         [int(number) if over in "Oo" else -int(number) for over, number, _ in visits],
         letters or None,
     )
-    if not is_planar(code):
-        raise _invalid("no planar diagram has it", text, "Gauss", _PLANAR)
-    return code
+    return _planar(code, text, "Gauss")
 
 
 _TWICE = "every edge joins two corners, so it occurs twice"
-_PLANAR = "expected the code of a curve drawn in the plane"
 _SIZE = f"codes of up to {MOST_CROSSINGS} crossings can be read"
 
 
 def _require_size(crossings: int) -> None:
     if crossings > MOST_CROSSINGS:
         raise _invalid("it is too large", f"{crossings} crossings", "Gauss, PD or DT", _SIZE)
+
+
+def _planar(code: GaussCode, given: object, kind: str) -> GaussCode:
+    """Return a code that was read, if some closed curve shows it."""
+    if is_planar(code):
+        return code
+    expected = "expected the code of a curve drawn in the plane"
+    raise _invalid("no planar diagram has it", given, kind, expected)
 
 
 def _invalid(problem: str, given: object, kind: str, expected: str) -> InvalidInput:
