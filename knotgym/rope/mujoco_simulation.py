@@ -33,7 +33,6 @@ class MujocoSimulation(Simulation):
     """Ropes stepped by MuJoCo; an action that would open a closure is repeated with less force."""
 
     engine = "mujoco"
-    shares = SHARES
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         super().__init__(count, rope, threads)

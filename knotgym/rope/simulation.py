@@ -30,7 +30,6 @@ class Simulation(ABC):
 
     Attributes:
         engine: the name of the engine, see `engines`.
-        shares: the values that an entry of `applied_shares` can have.
         rope: the model that all ropes share.
         count: number of ropes.
         threads: that share the work on them.
@@ -42,7 +41,6 @@ class Simulation(ABC):
     """
 
     engine: ClassVar[str]
-    shares: ClassVar[tuple[float, ...]]
     points: Array
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:

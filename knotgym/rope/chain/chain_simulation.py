@@ -39,7 +39,6 @@ class ChainSimulation(Simulation):
     """
 
     engine = "chain"
-    shares = tuple((np.arange(_TICKS, -1, -1) / _TICKS).tolist())
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         super().__init__(count, rope, threads)
