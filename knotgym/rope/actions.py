@@ -59,8 +59,10 @@ def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
 
     It is the first one if several are equally near.
     """
-    # squared distances: their order is the same, and a root would only round
-    return np.argmin(((points - positions[:, None]) ** 2).sum(axis=2), axis=1)
+    # Squared distances: their order is the same, and a root would only round. An axis at a time, as
+    # NumPy's sums over an axis of three take four times as long.
+    squares = [(points[..., axis] - positions[:, axis, None]) ** 2 for axis in range(3)]
+    return np.argmin(squares[0] + squares[1] + squares[2], axis=1)
 
 
 def encode_actions(
