@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from knotgym.control.planning import BatchedSearch, PullSearch, shipped_guide
 from knotgym.control.policy_config import PullPlannerConfig
-from knotgym.learn.imagination import BEADS
+from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.position_belief import REACH
 from knotgym.learn.reader import Reader
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, perturb_heights
 from knotgym.rope.chain.chain_simulation import ChainSimulation
@@ -24,7 +25,6 @@ from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]
 
-REACH = 2.0  # metres for which an action's coordinate of 1 stands
 # Force of a tow, in all three axes the largest; any direction straightens the rope equally well.
 _TOW = np.ones(3)
 # Probability that the goal is the code now shown although the episode continues (misread picture).

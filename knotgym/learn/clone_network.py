@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from knotgym.learn.imagination import BEADS
+from knotgym.learn.colour_reading import BEADS
 
 # Sizes: other widths and numbers of layers are in docs/experiments.md; of these no others are on
 # record.

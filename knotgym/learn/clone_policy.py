@@ -39,7 +39,7 @@ from knotgym.learn.checkpoint import (
     write_checkpoint,
 )
 from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
-from knotgym.learn.imagination import BEADS
+from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from knotgym.common.streams import Stream, generator
 from knotgym.learn.clone_network import CloneNetwork, inputs
+from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.decisions import Examples
-from knotgym.learn.imagination import BEADS
 from knotgym.learn.train_config import CloneConfig
 from knotgym.learn.training import Training
 

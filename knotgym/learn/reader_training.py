@@ -11,7 +11,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from knotgym.common.streams import Stream, generator
-from knotgym.learn.imagination import BEADS, imagine
+from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.imagination import imagine
 from knotgym.learn.reader import PIXEL, Reader, look, waves
 from knotgym.learn.train_config import ReaderConfig
 from knotgym.learn.training import Training

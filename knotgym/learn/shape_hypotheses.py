@@ -14,7 +14,8 @@ the interval of docs/benchmark.md.
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.learn.imagination import BEADS, imagine
+from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.imagination import imagine
 from knotgym.learn.position_belief import PositionBelief
 from knotgym.learn.reader import Reader
 from knotgym.rendering.picture import draw

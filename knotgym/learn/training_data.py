@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episodes import Episodes
 from knotgym.envs.tasks import TaskConfig
+from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.decisions import Examples, examples
-from knotgym.learn.imagination import BEADS
 from knotgym.rope.model import RopeConfig
 from knotgym.topology.code_arrays import plain_codes
 
