@@ -30,6 +30,12 @@ import knotgym
 
 POLICIES = {"pixels": "CnnPolicy", "state": "MlpPolicy"}
 WEIGHTS, SETTINGS = "policy.pt", "ppo.json"
+# the paper's settings, as Stable-Baselines3 names them
+PAPER = {
+    **{"learning_rate": 1e-5, "batch_size": 64, "n_epochs": 10},
+    **{"gamma": 0.99, "gae_lambda": 0.95, "clip_range": 0.2},
+}
+FEATURES = {"features_dim": 768}  # of CnnPolicy
 
 
 def parser() -> argparse.ArgumentParser:
@@ -45,16 +51,9 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--tow-limit", type=float)
     options.add_argument("--endless", action="store_true", help="don't end episodes at the goal")
     options.add_argument("--steps", type=int, default=1_000_000, help="whole rollouts are made")
-    # the paper's settings; it gives no length of a rollout, 2,048 is the library's default
+    # the paper gives no length of a rollout; 2,048 is the library's default
     options.add_argument("--envs", type=int, default=32)
     options.add_argument("--rollout", type=int, default=2048, help="steps of each environment")
-    options.add_argument("--batch", type=int, default=64)
-    options.add_argument("--epochs", type=int, default=10)
-    options.add_argument("--learning-rate", type=float, default=1e-5)
-    options.add_argument("--features", type=int, default=768, help="of CnnPolicy")
-    options.add_argument("--gamma", type=float, default=0.99)
-    options.add_argument("--lam", type=float, default=0.95)
-    options.add_argument("--clip", type=float, default=0.2)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--device", default="auto")
     options.add_argument("--out", type=Path, required=True, help="folder to create")
@@ -74,20 +73,11 @@ def model_of(settings: dict[str, Any], envs: int) -> Any:
     return PPO(
         POLICIES[settings["observation"]],
         venv,
-        learning_rate=settings["learning_rate"],
         n_steps=settings["rollout"],
-        batch_size=settings["batch"],
-        n_epochs=settings["epochs"],
-        gamma=settings["gamma"],
-        gae_lambda=settings["lam"],
-        clip_range=settings["clip"],
-        policy_kwargs=(
-            {"features_extractor_kwargs": {"features_dim": settings["features"]}}
-            if pictures
-            else None
-        ),
+        policy_kwargs={"features_extractor_kwargs": FEATURES} if pictures else None,
         seed=settings["seed"],
         device=settings["device"],
+        **PAPER,
     )
 
 
@@ -96,12 +86,9 @@ def train(given: argparse.Namespace) -> None:
     import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
-    settings = {name: value for name, value in vars(given).items() if name != "out"}
-    model, curve, began = (
-        model_of(settings, given.envs),
-        list[dict[str, Any]](),
-        time.perf_counter(),
-    )
+    settings = {**PAPER, **{name: one for name, one in vars(given).items() if name != "out"}}
+    model, curve = model_of(settings, given.envs), list[dict[str, Any]]()
+    began = time.perf_counter()
 
     class Curve(BaseCallback):
         """Counts the training episodes that succeed in each rollout."""

@@ -59,5 +59,7 @@ def examples(
     seen = mark(points.astype(np.float32), goals)
     (beads, targets, sides), frames = macros.T, seen.frames
     chosen = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
-    small = [column.astype(np.int8) for column in (*seen[1:4], np.stack(chosen, axis=1))]
-    return Examples(seen.points.astype(np.float16), *small, worked, episodes)
+    marks, code, goal, small = (
+        column.astype(np.int8) for column in (*seen[1:4], np.stack(chosen, axis=1))
+    )
+    return Examples(seen.points.astype(np.float16), marks, code, goal, small, worked, episodes)

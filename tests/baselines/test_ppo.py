@@ -26,7 +26,7 @@ def test_it_trains_and_is_evaluated(
 ) -> None:
     pytest.importorskip("stable_baselines3")
     out, task = tmp_path / "out", ("--task", "unknot", "--nx", 2, "--engine", "chain")
-    small = ("--envs", 2, "--rollout", 32, "--batch", 32, "--epochs", 1, "--steps", 64)
+    small = ("--envs", 2, "--rollout", 32, "--steps", 64)
     run_script(
         SCRIPT, *task, *small, "--observation", observation, "--image-size", 36, "--out", out
     )
