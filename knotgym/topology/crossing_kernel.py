@@ -28,6 +28,7 @@ from knotgym.topology.orientation import side
 OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
 ALL = np.iinfo(np.int64).max  # crossings
+# about speed alone; `python benchmarks/codes.py` measures it
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
 
@@ -193,6 +194,7 @@ def _crosses(points: np.ndarray, i: int, j: int) -> int:
     """
     beads = points.shape[0]
     i_end, j_end = (i + 1) % beads, (j + 1) % beads
+    # the side of edge i on which edge j ends, and on which it begins: equal if j lies on one side
     turn: int = side(points, i, i_end, j_end)
     if side(points, i, i_end, j) == turn:
         return 0
@@ -264,6 +266,7 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
         edge = hits[strand // 2, strand % 2]
         slot = filled[edge]
         filled[edge] += 1
+        # insertion from behind: strands of one edge that are farther along move up
         while slot > starts[edge] and fractions[walk[slot - 1]] > fractions[strand]:
             walk[slot] = walk[slot - 1]
             slot -= 1

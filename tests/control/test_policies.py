@@ -15,7 +15,8 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidPolicy
 from knotgym.common.tables import Table
 from knotgym.control import policies
-from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
+from knotgym.control.basic_policies import RandomPolicy
+from knotgym.control.own_policies import OwnPolicy
 from knotgym.control.policies import (
     PolicyFamily,
     make_policy,
@@ -51,11 +52,10 @@ class Counter:
         return [0, 0, 0, self.pulls / 20, float(observation.shape == (600,)), self.side]
 
 
-class Wrong(ConstantPolicy):
+class Wrong(RandomPolicy):
     """A policy whose player returns something else than pulls, or raises."""
 
     def __init__(self, answer: Any) -> None:
-        super().__init__()
         self.answer = answer
 
     def player(self, batch: Any) -> Any:
@@ -78,7 +78,8 @@ class Own:
     absent_bead = Wrong(lambda p, ids: Pulls(ids, ids + 100, np.zeros((len(ids), 3), np.float32)))
     raising = Wrong(_raise)
 
-    counter, made, three, policy = Counter, Counter(), 3, ConstantPolicy([0.0] * 6)
+    counter, made, three = Counter, Counter(), 3
+    policy = OwnPolicy(lambda seen: [0.0] * 6, "still")
 
     @staticmethod
     def informed(observation: object, info: dict[str, object], rng: Any) -> list[float]:
@@ -309,7 +310,7 @@ def test_digests_are_of_the_planners_tables(name: str, tables: int) -> None:
 still = PolicyFamily(
     form="still:WORD",
     matches=lambda name: name.startswith("still:"),
-    make=lambda config: ConstantPolicy([0.0] * 6),
+    make=lambda config: RandomPolicy(),
     files=lambda name: {"this": Path(__file__)},
     card=lambda name: {"word": name.partition(":")[2]},
 )
@@ -329,7 +330,7 @@ def provided(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[EntryPoint]]:
 def test_another_package_s_family_makes_policies(provided: list[EntryPoint]) -> None:
     provided.append(EntryPoint("still", "still_policies:still", policies.GROUP))
     config = PolicyConfig(policy="still:now")
-    assert isinstance(make_policy(config), ConstantPolicy)
+    assert isinstance(make_policy(config), RandomPolicy)
     assert list(policy_digests(config)) == ["this"]
     assert training_card("still:now") == {"word": "now"} and training_card("random") is None
 

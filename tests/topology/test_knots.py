@@ -192,7 +192,7 @@ def test_the_side_from_which_a_curve_is_seen_does_not_matter(seed: int) -> None:
 @settings(max_examples=40)
 def test_simplifying_keeps_the_knot_and_adds_nothing(seed: int) -> None:
     code = label(np.random.default_rng(seed).normal(size=(14, 3)))
-    simpler = simplify(code, effort=4)
+    simpler = simplify(code)
     assert is_planar(simpler) and simpler.nx <= without_bigons(code).nx <= code.nx
     assert jones_polynomial(simpler) == jones_polynomial(code)
     assert alexander_polynomial(simpler) == alexander_polynomial(code)
