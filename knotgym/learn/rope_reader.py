@@ -3,6 +3,9 @@
 A network finds the strands and, at crossings, which is the upper one (`strand_network`); points
 on them are linked to a closed line (`strand_walk`), whose crossings give the code. Mirror images
 and quarter turns of the picture are read too, and their fields averaged.
+
+After a change run `pytest tests/learn/test_rope_reader.py`: fields of turned pictures must be
+turned back, and photos be read.
 """
 
 from typing import NamedTuple

@@ -7,6 +7,8 @@ these lifted fields strands don't meet (`strand_walk`).
 
 Directions are angles in the picture, x right and y down. A direction without an orientation is
 written as the unit vector of twice its angle.
+
+After a change run `pytest tests/learn/test_rope_reader.py`; weights that ship must still load.
 """
 
 from typing import NamedTuple

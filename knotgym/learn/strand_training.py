@@ -1,6 +1,8 @@
 """What the network of `strand_network` should return, computed from the rope's line, and its loss.
 
 Places in arguments are in pixels, x right and y down.
+
+After a change run `pytest tests/learn/test_rope_reader.py`.
 """
 
 import math

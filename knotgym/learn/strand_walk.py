@@ -7,6 +7,9 @@ and following them gives closed lines. Two strands that cross share places, but 
 links between them are dear.
 
 Places are in cells, x right and y down; the centre of cell (row, column) is (column, row).
+
+After a change run `pytest tests/learn/test_rope_reader.py`: drawn lines must be walked through
+their crossings.
 """
 
 import numpy as np
