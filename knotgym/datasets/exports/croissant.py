@@ -16,6 +16,17 @@ from knotgym.datasets.cards.citation import BIBTEX
 from knotgym.datasets.image_table import arrow
 
 _TYPES = {"string": "sc:Text", "bool": "sc:Boolean", "float": "sc:Float", "double": "sc:Float"}
+# of tables whose pictures are photos
+OF_PHOTOS = {
+    "rai:dataLimitations": "One simulated rope, photographed by a renderer: no pictures of real"
+    " rope. Light, cloth, wood and clutter are drawn by formulas. Up to 6 crossings.",
+    "rai:dataBiases": "Views in which a person couldn't decide every crossing are left out: strands"
+    " that run along each other, crossings below 30 degrees, eyes of a few pixels, ropes of the"
+    " background's colour. Tangled ropes are left out more often than loose ones.",
+    "rai:dataAnnotationProtocol": "Codes, crossings, masks and the rope's axis are computed from"
+    " the vertices in the axes of the camera; two labellers agree on every code, and `knotgym"
+    " dataset verify` computes every row and picture again.",
+}
 
 
 def croissant(

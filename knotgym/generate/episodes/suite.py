@@ -28,7 +28,7 @@ from knotgym.generate.episodes.recordings import Recording, recordings
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_config import BENCH, SIZES, SUITE, SuiteConfig
 from knotgym.generate.episodes.suite_facts import describe_set
-from knotgym.generate.episodes.suite_scores import read_scores, score_tables
+from knotgym.generate.episodes.suite_scores import read_scores, score_table
 from knotgym.rope.engines import ENGINES
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
@@ -165,7 +165,7 @@ def _card_of(report: Mapping[str, Any]) -> str:
         (setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
         for setup, one in reference_scores().items()
     ]
-    none = ["", "None yet: no evaluation file lies in `evaluations`."]
+    none = ["None yet: no evaluation file lies in `evaluations`."]
     return filled(
         "suite_card.md",
         count=len(sets),
@@ -176,5 +176,5 @@ def _card_of(report: Mapping[str, Any]) -> str:
         sets=table(head, rows),
         play=table(_PLAY, played),
         references=table(("set-up", "random", "expert", "episodes"), references),
-        results=score_tables(report["results"], "###") or none,
+        results=score_table(report["results"]) if report["results"] else none,
     )

@@ -5,7 +5,6 @@ rows = drawing and play | random-walk      (rows that pass the filter and are ne
 """
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,10 @@ import knotgym
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.control.policies import compile_planning
-from knotgym.datasets.finished_folders import finish_states
+from knotgym.datasets.cards.citation import write_text
+from knotgym.datasets.cards.state_card import card
+from knotgym.datasets.gallery import state_tiles, write_gallery
+from knotgym.datasets.manifest import write_manifest
 from knotgym.generate.states.demonstrations import (
     demonstrated,
     demonstrated_nx,
@@ -64,10 +66,10 @@ def make_states(
         made_by,
         options,
         progress,
-        prepare=partial(
-            compile_first,
-            engine=config.engine_used,
-            workers=options.workers,
+        prepare=lambda shown, pool: compile_first(
+            shown,
+            config.engine_used,
+            pool=pool,
             draws=True,
             plan=compile_planning if config.demonstrations else None,
         ),
@@ -106,7 +108,9 @@ def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any
         report["undemonstrated"] = np.unique(rows["gauss_code"][lacking]).tolist()
     states = states_of(rows, split, engine, facts, **located)
     write_states(place / "states.h5", states)
-    finish_states(place, states, report, made_by)
+    write_gallery(place / "gallery.png", state_tiles(states))
+    write_text(place / "README.md", card(states, report, made_by["config"]))
+    write_manifest(place, "knotgym-manifest", made_by, report)
     return _summary(states, report)
 
 
