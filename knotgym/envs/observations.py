@@ -22,6 +22,7 @@ from knotgym.topology.code_arrays import plain_codes
 if TYPE_CHECKING:
     from knotgym.rendering.appearance import Appearance
 
+_MANY = 16  # pictures that a thread draws at once
 SYMBOLS = 64  # visits of a code in an observation, two per crossing
 
 
@@ -101,10 +102,10 @@ def pixels(
             seen[rows, :, :size] = alone(ropes[rows], looks[rows], picture)
         else:
             draw_many(ropes[rows], picture, out=seen[rows])
-        for one, goal in zip(seen[rows], goal_pictures[rows], strict=True):
-            one[:, size:] = goal
+        goals = np.concatenate(goal_pictures[rows])
+        seen[rows, :, size:] = goals.reshape(-1, height, size, picture.channels)
 
-    (ALONE if picture.renderer == "mujoco" else threads).spread(part, len(seen))
+    (ALONE if picture.renderer == "mujoco" else threads).spread(part, len(seen), most=_MANY)
     return seen
 
 
