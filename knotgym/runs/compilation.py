@@ -1,5 +1,6 @@
 """Compilation before a run, so that its processes don't all wait for the same kernels."""
 
+import gc
 from collections.abc import Callable
 from concurrent.futures import Executor
 
@@ -43,6 +44,7 @@ def _compile(kernels: str, then: Callable[[], None] | None) -> None:
 
     from knotgym.rope.model import Rope
 
+    gc.disable()  # it finds nothing meanwhile, and takes a twentieth of the time
     rope, rng = Rope(), np.random.default_rng(0)
     if kernels == _PICTURES:
         from knotgym.rendering.picture import draw
@@ -68,3 +70,4 @@ def _compile(kernels: str, then: Callable[[], None] | None) -> None:
         compile_engine(kernels)
     if then is not None:
         then()
+    gc.enable()
