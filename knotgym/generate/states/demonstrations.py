@@ -2,7 +2,7 @@
 
 An episode starts at the simplest diagram of the knot, the plain loop for the unknot; loops are
 demonstrated from states with one crossing. If the rollout doesn't reach the code, others are made
-from other starts: by the expert's passes alone, then with its last resort, then by the planner.
+from other starts: by the expert, first in haste, and then by the planner.
 """
 
 from collections.abc import Sequence
@@ -37,9 +37,10 @@ _STARTS = 8  # drawn states that episodes start from, in both splits together
 # Episodes of a call, about. Few, because one that is hard takes long; but the chain engine steps
 # many ropes in little more time than one.
 _TOGETHER = {MUJOCO: 3, CHAIN: 12}
-# Rollouts of the expert before the planner's turn. The first ones are short and without its last
-# resort, since another start takes less time: plans of passes have 15 to 45 actions.
-_EXPERT, _PASSES, _SHORT = 4, 2, 60
+# Rollouts of the expert before the planner's turn. The first ones are short, and their last resort
+# has a few of its 60,000 pulls, because another start takes less time. Most have 15 to 45 actions.
+_EXPERT, _HASTY = 4, 2
+_SHORT, _LAST_RESORT = 60, 5000
 
 
 class Demonstrated(NamedTuple):
@@ -144,8 +145,8 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
         attempt: number of the rollout; another start for each.
     """
     policy = PolicyConfig(policy="expert" if attempt < _EXPERT else "planner")
-    if attempt < _PASSES:
-        policy = replace(policy, expert=PassPlannerConfig(last_resort=0))
+    if attempt < _HASTY:
+        policy = replace(policy, expert=PassPlannerConfig(last_resort=_LAST_RESORT))
         task = replace(task, horizon=min(task.horizon, _SHORT))
     batch, ids = EpisodeBatch(task, len(goals)), np.arange(len(goals))
     for index, goal in enumerate(goals):
