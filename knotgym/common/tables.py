@@ -291,23 +291,23 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
     schema, rows = _shared_schema(parts), sum(part.rows for part in parts)
     group = file.require_group(schema.name) if schema.name else file
     for c in schema.columns:
-        dtype: Any = np.dtype("S1") if c.dtype == "text" else np.dtype(c.dtype)
+        values: list[NDArray[Any]] = [part[c.name] for part in parts]
+        for one in values:
+            c.require_values(one)
+        dtype: Any = c.dtype
         if c.dtype == "text":
-            length = max(1, *(_encoded(part[c.name]).dtype.itemsize for part in parts))
-            dtype = h5py.string_dtype("utf-8", length)
-        shape, options = schema.shape(c), {}
+            values = [np.strings.encode(one, "utf-8") for one in values]
+            dtype = h5py.string_dtype("utf-8", max(1, *(one.dtype.itemsize for one in values)))
+        shape, options, at = schema.shape(c), {}, 0
         if pack and rows and prod(shape):
-            fitting = max(1, _CHUNK // (dtype.itemsize * prod(shape)))
+            fitting = max(1, _CHUNK // (np.dtype(dtype).itemsize * prod(shape)))
             options = {**_PACKED, "chunks": (min(rows, fitting), *shape)}
-        data, at = group.create_dataset(c.name, (rows, *shape), dtype, **options), 0
+        data = group.create_dataset(c.name, (rows, *shape), dtype, **options)
         if c.unit:
             data.attrs["unit"] = c.unit
-        for part in parts:
-            values = part[c.name]
-            c.require_values(values)
-            text = c.dtype == "text"
-            data[at : at + part.rows] = _encoded(values).astype(dtype) if text else values
-            at += part.rows
+        for one in values:
+            data[at : at + len(one)] = one.astype(dtype, copy=False)
+            at += len(one)
 
 
 def read(
@@ -452,10 +452,6 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
             f" {' and '.join(str(dict(schema.sizes)) for schema in schemas)}"
         )
     return schemas[0]
-
-
-def _encoded(values: NDArray[np.str_]) -> NDArray[np.bytes_]:
-    return np.strings.encode(values, "utf-8")
 
 
 def _type_name(dtype: np.dtype[Any]) -> str:

@@ -17,7 +17,7 @@ from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
 from knotgym.datasets.episode_verification import Count, Replay, uncounted, verify_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest import listed_faults, read_manifest
-from knotgym.datasets.split_verification import leaks
+from knotgym.datasets.split_verification import shared_faults
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
@@ -82,8 +82,10 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
             count("states", row, len(states))
             for fault in _row_faults(states, row, rope, ends.get(row)):
                 yield f"states.h5 row {row}: {fault}"
-    yield from _leaks(states)
-    for first, row in repeated(states.points):
+    ropes = list(map(tuple, states.source["seed"].tolist()))
+    for fault in shared_faults(states.points, states.split, ropes, range(len(states))):
+        yield f"states.h5 {fault}"
+    for first, row in repeated(one.tobytes() for one in states.points):
         yield f"states.h5 rows {first} and {row} are the same configuration"
     if states.digest and states.image is not None and states.digest != digest(states.table):
         yield "states.h5: its columns don't match content_sha256"
@@ -228,18 +230,3 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
             whole[ids] = ropes.act([actions[left[k]][step] for k in ids], ids)
     qpos = ropes.qpos()
     return {row: qpos[k] for k, row in enumerate(left) if whole[k]}
-
-
-def _leaks(states: States) -> Iterator[str]:
-    """Yield near-duplicates and frames of one rope that are in both train and test."""
-    for row, other, apart in leaks(states.points, states.split):
-        yield (
-            f"states.h5 rows {row} ({states.split[row]}) and {other} ({states.split[other]}) are"
-            f" near-duplicates: {1000 * apart:.1f} mm apart at the best symmetry"
-        )
-    train, test = (np.flatnonzero(states.split == split) for split in STATE_SPLITS)
-    seeds = {tuple(states.source["seed"][row]): row for row in train.tolist()}
-    for row in test.tolist():
-        rope = tuple(states.source["seed"][row])
-        if rope in seeds:
-            yield f"states.h5 rows {seeds[rope]} (train) and {row} (test) come from one rope"

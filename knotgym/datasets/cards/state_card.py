@@ -2,13 +2,13 @@
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from knotgym.datasets.cards.citation import code_span, filled, plain
-from knotgym.datasets.cards.fact_tables import CardTable, table
-from knotgym.quality.limits import UNITS
+from knotgym.datasets.cards.citation import code_span, filled, plain, write_text
+from knotgym.datasets.cards.fact_tables import CardTable, counted, measured, table
+from knotgym.datasets.gallery import state_tiles, write_gallery
+from knotgym.datasets.manifest import write_manifest
 from knotgym.states.schema import DRAWING, PLAY, RANDOM_WALK
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
@@ -29,14 +29,16 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
         for nx, reasons in report.get("rejected", {}).items()
         for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     ]
+    found = counted(states.table, {name: ("split", name) for name in STATE_SPLITS})
     listed = (
-        CardTable(
-            "states",
-            ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"),
-            [_counts(states, nx, existing.get(str(nx), "?") or "many") for nx in numbers],
-            "of: existing Gauss codes; chiral: codes with chirality; both: codes in both splits;"
-            " c / a: positive and negative crossings; actions: fewest / median / most to reach a"
-            " state",
+        found._replace(
+            title="states",
+            head=(*found.head, "of", "c / a"),
+            rows=[
+                (*row, *_more(states, nx, existing))
+                for nx, row in zip(numbers, found.rows, strict=True)
+            ],
+            says=f"{found.says}; of: existing codes; c / a: positive and negative crossings",
         ),
         CardTable(
             "train and test",
@@ -59,16 +61,7 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
             " crossings of two states, 25 for random positions; bare: beads, longest stretch where"
             " no state has a crossing",
         ),
-        CardTable(
-            "quality",
-            ("measure", "unit", "min", "median", "max"),
-            [
-                (name, UNITS[name], *(f"{value:.3g}" for value in np.quantile(own, [0, 0.5, 1])))
-                for name, own in states.quality.items()
-                if len(own)
-            ],
-            left=("measure", "unit"),
-        ),
+        measured(states.quality),
         CardTable(
             "rejected",
             ("nx", "reason", "rejected"),
@@ -80,11 +73,22 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
     return {one.title: one for one in listed}
 
 
-def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
-    """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
+def finish(
+    folder: Path, states: States, report: Mapping[str, Any], request: Mapping[str, Any]
+) -> None:
+    """Write gallery, card and manifest into a folder that has the states and demonstrations.
 
-    `report` is that of the manifest: source, existing codes, rejections, demonstrations.
+    Args:
+        report: the run's counts: source, existing codes, rejections, demonstrations.
+        request: what was asked for: configuration, sources, versions.
     """
+    write_gallery(folder / "gallery.png", state_tiles(states))
+    write_text(folder / "README.md", _card(states, report, request["config"]))
+    write_manifest(folder, "knotgym-manifest", request, report)
+
+
+def _card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
+    """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
     found = {name: one.markdown() for name, one in tables(states, report).items()}
     columns = [
         (code_span(one.name), one.dtype, plain(one.unit), one.doc)
@@ -167,22 +171,10 @@ def _holds(report: Mapping[str, Any]) -> str:
     )
 
 
-def _counts(states: States, nx: int, existing: object) -> tuple[object, ...]:
-    rows = np.flatnonzero(states.nx == nx)
-    split, codes = states.split[rows], states.gauss_code[rows]
-    chiral = states.gauss_code_chiral[rows].tolist()
-    train, test = (codes[split == name].tolist() for name in STATE_SPLITS)
-    signs = [sign for code in chiral for sign in GaussCode.parse(code).signs]
-    actions: list[int] = []
-    if "steps" in states.source:
-        steps = states.source["steps"][rows]
-        actions = [int(steps.min()), int(np.median(steps)), int(steps.max())]
-    return (
-        *(nx, len(rows), len({*codes.tolist()}), existing, len({*chiral})),
-        *(len(train), len(test), len({*train} & {*test})),
-        f"{signs.count(1)} / {signs.count(-1)}",
-        " / ".join(map(str, actions)),
-    )
+def _more(states: States, nx: int, existing: Mapping[str, Any]) -> tuple[object, ...]:
+    codes = states.gauss_code_chiral[states.nx == nx].tolist()
+    signs = [sign for code in codes for sign in GaussCode.parse(code).signs]
+    return existing.get(str(nx), "?") or "many", f"{signs.count(1)} / {signs.count(-1)}"
 
 
 def _overlap(states: States, nx: int) -> tuple[object, ...]:

@@ -11,9 +11,8 @@ from knotgym.common.atomic_files import (
     require_writable,
 )
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_dataset import expansion_digest, open_episodes, write_episodes
+from knotgym.datasets.episode_dataset import open_episodes, write_episodes
 from knotgym.datasets.episode_verification import Replay, expanded
-from knotgym.datasets.episodes import fitted
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.exports.ogbench_export import to_ogbench
@@ -57,18 +56,16 @@ def _files(given: Located, out: Path, overwrite: bool, form: str, replay: Replay
         if several:
             target.mkdir()
         for path, one in zip(given.episodes, datasets, strict=True):
-            facts = {**one.facts}
+            kept = {name: one.attributes[name] for name in {"expansion"} & one.attributes.keys()}
             if form == "recording":
-                if not one.episodes.is_recording:
-                    facts["expansion"] = expansion_digest(fitted([one.episodes]))
-                elif "expansion" in one.attributes:
-                    facts["expansion"] = one.attributes["expansion"]
                 one = replace(one, episodes=one.episodes.recording())
             elif one.episodes.is_recording:
                 one = expanded(one, replay)
             # named by the end of its id, such as tie-nx3-demonstrations-v0
             file = target / f"{'-'.join(path.with_suffix('').parts[-2:])}.h5" if several else target
-            write_episodes(file, [one.episodes], one.task, facts, pack=form != "columns")
+            write_episodes(
+                file, [one.episodes], one.task, {**one.facts, **kept}, pack=form != "columns"
+            )
         files = sorted(target.iterdir()) if several else [target]
         size = sum(file.stat().st_size for file in files)
     episodes = sum(one.episodes.episodes.rows for one in datasets)

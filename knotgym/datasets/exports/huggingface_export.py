@@ -11,7 +11,6 @@ dataset (`--to minari`) has everything that is needed to replay an episode. A fo
 ready to upload as it is: it has its card and Parquet files already.
 """
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -29,10 +28,10 @@ from knotgym.datasets.cards.citation import (
     write_text,
     yaml_string,
 )
+from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import distinct
-from knotgym.datasets.exports.croissant import croissant
 from knotgym.datasets.exports.parquet_tables import step_tables, write_parquet
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.image_table import arrow
@@ -86,8 +85,7 @@ def to_huggingface(source: Located, out: Path, overwrite: bool = False) -> str:
                 f" starts and {goals} goals, in {pairs} pairs."
             )
         write_text(folder / "README.md", _card(source.title, description, files, gallery))
-        described = croissant(folder, source.title, description)
-        write_text(folder / "croissant.json", json.dumps(described, indent=1))
+        write_croissant(folder, source.title, description)
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     return f"{size / 1e6:.1f} MB to upload"
 
