@@ -298,6 +298,7 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
         if c.dtype == "text":
             values = [np.strings.encode(one, "utf-8") for one in values]
             dtype = h5py.string_dtype("utf-8", max(1, *(one.dtype.itemsize for one in values)))
+            values = [one.astype(dtype) for one in values]
         shape, options, at = schema.shape(c), {}, 0
         if pack and rows and prod(shape):
             fitting = max(1, _CHUNK // (np.dtype(dtype).itemsize * prod(shape)))
@@ -306,7 +307,7 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
         if c.unit:
             data.attrs["unit"] = c.unit
         for one in values:
-            data[at : at + len(one)] = one.astype(dtype, copy=False)
+            data[at : at + len(one)] = one
             at += len(one)
 
 

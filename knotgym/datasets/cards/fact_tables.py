@@ -37,11 +37,12 @@ class CardTable(NamedTuple):
 
 
 def counted(
-    columns: Mapping[str, NDArray[Any]], values: Mapping[str, tuple[str, object]]
+    title: str, columns: Mapping[str, NDArray[Any]], values: Mapping[str, tuple[str, object]]
 ) -> CardTable:
     """Count the rows of each number of crossings, their codes, and values of other columns.
 
     Args:
+        title: of the table.
         columns: nx, gauss_code, gauss_code_chiral and those of `values`, (n,) each.
         values: name of a column of the table -> column and value that are counted.
     """
@@ -54,10 +55,10 @@ def counted(
         found = [int((own[column] == value).sum()) for column, value in values.values()]
         rows.append((nx, codes.total(), len(codes), len(chiral), each, *found))
     return CardTable(
-        "counts",
-        ("nx", "rows", "codes", "chiral", "of a code", *values),
+        title,
+        ("nx", "rows", "codes", "chiral", "each", *values),
         rows,
-        "chiral: codes with chirality; of a code: fewest / most rows",
+        "chiral: codes with chirality; each: fewest / most rows of a code",
     )
 
 

@@ -17,11 +17,8 @@ from knotgym.datasets.manifest import write_manifest
 from knotgym.states.splits import IMAGE_SPLITS
 
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")
-_VALUES: dict[str, tuple[str, object]] = {
-    **{name: ("split", name) for name in IMAGE_SPLITS},
-    **{name: ("grade", name) for name in GRADES},
-    "accepted": ("accepted", True),
-}
+_SPLITS = {name: ("split", name) for name in IMAGE_SPLITS}
+_GRADES = {name: ("grade", name) for name in GRADES} | {"accepted": ("accepted", True)}
 
 
 def tables(path: Path) -> dict[str, CardTable]:
@@ -30,7 +27,8 @@ def tables(path: Path) -> dict[str, CardTable]:
     quality = rows["quality"].combine_chunks()
     measures = {field.name: quality.field(field.name).to_numpy() for field in quality.type}
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}
-    return {one.title: one for one in (counted(columns, _VALUES), measured(measures))}
+    counts = [counted("splits", columns, _SPLITS), counted("grades", columns, _GRADES)]
+    return {one.title: one for one in (*counts, measured(measures))}
 
 
 def finish(folder: Path, report: Mapping[str, Any], request: Mapping[str, Any]) -> None:

@@ -29,10 +29,9 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
         for nx, reasons in report.get("rejected", {}).items()
         for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     ]
-    found = counted(states.table, {name: ("split", name) for name in STATE_SPLITS})
+    found = counted("states", states.table, {name: ("split", name) for name in STATE_SPLITS})
     listed = (
         found._replace(
-            title="states",
             head=(*found.head, "of", "c / a"),
             rows=[
                 (*row, *_more(states, nx, existing))
