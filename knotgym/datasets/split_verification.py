@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import episode_digests
-from knotgym.envs.task_states import start_nx
+from knotgym.envs.task_states import task_sides
 from knotgym.rope.model import Array, Rope
 from knotgym.states.near_duplicates import NEAR, distances, pairs_within, repeated
-from knotgym.states.state_file import States, read_states, shipped
+from knotgym.states.state_file import States
 
 # metres, root mean square over the beads, after the best translation and rotation about z. Reset
 # noise at its default scale stays below 6 mm, and no two states of a curated set are that close.
@@ -114,19 +114,11 @@ def _start_fault(points: Array, named: int, states: States, dataset: EpisodeData
 
 def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, NDArray[np.int64]]]:
     """Read the states, and the rows of them, that starts and goals are drawn from, as a reset."""
-    task = dataset.task
-    files = [shipped()]
-    if task.states is not None:
-        own = dataset.states_path()
-        if not own.is_file() and dataset.metadata is None:
-            return {}
-        files.insert(0, own)
-    read = [read_states(path, images=False) for path in files]
-    found: dict[str, tuple[States, NDArray[np.int64]]] = {}
-    for single in task.singles:
-        for name, nx in (("start", start_nx(single, read[0])), ("goal", single.goal_nx)):
-            states = next((one for one in read if len(one.rows(nx, task.split))), read[0])
-            rows = states.rows(nx, task.split)[: task.max_goals if name == "goal" else None]
-            _, others = found.get(name, (states, rows))
-            found[name] = states, np.union1d(others, rows)
-    return found
+    named = dataset.task.states
+    if named is not None and dataset.metadata is None and not dataset.states_path().is_file():
+        return {}
+    starts, goals = zip(*task_sides(dataset.found_task), strict=True)
+    return {
+        name: (same[0].states, np.unique(np.concatenate([one.rows for one in same])))
+        for name, same in (("start", starts), ("goal", goals))
+    }

@@ -9,7 +9,6 @@ from knotgym.datasets.cards.citation import code_span, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import CardTable, counted, measured, table
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.manifest import write_manifest
-from knotgym.states.schema import DRAWING, PLAY, RANDOM_WALK
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.spread import spread_of
@@ -102,72 +101,21 @@ def _card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) 
         mujoco=report["mujoco"],
         engine=states.engine,
         seed=config["seed"],
-        holds=_holds(report),
-        made=_made(report),
+        source=plain(report["source"]),
+        attempts=report["attempts"],
+        passed=sum(map(len, report.get("passed_over", {}).values())),
+        demonstrations=report.get("demonstrations", 0),
+        lacking=_lacking(report),
         **{name.replace(" ", "_"): text for name, text in found.items()},
         columns=table(("column", "type", "unit", "contents"), columns),
         config=json.dumps(config, indent=1, sort_keys=True),
     )
 
 
-def _made(report: Mapping[str, Any]) -> str:
-    """Say how many candidates were made, and which codes have no state or no demonstration."""
-    if report.get("source") in (PLAY, RANDOM_WALK):
-        says = f"Frames of {report['attempts']} ropes were examined."
-    else:
-        passed = sum(len(codes) for codes in report["passed_over"].values())
-        played = PLAY in report.get("source", "")
-        says = (
-            f"{report['attempts']} drawings {'and ropes ' * played}were made; {passed} codes were"
-            " passed over (`passed_over` in `manifest.json`)."
-        )
-    lacking = report.get("undemonstrated", [])
-    if lacking:
-        named = ", ".join(code_span(code or "loop") for code in lacking)
-        says += f"\n\nThe expert reached no goal of these codes: {named}."
-    return says
-
-
-_SOURCES = {
-    DRAWING: (
-        "They are drawn from their codes: a row's drawing is made again from its seed, laid in the"
-        " simulator, stirred and left to rest by the row's actions."
-    ),
-    PLAY: (
-        "They are frames of ropes that random and scripted policies pulled, those that are"
-        " readable, not over-twisted and new. A row's actions lead from its start to its state. All"
-        " frames of a rope are in one split."
-    ),
-    RANDOM_WALK: (
-        "They are states as uniform random actions reach them, not selected to be easier to read;"
-        " only over-twisted ones were left out. The actions of a row are drawn from its random"
-        " stream. All frames of a rope are in one split."
-    ),
-}
-
-
-def _made_by(report: Mapping[str, Any]) -> str:
-    """Say how the states were made, source by source."""
-    found = {one: text for one, text in _SOURCES.items() if one in report["source"].split(" and ")}
-    if len(found) < 2:
-        return "".join(found.values())
-    return " ".join(
-        f"Those with `source/policy` {one}: {text[0].lower()}{text[1:]}"
-        for one, text in found.items()
-    )
-
-
-def _holds(report: Mapping[str, Any]) -> str:
-    """Say where the states come from, and what else is in the folder."""
-    states = f"`states.h5` holds one row a state, at rest. {_made_by(report)}"
-    if not report.get("demonstrations"):
-        return states
-    return (
-        f"{states} `minari/` holds demonstrations: {report['demonstrations']} episodes of the"
-        " expert, each of which ends in the Gauss code of a state, its goal (train and test are"
-        " datasets of their own). `knotgym.loaders.arrays(FOLDER)` loads those of the train split,"
-        " and Minari finds all with `MINARI_DATASETS_PATH=FOLDER/minari`."
-    )
+def _lacking(report: Mapping[str, Any]) -> str:
+    """Say which codes have no demonstration."""
+    found = ", ".join(code_span(code or "loop") for code in report.get("undemonstrated", []))
+    return found and f"The expert reached no goal of these codes: {found}."
 
 
 def _more(states: States, nx: int, existing: Mapping[str, Any]) -> tuple[object, ...]:

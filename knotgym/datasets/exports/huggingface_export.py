@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import (
     citation_file,
@@ -51,42 +50,38 @@ class _File(NamedTuple):
     page: str
 
 
-def to_huggingface(source: Located, out: Path, overwrite: bool = False) -> str:
-    """Write the folder atomically, and return a one-line summary.
+def to_huggingface(source: Located, folder: Path) -> str:
+    """Write into an empty folder, and return a one-line summary.
 
     Raises:
         InvalidInput: the sources have no rows, or are pictures.
-        Occupied: `out` exists, and `overwrite` is False.
         MissingExtra: pyarrow isn't installed.
     """
     if source.pictures is not None:
         raise InvalidInput(f"{source.pictures} is ready to upload as it is: it has a card already")
-    require_output(out, folder=True, overwrite=overwrite)
     arrow()
-    with atomic_write(out, overwrite=overwrite) as folder:
-        folder.mkdir()
-        files = [file for file in _written(source, folder) if file.rows]
-        if not files:
-            raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
-        write_text(folder / "CITATION.cff", citation_file(source.title))
-        gallery = (folder / "gallery.png").is_file()
-        rows = Counter[str]()
-        for file in files:
-            rows[file.config] += file.rows
-        description = (
-            f"{', '.join(f'{count} {config}' for config, count in rows.items())} of a closed rope"
-            f" in MuJoCo, labelled with Gauss codes; made by knotgym {knotgym.__version__}."
+    files = [file for file in _written(source, folder) if file.rows]
+    if not files:
+        raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
+    write_text(folder / "CITATION.cff", citation_file(source.title))
+    gallery = (folder / "gallery.png").is_file()
+    rows = Counter[str]()
+    for file in files:
+        rows[file.config] += file.rows
+    description = (
+        f"{', '.join(f'{count} {config}' for config, count in rows.items())} of a closed rope"
+        f" in MuJoCo, labelled with Gauss codes; made by knotgym {knotgym.__version__}."
+    )
+    for one in map(columns_of, source.episodes):
+        starts, goals, pairs = distinct(one.episodes.episodes).values()
+        task = one.task
+        description += (
+            f" Episodes of {task.task}, nx {task.nx}, split {task.split}: {starts} distinct"
+            f" starts and {goals} goals, in {pairs} pairs."
         )
-        for one in map(columns_of, source.episodes):
-            starts, goals, pairs = distinct(one.episodes.episodes).values()
-            task = one.task
-            description += (
-                f" Episodes of {task.task}, nx {task.nx}, split {task.split}: {starts} distinct"
-                f" starts and {goals} goals, in {pairs} pairs."
-            )
-        write_text(folder / "README.md", _card(source.title, description, files, gallery))
-        write_croissant(folder, source.title, description)
-    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    write_text(folder / "README.md", _card(source.title, description, files, gallery))
+    write_croissant(folder, source.title, description)
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     return f"{size / 1e6:.1f} MB to upload"
 
 
