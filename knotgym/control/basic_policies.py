@@ -47,7 +47,7 @@ class ActionPlayer:
         """Choose actions, and return the pulls that carry them out."""
         batch = self.batch
         if batch.task.action == "pull":
-            actions = checked(self.choose(ids), batch, self.name)
+            actions = _checked(self.choose(ids), batch, self.name)
             positions = batch.simulation.rope.config.reach * actions[:, :3].astype(np.float64)
             beads = nearest_beads(batch.simulation.points[ids], positions)
             return Pulls(ids, beads, actions[:, 3:])
@@ -56,7 +56,7 @@ class ActionPlayer:
         view.pulled(before, np.zeros(len(before), dtype=bool))
         deciding = ids[~view.busy[ids]]
         if len(deciding):
-            view.begin(checked(self.choose(deciding), batch, self.name), deciding)
+            view.begin(_checked(self.choose(deciding), batch, self.name), deciding)
         self._pulled[ids] = True
         beads, forces = view.pulls_of(ids)
         if batch.task.action != "macro":
@@ -141,7 +141,7 @@ def pull_task(task: TaskConfig) -> TaskConfig:
     return task
 
 
-def checked(actions: Any, batch: EpisodeBatch, name: str) -> NDArray[np.float32]:
+def _checked(actions: Any, batch: EpisodeBatch, name: str) -> NDArray[np.float32]:
     """Check the actions of user code or of a model, by the rules of the environment's `step`.
 
     Args:

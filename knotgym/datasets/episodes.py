@@ -252,7 +252,7 @@ def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None)
     return GaussCode(numbers, "".join(letters))
 
 
-def within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]:
+def _within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]:
     """Return which states lie within the bound on towing: bool (rows,), see `rope.towing`."""
     seen = episodes.steps["observation"]
     if tow_limit is None:
@@ -272,7 +272,7 @@ def codes_held(
         first state beyond the bound on towing on, and where the simulation blew up; and the steps.
     """
     offsets, episode = episodes.offsets, episodes.episode_of()
-    beyond = ~within_tow(episodes, tow_limit)
+    beyond = ~_within_tow(episodes, tow_limit)
     beyond[episodes.last()] |= episodes.episodes["failed"]
     passed = np.concatenate([[0], np.cumsum(beyond)])
     numbers = _code_ids(episodes.steps["visits"])

@@ -113,7 +113,7 @@ class CloneNetwork(nn.Module):
         beads = functional.relu(beads)
         return MarkedInputs(beads, tokens[:, 0], self.bead(beads)[..., 0])
 
-    def targets(self, seen: MarkedInputs, beads: Tensor) -> Tensor:
+    def _targets(self, seen: MarkedInputs, beads: Tensor) -> Tensor:
         """Return logits (n, k, BEADS) of the strand to pass, given the bead to lead, (n, k)."""
         whole = seen.whole[:, None].expand(-1, beads.shape[1], -1)
         query = self.query(torch.cat([_picked(seen.beads, beads), whole], dim=2))
@@ -139,11 +139,11 @@ class CloneNetwork(nn.Module):
         seen = self(states)
         beads, targets, sides = macros.unbind(1)
         side, works = self.sides(seen, beads[:, None], targets[:, None])
-        strand = self.targets(seen, beads[:, None])[:, 0]
+        strand = self._targets(seen, beads[:, None])[:, 0]
         chosen = torch.stack(
             [
-                smoothed_loss(seen.logits, beads),
-                smoothed_loss(strand, targets),
+                _smoothed_loss(seen.logits, beads),
+                _smoothed_loss(strand, targets),
                 functional.cross_entropy(side[:, 0], sides, reduction="none"),
             ],
             dim=1,
@@ -158,7 +158,7 @@ class CloneNetwork(nn.Module):
         """Return macro-actions, int64 (n, 64, 3): both sides of the likeliest beads and strands."""
         some, each = _LIKELY
         beads = seen.logits.topk(some, dim=1).indices
-        targets = self.targets(seen, beads).topk(each, dim=2).indices.flatten(1)
+        targets = self._targets(seen, beads).topk(each, dim=2).indices.flatten(1)
         pairs = torch.stack([beads.repeat_interleave(each, 1), targets], dim=2)
         sides = torch.arange(2).repeat(len(pairs), pairs.shape[1])[..., None]
         return torch.cat([pairs.repeat_interleave(2, 1), sides], dim=2)
@@ -172,7 +172,7 @@ class CloneNetwork(nn.Module):
         """
         beads, targets, sides = macros.unbind(2)
         chosen = functional.log_softmax(seen.logits, 1).gather(1, beads)
-        strands = functional.log_softmax(self.targets(seen, beads), 2)
+        strands = functional.log_softmax(self._targets(seen, beads), 2)
         side, works = self.sides(seen, beads, targets)
         for logs, index in ((strands, targets), (functional.log_softmax(side, 2), sides)):
             chosen = chosen + logs.gather(2, index[..., None])[..., 0]
@@ -184,7 +184,7 @@ def _picked(beads: Tensor, index: Tensor) -> Tensor:
     return beads.gather(1, index[..., None].expand(-1, -1, beads.shape[2]))
 
 
-def smoothed_loss(logits: Tensor, beads: Tensor) -> Tensor:
+def _smoothed_loss(logits: Tensor, beads: Tensor) -> Tensor:
     """Return the cross entropy (n,) of beads (n,), with labels smoothed over their neighbours."""
     logs = functional.log_softmax(logits, dim=1)
     rows = torch.arange(len(beads), device=beads.device)

@@ -39,7 +39,7 @@ class CloneTraining(Training):
         torch.manual_seed(config.seed)
         network = CloneNetwork(config.width, config.layers).to(config.device)
         super().__init__(network, config.rate, _DECAY, config.steps)
-        self._config, held = config, held_out(data.episodes, config.seed)
+        self._config, held = config, _held_out(data.episodes, config.seed)
         aside, fitted = np.flatnonzero(held), np.flatnonzero(~held)
         self._fitted = _tensors(data.rows(fitted), config.device)
         self._aside = _tensors(data.rows(aside[:: len(aside) // _JUDGED + 1]), config.device)
@@ -94,7 +94,7 @@ class CloneTraining(Training):
 
 def first_guesses(network: CloneNetwork, data: Examples, seed: int) -> dict[str, dict[str, float]]:
     """Compute how often the likeliest bead is the one chosen, in held-out decisions, by nx."""
-    aside, crossings = data.worked & held_out(data.episodes, seed), data.nx
+    aside, crossings = data.worked & _held_out(data.episodes, seed), data.nx
     found = dict[str, dict[str, float]]()
     for nx in np.unique(crossings[aside]).tolist():
         own = data.rows(np.flatnonzero(aside & (crossings == nx))[:_JUDGED])
@@ -109,7 +109,7 @@ def first_guesses(network: CloneNetwork, data: Examples, seed: int) -> dict[str,
     return found
 
 
-def held_out(episodes: NDArray[np.int64], seed: int) -> NDArray[np.bool_]:
+def _held_out(episodes: NDArray[np.int64], seed: int) -> NDArray[np.bool_]:
     """Draw which decisions are held out, by whole episodes: bool (n,)."""
     numbers = np.unique(episodes)
     rng = generator(Stream.LEARN_HELD_OUT, seed)

@@ -92,7 +92,7 @@ class RopeReader:
         whole = torch.from_numpy(picture.copy()).permute(2, 0, 1)[None].float()
         seen = functional.interpolate(whole, (side, side), mode="bilinear", align_corners=False)
         with inference():
-            maps = maps_of(self.network, seen, views)[0]
+            maps = _maps_of(self.network, seen, views)[0]
         found = read_maps(maps)
         if found is None:
             return None
@@ -161,24 +161,24 @@ def _confidence(nx: int, margin: float, share: float) -> float:
     return float(np.clip(margin * share**4 * 0.99**nx, 0.0, 1.0))
 
 
-def maps_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Maps]:
+def _maps_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Maps]:
     """Find strands in n pictures (n, 3, side, side), averaged over the first views of eight."""
     with torch.no_grad():
-        views = fields_of(network, pictures, votes)
+        views = _fields_of(network, pictures, votes)
     lines, upper, base, along = (torch.stack(part).mean(0) for part in zip(*views, strict=True))
     parts = torch.sigmoid(lines), upper, torch.sigmoid(base), along
     return [Maps(*one) for one in zip(*(part.cpu().numpy() for part in parts), strict=True)]
 
 
 def read_maps(maps: Maps) -> tuple[Array, GaussCode, float, float] | None:
-    """Return the line, float64 (n, 3), cells, its code, the margin and the share of `traced`."""
-    found = traced(maps)
+    """Return the line, float64 (n, 3), cells, its code, the margin and the share of `_traced`."""
+    found = _traced(maps)
     if found is None:
         return None
-    return *coded(found[0], maps), found[1]
+    return *_coded(found[0], maps), found[1]
 
 
-def fields_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Fields]:
+def _fields_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Fields]:
     """Run the network on `votes` of the eight mirror images and turns; turn the fields back."""
     found = []
     for vote in range(votes):
@@ -207,7 +207,7 @@ def turned_back(fields: Fields, turns: int, flip: bool) -> Fields:
     return Fields(lines, upper, base, along)
 
 
-def traced(maps: Maps) -> tuple[Array, float] | None:
+def _traced(maps: Maps) -> tuple[Array, float] | None:
     """Walk along the rope.
 
     Returns:
@@ -225,11 +225,11 @@ def traced(maps: Maps) -> tuple[Array, float] | None:
     if closed.max() < _SHORT:
         return None
     own = order[line == closed.argmax()] // 2
-    line = smooth(points[own, :2])
+    line = _smooth(points[own, :2])
     return None if len(line) < _SHORT else (line, len(own) / len(points))
 
 
-def smooth(line: Array) -> Array:
+def _smooth(line: Array) -> Array:
     """Smooth a closed line (n, 2), and cut off loops too small to be a strand's."""
     for _ in range(2):
         line = 0.25 * (np.roll(line, 1, 0) + 2 * line + np.roll(line, -1, 0))
@@ -245,7 +245,7 @@ def smooth(line: Array) -> Array:
     return line[kept]
 
 
-def coded(line: Array, maps: Maps) -> tuple[Array, GaussCode, float]:
+def _coded(line: Array, maps: Maps) -> tuple[Array, GaussCode, float]:
     """Lift a closed line (n, 2), cells, at its crossings; return it, its code and the margin."""
     points = np.column_stack([line[:, 0], -line[:, 1], np.zeros(len(line))])
     flat = find_crossings(points)

@@ -85,7 +85,7 @@ def ridge_points(lines: NDArray[np.float32]) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def link_cost(points: Array, i: int, j: int) -> float:
+def _link_cost(points: Array, i: int, j: int) -> float:
     """Return the cost of linking end i to end j, cells; end 2 k + 1 of point k is that ahead."""
     a, b = i // 2, j // 2
     one, other = (1.0 if i % 2 else -1.0), (-1.0 if j % 2 else 1.0)
@@ -124,7 +124,7 @@ def link(points: Array) -> tuple[Integers, Array]:
                 continue
             for i in range(2 * a, 2 * a + 2):
                 for j in range(2 * b, 2 * b + 2):
-                    cost = link_cost(points, i, j)
+                    cost = _link_cost(points, i, j)
                     if cost < 2 * _REACH and m < len(costs):
                         first[m], second[m], costs[m] = i, j, cost
                         m += 1
@@ -166,7 +166,7 @@ def exchange(points: Array, partner: Integers, paid: Array) -> None:
                 dy = points[i // 2, 1] - points[j // 2, 1]
                 if dx * dx + dy * dy > _REACH * _REACH:
                     continue
-                left, right = link_cost(points, i, j), link_cost(points, one, other)
+                left, right = _link_cost(points, i, j), _link_cost(points, one, other)
                 if left + right < paid[i] + paid[j] - 1e-6:
                     partner[i], partner[j], partner[one], partner[other] = j, i, other, one
                     paid[i] = paid[j] = left
@@ -199,7 +199,7 @@ def unite(points: Array, partner: Integers, paid: Array) -> None:
                 dy = points[i // 2, 1] - points[j // 2, 1]
                 if dx * dx + dy * dy > _REACH * _REACH:
                     continue
-                both = link_cost(points, i, j) + link_cost(points, partner[i], partner[j])
+                both = _link_cost(points, i, j) + _link_cost(points, partner[i], partner[j])
                 if both - paid[i] - paid[j] < best:
                     best, one, other = both - paid[i] - paid[j], i, j
         if one < 0:
@@ -207,7 +207,7 @@ def unite(points: Array, partner: Integers, paid: Array) -> None:
         first, second = partner[one], partner[other]
         for i, j in ((one, other), (first, second)):
             partner[i], partner[j] = j, i
-            paid[i] = paid[j] = link_cost(points, i, j)
+            paid[i] = paid[j] = _link_cost(points, i, j)
 
 
 @njit(cache=True, nogil=True)

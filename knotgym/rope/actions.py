@@ -57,7 +57,9 @@ def nearest_beads(points: Array, positions: Array) -> NDArray[np.int64]:
 
     It is the first one if several are equally near.
     """
-    return np.argmin(((points - positions[:, None]) ** 2).sum(axis=2), axis=1)
+    # an axis at a time: NumPy's sums over an axis of three take four times as long
+    squares = [(points[..., axis] - positions[:, axis, None]) ** 2 for axis in range(3)]
+    return np.argmin(squares[0] + squares[1] + squares[2], axis=1)
 
 
 def encode_actions(

@@ -10,6 +10,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.threads import Meanwhile
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.simulation import Ids, Simulation
 
@@ -60,7 +61,9 @@ class MujocoSimulation(Simulation):
         self._qpos[where] = qpos
         self.points[where] = self.rope.points(self._qpos[where])
 
-    def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
+    def step(
+        self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None, meanwhile: Meanwhile = None
+    ) -> NDArray[np.bool_]:
         """Apply a force to one bead of each rope for one action, see `Simulation.step`.
 
         The closures between sub-chains are soft, and a fold at a closure can hold it open by
@@ -68,6 +71,8 @@ class MujocoSimulation(Simulation):
         same state with the next fraction in SHARES of the force; if all fail, the rope doesn't
         move.
         """
+        if meanwhile is not None:  # MuJoCo's batch has threads of its own
+            meanwhile()
         where, bodies = self._all(ids), self.rope.bodies[np.asarray(beads)]
         full = np.asarray(forces, dtype=np.float64)
         before = self._batch.state[where].copy()

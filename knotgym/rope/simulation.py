@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.common.threads import Threads
+from knotgym.common.threads import Meanwhile, Threads
 from knotgym.rope.actions import decode_actions, encode_actions
 from knotgym.rope.model import Array, Rope
 
@@ -84,13 +84,16 @@ class Simulation(ABC):
         """
 
     @abstractmethod
-    def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
+    def step(
+        self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None, meanwhile: Meanwhile = None
+    ) -> NDArray[np.bool_]:
         """Apply a force to one bead of each rope for one action, timestep * frame_skip seconds.
 
         Args:
             beads: int (len(ids),); the force acts at the bead's centre of mass.
             forces: (len(ids), 3), newtons, world frame.
             ids: the ropes, in increasing order; None for all.
+            meanwhile: called before or while the ropes move; it may change other ropes.
 
         Returns:
             bool (len(ids),): False where the simulation blew up; such a rope stays as it was.

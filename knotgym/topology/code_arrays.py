@@ -21,6 +21,7 @@ from knotgym.topology.crossing_kernel import scan_rows
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
 FINITE = "every x, y, z must be a finite number"
+_FEW = 16  # ropes, that are worth a thread of their own
 WIDTH = 32  # crossings that arrays have room for at first
 
 
@@ -37,7 +38,10 @@ class CodeArrays(NamedTuple):
 
 
 def read_codes(
-    points: NDArray[np.float64], width: int = WIDTH, threads: Threads = ALONE
+    points: NDArray[np.float64],
+    width: int = WIDTH,
+    threads: Threads = ALONE,
+    ids: NDArray[np.int64] | None = None,
 ) -> CodeArrays:
     """Read the Gauss codes of many ropes.
 
@@ -45,17 +49,19 @@ def read_codes(
         points: float64 (n, beads, 3), metres.
         width: crossings that the arrays have room for, at least; WIDTH or a multiple.
         threads: that read them.
+        ids: int64 (m,), which ropes; all by default.
 
     Raises:
         InvalidInput: a coordinate isn't finite.
     """
-    count, ropes = len(points), np.ascontiguousarray(points)
+    which = np.arange(len(points)) if ids is None else ids
+    count = len(which)
     crossings = np.empty(count, dtype=np.int64)
     while True:
         visits = np.empty((count, 2 * width), dtype=np.int16)
         signs = np.empty((count, width), dtype=np.int8)
-        scan = partial(_scan, (ropes, visits, signs, crossings))
-        most = max(threads.spread(scan, count), default=0)
+        scan = partial(_scan, points, (which, visits, signs, crossings))
+        most = max(threads.spread(scan, count, _FEW), default=0)
         if count and crossings.min() < 0:
             raise InvalidInput(
                 f"no closed rope: a coordinate of rope {int(crossings.argmin())} is not finite;"
@@ -96,8 +102,9 @@ def code_texts(
     return texts
 
 
-def _scan(arrays: Sequence[NDArray[Any]], rows: slice) -> int:
-    return int(scan_rows(*(array[rows] for array in arrays)))
+def _scan(points: NDArray[np.float64], arrays: Sequence[NDArray[Any]], rows: slice) -> int:
+    which, *codes = (array[rows] for array in arrays)
+    return int(scan_rows(points[which], *codes))
 
 
 def _rows(array: NDArray[Any]) -> list[bytes]:

@@ -161,9 +161,9 @@ def planar_codes(nx: int) -> Iterator[GaussCode]:
     """
     # Planarity depends only on the order of the labels: test each word once, then choose heights.
     for word in _words([0] * (2 * nx), 1):
-        if is_planar(GaussCode(with_heights(word, [1] * nx))):
+        if is_planar(GaussCode(_with_heights(word, [1] * nx))):
             for heights in product((1, -1), repeat=nx):
-                yield GaussCode(with_heights(word, list(heights)))
+                yield GaussCode(_with_heights(word, list(heights)))
 
 
 def uniform_code(nx: int, rng: np.random.Generator) -> GaussCode:
@@ -180,7 +180,7 @@ def uniform_code(nx: int, rng: np.random.Generator) -> GaussCode:
         word[0::2] = np.arange(1, nx + 1)
         word[1::2] = rng.permutation(nx) + 1
         over = rng.integers(2, size=nx)
-        code = GaussCode.relabelled(with_heights(word.tolist(), (2 * over - 1).tolist()))
+        code = GaussCode.relabelled(_with_heights(word.tolist(), (2 * over - 1).tolist()))
         if is_planar(code):
             return code
 
@@ -205,7 +205,7 @@ def _words(word: list[int], label: int) -> Iterator[list[int]]:
     word[first] = 0
 
 
-def with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
+def _with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
     """Turn labels into visits; heights[label - 1] is +1 if the label's first visit is over."""
     seen: set[int] = set()
     visits = []

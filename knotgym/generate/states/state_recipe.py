@@ -59,7 +59,7 @@ def make_states(
     made_by = identity(asked)
 
     return run(
-        lambda place: state_recipe(config, place, made_by),
+        lambda place: _state_recipe(config, place, made_by),
         Path(out),
         made_by,
         options,
@@ -74,7 +74,7 @@ def make_states(
     )
 
 
-def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]) -> Recipe[str]:
+def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]) -> Recipe[str]:
     """Make the folder `place`; return a summary.
 
     Args:

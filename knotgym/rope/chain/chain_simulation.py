@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
+from knotgym.common.threads import Meanwhile
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.dynamics import set_all_lengths
 from knotgym.rope.chain.passage import longest_edge
@@ -143,32 +144,22 @@ class ChainSimulation(Simulation):
         set_all_lengths(moved, self.rope.config.bead_length, 6)
         return moved
 
-    def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
-        where = self._all(ids)
+    def step(
+        self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None, meanwhile: Meanwhile = None
+    ) -> NDArray[np.bool_]:
+        where, total = self._all(ids), TICKS * int(self._schedule.sum())
         pulled = np.ascontiguousarray(beads, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=np.float64)
-        finite, total = np.empty(len(where), dtype=bool), TICKS * int(self._schedule.sum())
-
-        # Threads get whole groups of lanes. `advance` runs without the interpreter's lock, and no
-        # rope's result depends on those beside it, so the number of threads changes nothing.
-        def move(rows: slice) -> None:
-            own = where[rows]
-            states, counts = self._states[own], np.zeros((len(own), 4), dtype=np.int64)
-            advance(
-                states,
-                pulled[rows],
-                forces[rows],
-                self._physics,
-                self.rope.config.timestep * self.rope.config.frame_skip,
-                self._schedule,
-                counts,
-            )
-            self._states[own], self.points[own] = states, states[:, :, POSITION]
-            self.applied_shares[own] = (total - counts[:, layout.LOST]) / total
-            finite[rows] = np.isfinite(states).all(axis=(1, 2))
-
-        self.threads.spread(move, len(where), LANES)
-        return finite
+        counts = np.zeros((len(where), len(layout.COUNTS)), dtype=np.int64)
+        ropes = self._states, self.points, where, pulled, forces, self._physics
+        action = self.rope.config.timestep * self.rope.config.frame_skip, self._schedule
+        taken = np.zeros(1, dtype=np.int64)
+        # No rope's result depends on those beside it, so any thread may take any of them.
+        self.threads.spread(
+            lambda _: advance(*ropes, *action, counts, taken), len(where), LANES, meanwhile
+        )
+        self.applied_shares[where] = (total - counts[:, layout.LOST]) / total
+        return counts[:, layout.BLOWN_UP] == 0
 
 
 def physics_of(rope: Rope) -> layout.Physics:

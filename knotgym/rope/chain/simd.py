@@ -186,3 +186,15 @@ def any_below(typing: Any, value: Any, bound: Any) -> Any:
         return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
 
     return types.boolean(_LANES, _LANES), emit
+
+
+@intrinsic
+def count_up(typing: Any, count: Any) -> Any:
+    """Return the number in an array int64 (1,), and add 1 to it, both at once for all threads."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        held = context.make_array(sig.args[0])(context, builder, args[0])
+        one = ir.Constant(ir.IntType(64), 1)
+        return builder.atomic_rmw("add", held.data, one, "monotonic")
+
+    return types.int64(count), emit
