@@ -34,6 +34,8 @@ from knotgym.states.derivation import row_faults as state_faults
 from knotgym.states.splits import IMAGE_SPLITS
 
 _COLOURS = ("published", "single", "gradient", "lines", "photo")
+# what foreign numbers make the renderer and NumPy raise
+_RAISED = (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error)
 _MOST_DRAWN = 1000.0  # of numbers that a picture is drawn with; larger ones would fill the memory
 
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or that of a pool
@@ -52,19 +54,19 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
     if folder.is_dir():
         manifest, faults = read_manifest(folder)
         yield from [*faults, *listed_faults(folder, manifest)]
-    readable, files = True, shards(path)
+    files = shards(path)
     count("files of pictures", 0, len(files))
     for done, faults in enumerate(each(shard_faults, files), 1):
         count("files of pictures", done, len(files))
         yield from faults
-        readable &= not any("Parquet shard" in fault or "format" in fault for fault in faults)
-    if not readable:
+    try:
+        table = read_table(path, columns=["gauss_code", "nx", "split", "points", "source"])
+    except InvalidFile:  # a fault already
         return
-    table = read_table(path, columns=["gauss_code", "nx", "split", "points", "source"])
-    if not len(table):
+    if len(table):
+        yield from _split_faults(table)
+    else:
         yield f"{folder.name} has no rows"
-        return
-    yield from _split_faults(table)
 
 
 def shard_faults(path: Path) -> list[str]:
@@ -72,7 +74,11 @@ def shard_faults(path: Path) -> list[str]:
     faults, now = [], hashlib.sha256()
     try:
         for n, row in enumerate(read_rows(path)):
-            faults += [f"{path.name} row {n}: {fault}" for fault in _all_faults(row)]
+            try:
+                own = list(row_faults(row))
+            except _RAISED as error:
+                own = [f"it can't be rendered or measured: {one_line(error)}"]
+            faults += [f"{path.name} row {n}: {fault}" for fault in own]
             now.update(row_line(row))
         digest = stored_digest(path)
     except (InvalidFile, MissingFile) as error:
@@ -80,14 +86,6 @@ def shard_faults(path: Path) -> list[str]:
     if digest != now.hexdigest():
         faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
     return faults
-
-
-def _all_faults(row: dict[str, Any]) -> list[str]:
-    """List the faults of a row; failing to render or measure it is one."""
-    try:
-        return list(row_faults(row))
-    except (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error) as error:
-        return [f"it can't be rendered or measured: {one_line(error)}"]
 
 
 def row_faults(row: Mapping[str, Any]) -> Iterator[str]:

@@ -73,7 +73,7 @@ class MinariMetadata:
             dataset id -> its digests.
 
     Raises:
-        InvalidInput: the id is invalid for Minari, or only one of the two scores is given.
+        InvalidInput: the id is invalid for Minari.
     """
 
     dataset_id: str
@@ -93,10 +93,6 @@ class MinariMetadata:
             raise InvalidInput(
                 "a dataset id has the form namespace/name-v0, of letters, digits, - and _; got"
                 f" {self.dataset_id!r}"
-            )
-        if (self.ref_min_score is None) != (self.ref_max_score is None):
-            raise InvalidInput(
-                "reference scores come in pairs: give both ref_min_score and ref_max_score"
             )
         for name in ("author", "author_email"):
             object.__setattr__(self, name, tuple(sorted(getattr(self, name))))

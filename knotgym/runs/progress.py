@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import timedelta
 from typing import NamedTuple
 
 from rich import box
@@ -115,7 +116,7 @@ class Progress:
         self._count(done, total, "; ".join(f"{name} {value}" for name, value in facts.items()))
         if self._lines or (not self._live and now - self._began >= _LINE_EVERY):
             left = self._task.time_remaining
-            more = f"; time left, about {_duration(left)}" if left else ""
+            more = f"; time left {timedelta(seconds=round(left))}" if left else ""
             self._tell(f"{self._task.fields['facts']}{more}")
 
     def _count(self, done: int, total: int, facts: str) -> None:
@@ -138,15 +139,3 @@ def narrow_table(
             overflow="fold",
         )
     return table
-
-
-def _duration(seconds: float) -> str:
-    """Format a duration with one unit.
-
-    >>> [_duration(one) for one in (50, 5000, 8e4, 8e6, 8e8)]
-    ['50 s', '83 minutes', '22 hours', '93 days', '25 years']
-    """
-    for unit, size in (("years", 31_557_600), ("days", 86_400), ("hours", 3600), ("minutes", 60)):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"
