@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import timedelta
-from typing import NamedTuple
 
 from rich import box
 from rich.console import Console
@@ -17,22 +16,8 @@ from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
+_NONE: Mapping[str, object] = {}
 _ESTIMATED = 600.0  # seconds of the past by which the time left is estimated
-
-
-class Status(NamedTuple):
-    """How far a stage of a run is.
-
-    Attributes:
-        done, total: how many items are done, and how many there are; all take about as long.
-        counted: name of the items, in the plural.
-        facts: other values to show, by name.
-    """
-
-    done: int
-    total: int
-    counted: str
-    facts: Mapping[str, str] = {}
 
 
 class Progress:
@@ -72,8 +57,9 @@ class Progress:
         self._bars.add_task("starting", total=None, facts="")
         self._task = self._bars.tasks[0]
         self._clock, self._began = clock, clock()
-        self._shown: float | None = None  # when a status was shown last
-        self._lines, self._live, self._quiet = lines and not quiet and not live, live, quiet
+        self._shown: float | None = None  # when a count was printed last
+        plain = not quiet and not live
+        self._lines, self._waits, self._quiet = plain and lines, plain and not lines, quiet
         self._printed = console or Console(file=sys.stderr)
 
     def __enter__(self) -> Progress:
@@ -97,30 +83,30 @@ class Progress:
         for line in ("to load it:", *(f"    {line}" for line in lines)):
             self.say(line)
 
-    def stage(self, name: str, done: int = 0, total: int = 0) -> None:
-        """Set the current stage and its count; plain lines show stages until the first status."""
+    def stage(
+        self, name: str, done: int = 0, total: int = 0, facts: Mapping[str, object] = _NONE
+    ) -> None:
+        """Set the current stage and how far it is; plain lines show stages until the first count.
+
+        Args:
+            name: name of the stage.
+            done, total: how many items are done, and how many there are; all take about as long.
+            facts: other values to show, by name.
+        """
         if name != self._task.description:
             if self._lines and self._shown is None:
                 self._tell(name)
             self._bars.reset(self._task.id, description=name, facts="")
-        if total:
-            self._count(done, total, f"{done} of {total}")
-
-    def show(self, status_of: Callable[[], Status], last: bool = False) -> None:
-        """Show a status; `status_of` is only called if an update is due."""
-        now, every = self._clock(), _LIVE_EVERY if self._live else _LINE_EVERY
-        if self._quiet or (self._shown is not None and now - self._shown < every and not last):
+        if not total:
             return
-        self._shown, (done, total, counted, other) = now, status_of()
-        facts = {counted: f"{done} of {total}", **other}
-        self._count(done, total, "; ".join(f"{name} {value}" for name, value in facts.items()))
-        if self._lines or (not self._live and now - self._began >= _LINE_EVERY):
-            left = self._task.time_remaining
+        words = [f"{done} of {total}", *(f"{fact} {value}" for fact, value in facts.items())]
+        shown, now = "; ".join(words), self._clock()
+        self._bars.update(self._task.id, completed=done, total=total, facts=shown)
+        due = self._shown is None or now - self._shown >= _LINE_EVERY or done == total
+        if due and (self._lines or (self._waits and now - self._began >= _LINE_EVERY)):
+            self._shown, left = now, self._task.time_remaining
             more = f"; time left {timedelta(seconds=round(left))}" if left else ""
-            self._tell(f"{self._task.fields['facts']}{more}")
-
-    def _count(self, done: int, total: int, facts: str) -> None:
-        self._bars.update(self._task.id, completed=done, total=total, facts=facts)
+            self._tell(f"{name} {shown}{more}")
 
 
 def narrow_table(

@@ -40,7 +40,7 @@ from knotgym.common.errors import Failed, InvalidInput, Occupied
 from knotgym.runs.executors import InProcess, executor
 from knotgym.runs.identity import identity_of
 from knotgym.runs.journal import Journal, Result, has_results
-from knotgym.runs.progress import Progress, Status
+from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import WHOLE, Existing, RunOptions, Shard
 
 Output = TypeVar("Output")
@@ -339,9 +339,7 @@ def _shown_on(
     def show(stage: str, done: int, total: int, result: Result | None) -> None:
         if count is not None and result is not None:
             totals.update(count(result))
-        facts = {name: str(value) for name, value in totals.items()}
-        progress.stage(stage)
-        progress.show(lambda: Status(done, total, "pieces", facts), last=done == total)
+        progress.stage(stage, done, total, totals)
 
     return show
 

@@ -7,7 +7,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,7 +15,7 @@ from rich.console import Console
 
 from knotgym.rope.engines import warn_of_compilation
 from knotgym.runs.compilation import compile_first
-from knotgym.runs.progress import Progress, Status
+from knotgym.runs.progress import Progress
 
 _END = b"the end of it"
 
@@ -87,7 +86,7 @@ def shown(*done: int) -> str:
     with progress:
         for count in done:
             now[0] += 20
-            progress.show(partial(Status, count, 10, "things"))
+            progress.stage("playing", count, 10)
     return written.getvalue()
 
 
@@ -110,5 +109,5 @@ def test_a_long_run_whose_output_is_a_result_tells_on_standard_error(
     now = [0.0]
     progress = Progress(lines=False, clock=lambda: now[0])
     for done, now[0] in enumerate((1.0, 5.0, 12.0, 13.0)):
-        progress.show(partial(Status, done, 4, "episodes"))
-    assert capfd.readouterr() == ("", "   12 s  episodes 2 of 4\n")
+        progress.stage("playing", done, 4)
+    assert capfd.readouterr() == ("", "   12 s  playing 2 of 4; time left 0:00:14\n")
