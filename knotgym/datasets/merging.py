@@ -93,10 +93,8 @@ def _states_to_include(dataset: EpisodeDataset) -> Path | None:
 
 def _states(dataset: EpisodeDataset) -> Path | None:
     """Return the state file that episodes were reset from; None if it ships."""
-    if ships(dataset.task.states):
-        return None
-    path = dataset.states_path()
-    if not path.is_file():
+    path = None if ships(dataset.task.states) else dataset.states_path()
+    if path and not path.is_file():
         raise InvalidFile(f"{dataset.path} was reset from {path}, which doesn't exist")
     return path
 

@@ -100,10 +100,7 @@ def _splits(source: Located) -> Iterator[tuple[str, Iterator[dict[str, Any]]]]:
 def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield rope, strands and crossings."""
     strands = decode(row["strands"])[..., 0]
-    boxes = {
-        one["strand"]: [one["x"], one["y"], one["width"], one["height"]] for one in row["boxes"]
-    }
-    for strand in (0, *boxes):
+    for strand in (0, *(one["strand"] for one in row["boxes"])):
         mask = strands == strand if strand else strands > 0
         y, x = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
         if not len(y):
