@@ -3,8 +3,6 @@
 A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...).
 """
 
-from typing import Any
-
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
@@ -39,10 +37,6 @@ class MujocoSimulation(Simulation):
         self._qpos: Array = self._batch.bind("qpos")
         self._xfrc: Array = self._batch.bind("xfrc_applied")
         self.points = self.rope.points(self._qpos)
-
-    def __setstate__(self, saved: dict[str, Any]) -> None:
-        MujocoSimulation.__init__(self, saved["count"], Rope(saved["config"]), saved["threads"])
-        self.restore(saved["states"])
 
     def qpos(self, ids: Ids = None) -> Array:
         return self._qpos[self._all(ids)].copy()

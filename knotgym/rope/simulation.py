@@ -59,6 +59,10 @@ class Simulation(ABC):
             "states": self.states(),
         }
 
+    def __setstate__(self, saved: dict[str, Any]) -> None:
+        self.__init__(saved["count"], Rope(saved["config"]), saved["threads"])  # type: ignore[misc]
+        self.restore(saved["states"])
+
     @property
     def max_force(self) -> float:
         """Largest component of the force of an action, newtons."""

@@ -8,8 +8,6 @@ After a change run `pytest tests/rope/chain/test_chain_simulation.py`: beads end
 MuJoCo's after an action, and the same states lead to the same bytes.
 """
 
-from typing import Any
-
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,17 +42,7 @@ class ChainSimulation(Simulation):
     engine = "chain"
     shares = tuple((np.arange(_TICKS, -1, -1) / _TICKS).tolist())  # with SCHEDULE
 
-    def __init__(
-        self,
-        count: int = 1,
-        rope: Rope | None = None,
-        threads: int = 1,
-        schedule: tuple[int, ...] = SCHEDULE,
-    ) -> None:
-        """Start with `count` plain loops; `threads` 0 uses every core.
-
-        `schedule` are the relative lengths of an action's substeps.
-        """
+    def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         super().__init__(count, rope, threads)
         # The proof that no strand passes another holds for edges up to this length, see
         # `passage`.
@@ -71,21 +59,12 @@ class ChainSimulation(Simulation):
                     f"the chain engine closes the rope exactly and has no {name}; leave it at"
                     f" {usual}, got {given}"
                 )
-        self._schedule = np.array(schedule, dtype=np.int64)
+        self._schedule = np.array(SCHEDULE, dtype=np.int64)
         # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
         self._physics = physics_of(self.rope)
         self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
         self.points = np.empty((count, self.rope.config.beads, 3))
         self.lay(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "schedule": tuple(self._schedule.tolist())}
-
-    def __setstate__(self, saved: dict[str, Any]) -> None:
-        ChainSimulation.__init__(
-            self, saved["count"], Rope(saved["config"]), saved["threads"], saved["schedule"]
-        )
-        self.restore(saved["states"])
 
     def qpos(self, ids: Ids = None) -> Array:
         states = self._states[self._all(ids)]
