@@ -99,12 +99,14 @@ def _start_faults(source: Path) -> Iterator[str]:
     if type(seed) is not int or type(count) is not int or not 0 <= count <= _MOST_EPISODES:
         yield f"{dataset.path}: its run had seed {seed!r} and {count!r} episodes, not two numbers"
         return
+    # a collection may keep successes alone: then its seeds are some of these
     of_run = [episode_seed(seed, number) for number in range(count)]
     if not ships(task.states):
         task = replace(task, states=str(dataset.states_path()))
     for first in range(0, rows.rows, _LANES):
         some = np.arange(first, min(first + _LANES, rows.rows))
         own = rows.take(some)
+        # begun again as the run began them, which draws start, goal and noise from the seed
         batch = EpisodeBatch(task, len(some))
         batch.begin(np.arange(len(some)), own["seed"].clip(0).tolist())
         off = np.abs(batch.start_qpos - own["start_qpos"]).max(axis=1)

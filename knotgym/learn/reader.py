@@ -9,6 +9,8 @@ Two bead networks work on what the colours tell (`colour_reading`).
   taken. So heights that the picture doesn't show persist from earlier steps.
 
 Positions are in metres, z up, the rope's middle at the origin.
+
+After a change run what `shape_hypotheses` says; weights that ship must still load.
 """
 
 from collections.abc import Iterator
@@ -38,6 +40,7 @@ INPUTS = 19  # input channels of both networks, see `_network_inputs`
 READINGS = 8  # of one picture, with the same x and y and different heights
 PIXEL = 1 / DEFAULT.pixels_per_metre  # width of a pixel, metres
 _COLOURS = bead_colours(BEADS).astype(np.float64)
+# Set by hand, as the scales below; no record says what others would score.
 _GATE = 4.0  # standard deviation of the distance of a bead's pixels from a guess, pixels
 _LEAST = 0.3  # weight of a bead that the axis must pass through
 # Scales that bring the networks' inputs and outputs to about 1: positions and offsets in pixels,

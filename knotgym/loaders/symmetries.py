@@ -19,6 +19,9 @@ by `inverse`.
 
     frame = Symmetries.canonical(observations)
     actions = frame.inverse().actions(policy(frame.observations(observations)))
+
+After a change run `pytest tests/loaders/test_symmetries.py`: an image of a step must be the step of
+the image.
 """
 
 from collections.abc import Mapping
@@ -73,6 +76,7 @@ class Symmetries(Symmetry):
         """
         turn = rng.uniform(0, 2 * np.pi, count)
         if of_pictures:
+            # drawn as any turn and rounded down, so both kinds take the same numbers of the stream
             turn = np.floor(turn / (np.pi / 2)) * (np.pi / 2)
         flags = rng.random((3, count)) < 0.5
         if of_pictures:
@@ -118,6 +122,7 @@ class Symmetries(Symmetry):
             flags.reshape(len(own), *(1 for _ in own.shape[1:-1]), 2), (*own.shape[:-1], 2)
         )
         rows = np.concatenate([own, flags], axis=-1).reshape(-1, SYMBOLS + 2)
+        # few different codes in a batch: each is mapped once
         different, at = np.unique(rows, axis=0, return_inverse=True)
         for row in different:
             code = plain_code(row[:SYMBOLS])
@@ -140,6 +145,7 @@ class Symmetries(Symmetry):
                 f" {seen.shape}"
             )
         size = seen.shape[1]
+        # rope and goal are turned alike, each about its own middle
         halves = seen.reshape(len(seen), size, 2, size, -1)
         mirrored = np.where(self.mirror[:, None, None, None, None], halves[:, :, :, ::-1], halves)
         out = np.empty_like(mirrored)
@@ -210,6 +216,7 @@ class Symmetries(Symmetry):
     def actions(self, actions: Array) -> Array:
         """Map actions (n, ..., 6), (n, ..., 4) or (n, ..., 3) of the views pull, bead and macro."""
         if actions.dtype.kind == "f":
+            # position and force are two vectors, moved alike
             moved = self.vectors(actions.reshape(*actions.shape[:-1], 2, 3))
             return moved.reshape(actions.shape)
         made = actions.copy()

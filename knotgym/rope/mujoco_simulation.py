@@ -1,6 +1,9 @@
 """The reference engine: MuJoCo, many ropes in one batch.
 
 A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...).
+
+After a change run `pytest tests/rope/test_mujoco_simulation.py tests/rope/test_simulations.py`: a
+rope of a batch must move as in MuJoCo's own loop, to the bit.
 """
 
 import mujoco
@@ -12,6 +15,7 @@ from knotgym.common.threads import Meanwhile
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.simulation import Ids, Simulation
 
+# MuJoCo's own three signs of a simulation that diverged, each counted per rope.
 _BLOWN_UP = [
     int(w.value)
     for w in (
@@ -22,6 +26,7 @@ _BLOWN_UP = [
 ]
 
 # Fractions of the force that a step is tried with, in this order, until the rope stays closed.
+# Halves; no record says what other steps would give, and recorded episodes were made with these.
 SHARES = (1.0, 0.5, 0.25, 0.0)
 
 
@@ -29,11 +34,11 @@ class MujocoSimulation(Simulation):
     """Ropes stepped by MuJoCo; an action that would open a closure is repeated with less force."""
 
     engine = "mujoco"
-    shares = SHARES
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         super().__init__(count, rope, threads)
         self._batch = Batch(self.rope.model, count, min(threads, count) if threads else 0)
+        # views of the batch's memory: reading them costs nothing, writing them moves the ropes
         self._qpos: Array = self._batch.bind("qpos")
         self._xfrc: Array = self._batch.bind("xfrc_applied")
         self.points = self.rope.points(self._qpos)
@@ -51,6 +56,8 @@ class MujocoSimulation(Simulation):
 
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
         where = self._all(ids)
+        # without a forward step: velocities, warm start and time become 0, as after `mj_resetData`,
+        # so an episode begins alike whatever the rope did before
         self._batch.reset(where, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self._qpos[where] = qpos
         self.points[where] = self.rope.points(self._qpos[where])
@@ -73,6 +80,7 @@ class MujocoSimulation(Simulation):
         stable = np.ones(len(where), dtype=bool)
         pending = np.arange(len(where))  # indices into `where` of ropes still to be stepped
         self.applied_shares[where] = 0.0
+        # Less force is tried down to none, with which a rope only comes to rest.
         for share in SHARES:
             blew_up, gaps = self._integrate(where[pending], bodies[pending], share * full[pending])
             fails = blew_up | ~(gaps < 2 * self.rope.config.radius)
@@ -99,6 +107,7 @@ class MujocoSimulation(Simulation):
         # MuJoCo resets a rope that blew up to the plain loop, and its warning counts with it; they
         # start from 0 here, so that any count is from this step
         self._batch.warning[where] = 0
+        # a force at the centre of mass and no torque: columns 3 to 5 stay 0
         self._xfrc[where, bodies, :3] = forces
         blew_up = np.zeros(len(where), dtype=bool)
         try:
@@ -106,6 +115,7 @@ class MujocoSimulation(Simulation):
         except SimulationError as error:
             blew_up |= np.isin(where, error.ids)
         finally:
+            # MuJoCo keeps applied forces from step to step, so the next action would pull here, too
             self._xfrc[where] = 0.0
         self.points[where], gaps = self.rope.points_and_gaps(self._qpos[where])
         blew_up |= self._batch.warning[where][:, _BLOWN_UP, 1].any(axis=1)

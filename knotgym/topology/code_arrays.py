@@ -6,6 +6,9 @@
 
 The width is the same for all rows of a batch, at least WIDTH, and grows with the rope that shows
 the most crossings, so no code is ever cut.
+
+After a change run `pytest tests/topology/test_crossings.py tests/envs`: codes must be those of
+`crossings.label`.
 """
 
 from collections.abc import Sequence
@@ -56,6 +59,9 @@ def read_codes(
     """
     which = np.arange(len(points)) if ids is None else ids
     count = len(which)
+    # Nothing is known of the codes before they are read, so there is room for WIDTH crossings. The
+    # rare rope with more makes all be read again, with room for it: twice the time once, instead of
+    # wide arrays always.
     crossings = np.empty(count, dtype=np.int64)
     while True:
         visits = np.empty((count, 2 * width), dtype=np.int16)
@@ -69,6 +75,7 @@ def read_codes(
             )
         if most <= width:
             return CodeArrays(visits, signs, crossings)
+        # rounded up to a multiple, so that batches of like ropes have arrays of one width
         width = WIDTH * -(-most // WIDTH)
 
 
@@ -109,6 +116,7 @@ def _scan(points: NDArray[np.float64], arrays: Sequence[NDArray[Any]], rows: sli
 
 def _rows(array: NDArray[Any]) -> list[bytes]:
     """Return the bytes of each row of an array (n, width)."""
+    # one opaque item a row: its bytes are a key that is hashed as fast as memory is read
     width = array.shape[1] * array.itemsize
     listed: list[bytes] = np.ascontiguousarray(array).view(f"V{width}")[:, 0].tolist()
     return listed
@@ -120,6 +128,7 @@ def _code(visits: bytes, signs: bytes | None) -> GaussCode:
     walk = tuple(numbers[numbers != 0].tolist())
     if signs is None:
         return trusted_code(walk, None if walk else "")
+    # signs are padded, too; a code of n visits has n / 2 of them
     own = np.frombuffer(signs, dtype=np.int8)[: len(walk) // 2]
     return trusted_code(walk, "".join([POSITIVE if sign > 0 else NEGATIVE for sign in own]))
 

@@ -19,7 +19,7 @@ from knotgym.rope.chain.dynamics import set_all_lengths
 from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import SCHEDULE, TICKS, advance
-from knotgym.rope.model import Array, Rope, RopeConfig, sub_chains
+from knotgym.rope.model import Array, Rope, sub_chains
 from knotgym.rope.simulation import Ids, Simulation
 
 POSITION, VELOCITY = slice(layout.X, layout.V), slice(layout.V, layout.SIDE)
@@ -40,7 +40,6 @@ class ChainSimulation(Simulation):
     """
 
     engine = "chain"
-    shares = tuple((np.arange(_TICKS, -1, -1) / _TICKS).tolist())  # with SCHEDULE
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         super().__init__(count, rope, threads)
@@ -52,14 +51,6 @@ class ChainSimulation(Simulation):
                 "the chain engine takes ropes whose beads are at most"
                 f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
             )
-        for name in ("closure_solref", "closure_solimp"):
-            given, usual = getattr(self.rope.config, name), getattr(RopeConfig(), name)
-            if given != usual:
-                raise InvalidInput(
-                    f"the chain engine closes the rope exactly and has no {name}; leave it at"
-                    f" {usual}, got {given}"
-                )
-        self._schedule = np.array(SCHEDULE, dtype=np.int64)
         # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
         self._physics = physics_of(self.rope)
         self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
@@ -70,6 +61,7 @@ class ChainSimulation(Simulation):
         states = self._states[self._all(ids)]
         points, sides = states[:, :, POSITION], states[:, :, SIDE]
         along = _along(points)
+        # MuJoCo's frame of a bead: x along it, y its side, z what is left of a right-handed frame.
         axes = np.stack([along, sides, np.cross(along, sides)], axis=-1)
         return self.rope.turned_qpos(points, _quaternions(axes))
 
@@ -126,18 +118,19 @@ class ChainSimulation(Simulation):
     def step(
         self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None, meanwhile: Meanwhile = None
     ) -> NDArray[np.bool_]:
-        where, total = self._all(ids), TICKS * int(self._schedule.sum())
+        where = self._all(ids)
         pulled = np.ascontiguousarray(beads, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=np.float64)
+        schedule = np.array(SCHEDULE, dtype=np.int64)
         counts = np.zeros((len(where), len(layout.COUNTS)), dtype=np.int64)
         ropes = self._states, self.points, where, pulled, forces, self._physics
-        action = self.rope.config.timestep * self.rope.config.frame_skip, self._schedule
+        action = self.rope.config.timestep * self.rope.config.frame_skip, schedule
         taken = np.zeros(1, dtype=np.int64)
         # No rope's result depends on those beside it, so any thread may take any of them.
         self.threads.spread(
             lambda _: advance(*ropes, *action, counts, taken), len(where), LANES, meanwhile
         )
-        self.applied_shares[where] = (total - counts[:, layout.LOST]) / total
+        self.applied_shares[where] = (_TICKS - counts[:, layout.LOST]) / _TICKS
         return counts[:, layout.BLOWN_UP] == 0
 
 
@@ -184,6 +177,7 @@ def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
         points: float64 (ropes, beads, 3), metres.
     """
     # Beads are rows, x along the bead: column 1 of a bead's matrix is its y axis.
+    # Twist is in qpos alone and not in the vertices, so MuJoCo itself says how each bead is turned.
     data, sides = mujoco.MjData(rope.model), np.empty_like(points)
     for row, positions in enumerate(qpos):
         data.qpos[:] = positions
@@ -220,6 +214,8 @@ def _quaternions(axes: Array) -> Array:
             [across[2], along[1], along[2], square[3]],
         ]
     )
+    # The four numbers 4 q_i^2 sum to 4, so the largest is at least 1, and the row that is divided
+    # by its norm, 4 |q_i|, by 2 at least: that amplifies no rounding.
     best = np.argmax(square, axis=0)
     found = np.moveaxis(np.take_along_axis(rows, best[None, None], axis=0)[0], 0, -1)
     unit: Array = found / np.linalg.norm(found, axis=-1, keepdims=True)

@@ -146,6 +146,7 @@ def _next_rope(clock: Ints, lane: int, taken: Ints, ropes: int) -> int:
     return rope if rope < ropes else -1
 
 
+# Taken once an action, not once a substep: all of it is overwritten before it is read.
 @njit(nogil=True)
 def _empty_group(n: int) -> Group:
     vectors = (n, 3, LANES)
@@ -155,6 +156,7 @@ def _empty_group(n: int) -> Group:
 @njit(nogil=True)
 def _empty_scratch(n: int) -> tuple[Any, ...]:
     """What a substep overwrites: the system, two right sides, directions and contacts."""
+    # blocks as `layout` draws them: diag, near, far, arrow, corner
     system = (
         np.empty((n, 10, LANES)),
         np.empty((n, 16, LANES)),
@@ -238,6 +240,8 @@ def _substep(
 def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) -> bool:
     """Set a lane's next substep, after one accepted or not; return whether its action is over."""
     if accepted:
+        # What is left of this entry of the schedule is taken in whole ticks, so halved substeps end
+        # exactly where the entry ends.
         counts[layout.SUBSTEPS] += 1
         clock[layout.LEFT, lane] -= clock[layout.TICK, lane]
         if clock[layout.LEFT, lane] == 0:
@@ -271,6 +275,8 @@ def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
         return False
     for lane in range(LANES):
         if clock[layout.ROPE, lane] < 0:
+            # What stands in an idle lane is computed and listed with the others: points in a heap
+            # would be near each other, and their pairs in everybody's list.
             _copy(group, busy, group, lane)
             for i in range(len(pull)):
                 for c in range(3):
