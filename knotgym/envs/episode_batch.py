@@ -7,6 +7,7 @@ What happens in an episode depends on its seed and its pulls, not on the episode
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from knotgym.envs.observations import (
     SYMBOLS,
     alone,
     cut,
+    each,
     looks,
     observe,
     picture_config,
@@ -325,10 +327,7 @@ class EpisodeBatch:
 
     def observation(self, index: int) -> Any:
         """Return the observation of episode `index`, of the kind `task.observation`."""
-        seen = self.observations(np.array([index]))
-        if isinstance(seen, dict):
-            return {name: array[0] for name, array in seen.items()}
-        return seen[0]
+        return each(self.observations(np.array([index])), itemgetter(0))
 
     def observations(self, ids: Ids) -> Any:
         """Return the observations of the episodes `ids`: an array (n, ...), or a dict of such."""
