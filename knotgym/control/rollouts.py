@@ -271,8 +271,8 @@ class _Advice:
 
     def __init__(self, player: Player, batch: EpisodeBatch) -> None:
         self._player, self._batch = player, batch
-        self._asked = np.full(batch.count, -1, dtype=np.int64)  # step that was last asked about
-        self.planned = np.zeros(batch.count, dtype=np.int64)
+        self._asked = np.empty(batch.count, dtype=np.int64)  # step that was last asked about
+        self.planned = np.empty(batch.count, dtype=np.int64)
 
     def begin(self, ids: Ids) -> None:
         """Episodes begin in lanes."""

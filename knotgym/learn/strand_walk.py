@@ -26,8 +26,6 @@ _MOST = 6000  # candidates, at most; a picture with more shows no rope
 _NEAR, _ALIKE = 1.3, 0.35
 _REACH = 9.0  # length of a link at most, cells
 _SWEEPS = 8  # over all pairs of links, at most
-_UNIONS = 6  # exchanges of links, at most
-_DEAREST = 20.0  # what an exchange may cost, cells
 _ROUNDS = 20  # times that loose points are dropped, at most
 _BEND = 2.5  # cost of a turn of one radian, cells
 _SWERVE = 3.0  # cost of a link that doesn't point in the direction of both ends: share per radian^2
@@ -177,40 +175,6 @@ def exchange(points: Array, partner: Integers, paid: Array) -> None:
                     better = True
         if not better:
             return
-
-
-@njit(cache=True, nogil=True)
-def unite(points: Array, partner: Integers, paid: Array) -> None:
-    """Unite lines that close, in place, by exchanging ends of two links, the cheapest first.
-
-    A rope is one closed line. Where two strands cross at a small angle, the cheapest links may make
-    two of it.
-    """
-    for _ in range(_UNIONS):
-        order, line = follow(partner)
-        number = np.full(len(points), -1, np.int64)
-        for k in range(len(order)):
-            number[order[k] // 2] = line[k]
-        best, one, other = _DEAREST, -1, -1
-        for i in range(len(partner)):
-            if partner[i] < 0 or number[i // 2] < 0:
-                continue
-            for j in range(len(partner)):
-                if partner[j] < 0 or number[j // 2] < 0 or number[i // 2] == number[j // 2]:
-                    continue
-                dx = points[i // 2, 0] - points[j // 2, 0]
-                dy = points[i // 2, 1] - points[j // 2, 1]
-                if dx * dx + dy * dy > _REACH * _REACH:
-                    continue
-                both = _link_cost(points, i, j) + _link_cost(points, partner[i], partner[j])
-                if both - paid[i] - paid[j] < best:
-                    best, one, other = both - paid[i] - paid[j], i, j
-        if one < 0:
-            return
-        first, second = partner[one], partner[other]
-        for i, j in ((one, other), (first, second)):
-            partner[i], partner[j] = j, i
-            paid[i] = paid[j] = _link_cost(points, i, j)
 
 
 @njit(cache=True, nogil=True)

@@ -169,9 +169,8 @@ def _determinant(matrix: list[list[int]]) -> int:
     """
     size, sign, previous = len(matrix), 1, 1
     for k in range(size - 1):
-        pivot_row = next((row for row in range(k, size) if matrix[row][k]), None)
-        if pivot_row is None:
-            return 0
+        # there is one, because the Alexander polynomial of a knot is never 0 (it is 1 at t = 1)
+        pivot_row = next(row for row in range(k, size) if matrix[row][k])
         if pivot_row != k:
             matrix[k], matrix[pivot_row], sign = matrix[pivot_row], matrix[k], -sign
         top = matrix[k]

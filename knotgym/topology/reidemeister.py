@@ -97,7 +97,7 @@ def _fewest_crossings(code: GaussCode) -> GaussCode:
     if is_alternating(code):
         return code
     # Each diagram reached is reduced at once; `level` holds those with as many crossings, up to the
-    # base point, whose lifts have not been tried.
+    # base point and reflection, whose lifts have not been tried.
     seen = {_canonical(code)}
     level = deque([code])
     for _ in range(_EFFORT):
@@ -266,7 +266,6 @@ def _with_overstrand(rest: GaussCode, path: list[int]) -> GaussCode:
     return GaussCode.relabelled(visits, letters)
 
 
-def _canonical(code: GaussCode) -> tuple[tuple[int, ...], str]:
-    """Return a key that doesn't depend on the base point."""
-    bases = [code.rebased(k) for k in range(len(code.visits))] or [code]
-    return min((base.visits, base.chirality or "") for base in bases)
+def _canonical(code: GaussCode) -> tuple[int, ...]:
+    """Return a key that doesn't depend on the base point, nor on the reflection of summands."""
+    return min((code.rebased(k).visits for k in range(len(code.visits))), default=())

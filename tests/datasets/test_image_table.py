@@ -75,6 +75,16 @@ def test_a_sound_shard_has_no_fault(shard: Path) -> None:
         (("appearance", "blur", 1e30), "appearance.blur is 1e+30, should be 0 to 1000"),
         (("appearance", "colours", "x"), "should be published or single or gradient"),
         (("gauss_code", None), "column gauss_code has missing values"),
+        (("gauss_code", ""), "gauss_code is"),
+        (("nx", 9), "nx is"),
+        (("knot", "3_1"), "knot is"),
+        (("grade", "nice"), "grade"),
+        (("split", "validation"), "split is"),
+        (("accepted", False), "accepted is"),
+        (("appearance", "turn", 0.1), "image is not"),
+        (("image", "bytes", encode(np.zeros((128, 128, 3), np.uint8))), "image is not"),
+        (("crossings", 0, "x", 0.0), "crossings is"),
+        (("crossings", 0, "sign", 7), "crossings is"),
     ],
 )
 def test_a_changed_cell_is_found(

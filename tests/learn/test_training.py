@@ -65,11 +65,6 @@ def test_the_curve_and_the_card_say_how_it_was_trained(learner: Path) -> None:
     assert card["episodes"] == 3 and card["config"]["steps"] == 6
 
 
-def test_a_finished_learner_is_not_replaced(data: Path, learner: Path) -> None:
-    with pytest.raises(Occupied, match="exists already"):
-        train([data], learner, READER)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -30,7 +30,7 @@ from knotgym.runs.run import Call, Recipe, run
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.near_duplicates import families
 from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.states.state_file import States, read_states, shipped, states_at
+from knotgym.states.state_file import States, read_states, states_file
 from knotgym.topology.knots import codes_of
 
 
@@ -39,7 +39,7 @@ def make_images(
     out: Path,
     options: RunOptions,
     *,
-    states: Path | None = None,
+    states: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Make labelled pictures and return the new folder; a shard returns its journal.
@@ -48,7 +48,7 @@ def make_images(
         config: which pictures.
         out: the folder.
         options: how the run is executed.
-        states: state file, or folder of one, that ropes start from; by default the set "readable".
+        states: that ropes start from, as `states_file` takes them.
         progress: shows what is done.
 
     Raises:
@@ -57,7 +57,7 @@ def make_images(
         MissingExtra: pyarrow isn't installed.
     """
     arrow()
-    path = shipped() if states is None else states_at(states)
+    path = states_file(None if states is None else str(states))
     plan = _Plan.of(config, read_states(path, images=False))
 
     def source() -> dict[str, str]:
