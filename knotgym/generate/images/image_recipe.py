@@ -5,7 +5,6 @@ full. Frames are chosen one by one (`choice`), then measured and rendered, one f
 a time (`datasets.image_rows`). All frames of a rope are in one split.
 """
 
-import json
 from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,12 +15,9 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.common.streams import Stream, generator
-from knotgym.datasets.cards.citation import write_text
-from knotgym.datasets.cards.image_card import card
-from knotgym.datasets.exports.croissant import OF_PHOTOS, croissant
+from knotgym.datasets.cards import image_card
 from knotgym.datasets.image_rows import PictureRow, drawn
 from knotgym.datasets.image_table import arrow, shard_name
-from knotgym.datasets.manifest import write_manifest
 from knotgym.generate.images.choice import Chooser, Quota
 from knotgym.generate.images.frames import PicturedRope, frames_of
 from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
@@ -150,24 +146,8 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     for path, result in zip(files, results, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
-    _finish(place, waves.report(), made)
+    image_card.finish(place, waves.report(), made)
     return f"{len(waves.chooser.chosen)} pictures"
-
-
-def _finish(place: Path, report: dict[str, Any], made: dict[str, Any]) -> None:
-    """Write card, Croissant and manifest into a folder that has its Parquet files."""
-    config = made["config"]
-    write_text(place / "README.md", card(place, report, config))
-    photos = config["appearance"]["style"] == "photo"
-    nx = ", ".join(map(str, config["nx"]))
-    described = croissant(
-        place,
-        f"knotgym-{'photos' if photos else 'pictures'}",
-        f"Pictures of a closed rope with {nx} crossings and their Gauss codes; made by knotgym.",
-        OF_PHOTOS if photos else None,
-    )
-    write_text(place / "croissant.json", json.dumps(described, indent=1))
-    write_manifest(place, "knotgym-images-manifest", made, report)
 
 
 class _Waves:

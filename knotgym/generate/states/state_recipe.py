@@ -16,10 +16,7 @@ import knotgym
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.control.policies import compile_planning
-from knotgym.datasets.cards.citation import write_text
-from knotgym.datasets.cards.state_card import card
-from knotgym.datasets.gallery import state_tiles, write_gallery
-from knotgym.datasets.manifest import write_manifest
+from knotgym.datasets.cards import state_card
 from knotgym.generate.states.demonstrations import (
     demonstrated,
     demonstrated_nx,
@@ -108,9 +105,7 @@ def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any
         report["undemonstrated"] = np.unique(rows["gauss_code"][lacking]).tolist()
     states = states_of(rows, split, engine, facts, **located)
     write_states(place / "states.h5", states)
-    write_gallery(place / "gallery.png", state_tiles(states))
-    write_text(place / "README.md", card(states, report, made_by["config"]))
-    write_manifest(place, "knotgym-manifest", made_by, report)
+    state_card.finish(place, states, report, made_by)
     return _summary(states, report)
 
 
