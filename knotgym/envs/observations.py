@@ -109,6 +109,13 @@ def pixels(
     return seen
 
 
+def each(seen: Any, function: Callable[[Any], Any]) -> Any:
+    """Apply a function to an observation; to both parts of one of the kind "both"."""
+    if isinstance(seen, dict):
+        return {name: each(part, function) for name, part in seen.items()}
+    return function(seen)
+
+
 def _stacked(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Rearrange pictures (..., size, 2 size, 3) to (..., size, size, 6), goal channels last."""
     return np.concatenate(np.split(pictures, 2, axis=-2), axis=-1)
