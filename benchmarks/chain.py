@@ -119,21 +119,12 @@ def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, An
         statistics.mean(a == b for a, b in zip(label_many(one), label_many(other), strict=True))
         for one, other in zip(truth, found, strict=True)
     ]
-    rope, half = Rope(), len(qpos) // 2
-    moved = 1e3 * np.linalg.norm(truth[0] - rope.points(qpos), axis=-1).mean()
+    moved = 1e3 * np.linalg.norm(truth[0] - Rope().points(qpos), axis=-1).mean()
     return {
         "states": len(qpos),
         "beads move in the first action, mm": round(float(moved), 2),
         "apart, mm": apart(truth, found),
-        "readable": apart(truth[:, :half], found[:, :half]),
-        "random-walk": apart(truth[:, half:], found[:, half:]),
         "same code after 1, 2, 3, 4": [round(share, 3) for share in same],
-        "laid with the state's code": statistics.mean(
-            a == b
-            for a, b in zip(
-                label_many(rope.points(qpos)), label_many(laid(qpos).points), strict=True
-            )
-        ),
     }
 
 
@@ -158,12 +149,6 @@ def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, A
         same = sum(one.matches(other) for one, other in zip(*ends, strict=True))
         told[name] = {"episodes": len(seeds), "same code": same / len(seeds)}
     return told
-
-
-def laid(qpos: Array) -> ChainSimulation:
-    simulation = ChainSimulation(len(qpos))
-    simulation.lay(qpos)
-    return simulation
 
 
 def policy(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:

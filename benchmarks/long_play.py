@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.rope.chain.chain_simulation import ChainSimulation, physics_of
-from knotgym.rope.chain.layout import STATE
+from knotgym.rope.chain.layout import COUNTS, STATE
 from knotgym.rope.chain.solver import SCHEDULE, advance
 from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.rope.engines import simulation as simulation_of
@@ -178,7 +178,8 @@ def changes_within(
         force: float64 (3,), newtons.
     """
     moved = state.reshape(1, -1, STATE).copy()
-    rope, counts = simulation.rope, np.zeros((1, 4), dtype=np.int64)
+    rope, counts = simulation.rope, np.zeros((1, len(COUNTS)), dtype=np.int64)
+    points = moved[..., :3].copy()
     duration = rope.config.timestep * rope.config.frame_skip / sum(SCHEDULE)
     found: list[tuple[GaussCode, GaussCode]] = []
 
@@ -194,8 +195,10 @@ def changes_within(
     for share in SCHEDULE:
         x = moved[0, :, :3].copy()
         pulled, stage = (np.array([bead]), force[None]), np.array([share])
-        advance(moved, *pulled, physics_of(rope), duration * share, stage, counts)
-        look(0.0, 1.0, label(x), label(moved[0, :, :3]))
+        taken = np.zeros(1, dtype=np.int64)
+        action = physics_of(rope), duration * share, stage
+        advance(moved, points, np.arange(1), *pulled, *action, counts, taken)
+        look(0.0, 1.0, label(x), label(points[0]))
     return found
 
 

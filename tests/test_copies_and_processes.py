@@ -4,7 +4,6 @@ alone.
 
 import copy
 import threading
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -59,23 +58,6 @@ def test_processes_give_the_numbers_of_one_process(settings: Settings, context: 
         results.append(copy.deepcopy(seen))
         envs.close()
     assert same(*results)
-
-
-@pytest.mark.parametrize(
-    "make", [KnotEnv, partial(KnotVectorEnv, num_envs=1)], ids=["one", "vector"]
-)
-def test_a_copy_in_the_middle_of_an_episode_goes_on_as_the_first(
-    settings: Settings, make: Callable[..., Any]
-) -> None:
-    env = make("tie", **settings)
-    one = isinstance(env, KnotEnv)
-    env.reset(seed=0)
-    env.step(actions(1, 1)[0, 0] if one else actions(1, 1)[0])
-    again = copy.deepcopy(env)
-    for each in actions(1, STEPS, seed=1):
-        action = each[0] if one else each
-        assert same(again.step(action), env.step(action))
-    assert same(again.reset(), env.reset())
 
 
 def test_what_happens_to_a_copy_does_not_happen_to_the_first(settings: Settings) -> None:

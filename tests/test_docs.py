@@ -58,6 +58,7 @@ LOOK_UPS = {
 }
 
 Rows = list[list[str]]
+ID = "knotgym/tie-nx2/expert-v0"  # the dataset that the pages load
 
 needs_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -114,12 +115,12 @@ def typed(*words: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small Minari dataset, with everything that may be stored in one."""
+def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A Minari root with the one dataset that the pages load, and all that may be stored in one."""
     tiny = open_episodes(TINY["expert"])
     metadata = MinariMetadata(
-        dataset_id="knotgym/tie-nx1/scripted-v0",
-        algorithm_name="scripted",
+        dataset_id=ID,
+        algorithm_name="expert",
         description="Tiny.",
         author=("Ada",),
         author_email=("ada@example",),
@@ -128,18 +129,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     facts = {"run": {"seed": 0}, "selection": []}
     root = tmp_path_factory.mktemp("minari")
-    return publish([tiny.episodes], tiny.task, metadata, root, facts=facts) / "data"
-
-
-@pytest.fixture(scope="module")
-def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A Minari root that holds the one dataset that the pages load."""
-    tiny = open_episodes(TINY["expert"])
-    metadata = MinariMetadata(
-        dataset_id="knotgym/tie-nx2/expert-v0", algorithm_name="expert", description="Tiny."
-    )
-    root = tmp_path_factory.mktemp("root")
-    publish([tiny.episodes], tiny.task, metadata, root)
+    publish([tiny.episodes], tiny.task, metadata, root, facts=facts)
     return root
 
 
@@ -337,18 +327,18 @@ def test_pages_name_as_many_measures_as_there_are() -> None:
     assert {name.removeprefix("quality/") for name in listed if "quality/" in name} == {*UNITS}
 
 
-def test_the_episode_file_is_as_its_page_says(dataset: Path) -> None:
+def test_the_episode_file_is_as_its_page_says(minari: Path) -> None:
     said = tables(DOCS / "formats/episodes.md")
-    with h5py.File(dataset / "episodes.h5") as file:
+    with h5py.File(minari / ID / "data/episodes.h5") as file:
         assert names(said["Attributes of the file"]) == {*file.attrs}
-    with h5py.File(dataset / "main_data.hdf5") as file:
+    with h5py.File(minari / ID / "data/main_data.hdf5") as file:
         assert names(said["Attributes of an episode"]) == {*file["episode_0"].attrs}
         found = {re.sub("/macro_.*", "/macro_*", name) for name in datasets_of(file["episode_0"])}
         assert found <= names(said["Datasets of an episode"])
 
 
-def test_minari_s_metadata_are_as_their_page_says(dataset: Path) -> None:
-    entries = json.loads((dataset / "metadata.json").read_text(encoding="utf-8"))
+def test_minari_s_metadata_are_as_their_page_says(minari: Path) -> None:
+    entries = json.loads((minari / ID / "data/metadata.json").read_text(encoding="utf-8"))
     said = names(tables(DOCS / "formats/episodes.md")["Entries of metadata.json"])
     scores = {"ref_min_score", "ref_max_score", "num_episodes_average_score"}
     assert said - scores == entries.keys() - scores

@@ -5,9 +5,7 @@ Each test failed before the fault that it tells of was mended.
 
 from __future__ import annotations
 
-import fcntl
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import pytest
 from numpy.typing import NDArray
 from synthetic_episodes import TINY
@@ -159,26 +156,6 @@ def test_states_that_a_file_names_elsewhere_are_not_published(
     assert typed("dataset", *words, "--out", tmp_path / "out") == 2
     (line,) = capfd.readouterr().err.splitlines()
     assert "names states outside of it" in line and not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("command", ["split {0} --parts a=0.5,b=0.5", "select {0} --sample 1"])
-def test_a_set_is_not_cut_into_its_own_folder(
-    command: str, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copy(states_path, tmp_path / "states.h5")
-    out = tmp_path / "part.h5"
-    assert typed("dataset", *command.format(tmp_path).split(), "--out", out, "--overwrite") == 2
-    assert "is, contains or is in its source" in capfd.readouterr().err
-    assert [one.name for one in tmp_path.iterdir()] == ["states.h5"]
-
-
-def test_a_file_that_a_writer_holds_is_read(tmp_path: Path) -> None:
-    shutil.copy(TINY["random"], tmp_path / "set.h5")
-    with open(tmp_path / "set.h5") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)  # as HDF5's writers do
-        with pytest.raises(BlockingIOError):
-            h5py.File(tmp_path / "set.h5", "r")
-        assert knotgym.verify(tmp_path / "set.h5") == []
 
 
 def test_settings_of_numba_in_the_current_folder_are_not_read(tmp_path: Path) -> None:

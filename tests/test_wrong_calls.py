@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,15 @@ import pytest
 from synthetic_episodes import TINY
 
 import knotgym
-from knotgym.adapters import goal_env
+from knotgym.adapters import goal_env, sb3_vec_env
 from knotgym.common.errors import KnotgymError
+from knotgym.control.policies import make_policy, register_policy
+from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets import open_episodes
+from knotgym.datasets.conditions import matching_rows
+from knotgym.datasets.image_table import read_table
+from knotgym.envs.environment import KnotEnv, KnotVectorEnv
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import (
     GoalSampling,
     Sequences,
@@ -23,14 +30,27 @@ from knotgym.loaders import (
     arrays,
     images,
     multiplied,
+    to_d3rlpy,
+    to_tensordict,
+    torch_dataset,
 )
+from knotgym.rendering.diagram import draw_diagram
+from knotgym.rendering.picture import draw
+from knotgym.rope.model import RopeConfig
+from knotgym.runs.executors import executor
 
 DATA = TINY["expert"]
 STEPS: dict[str, Any] = {"steps": 3}
+GOALS = Window(goals=GoalSampling())
+BEADS = TaskConfig(task="tie", action="bead", endless=True)
 
 
 def make(**settings: Any) -> Any:
     return gym.make("knotgym/Tie-v0", **settings)
+
+
+def many(**settings: Any) -> Any:
+    return KnotVectorEnv("tie", 3, **settings)
 
 
 def started() -> Any:
@@ -43,10 +63,33 @@ def batch(rows: Any, **opening: Any) -> Any:
     return Transitions(DATA, **opening).batch(rows)
 
 
+def rope(**settings: Any) -> Any:
+    return RopeConfig(**settings)
+
+
+def register(name: str) -> None:
+    register_policy(name, lambda config: policy("random"))
+
+
+def policy(name: str) -> Any:
+    return make_policy(PolicyConfig(policy=name))
+
+
 WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: make(nx="3"), "nx must be a whole number or a list, got '3'"),
     (lambda: make(nx=0), "nx must be at least 1 or a list, got 0"),
     (lambda: make(nx=12), "nx must be from 1 to 11 on 100 beads, got 12"),
+    (lambda: make(nx=2.5), "nx must be a whole number or a list, got 2.5"),
+    (lambda: make(nx=(2, 2)), "nx must be a whole number or at least one, each once, got (2, 2)"),
+    (lambda: make(layout="above"), "layout must be one of beside, stacked, got 'above'"),
+    (lambda: make(numeric_infos=1), "numeric_infos must be true or false, got 1"),
+    (lambda: make(camera="fisheye"), "camera must be one of orthographic, perspective, got"),
+    (lambda: make(renderer="filament"), "renderer must be one of auto, opencv, mujoco"),
+    (lambda: make(engine="chain", integrator_steps=20), "integrator_steps are steps of MuJoCo"),
+    (lambda: make(views="left"), "views must be a list, got 'left'"),
+    (lambda: make(views=()), "views must be a list of top, left, front"),
+    (lambda: make(views=["left", "left"]), "each at most once"),
+    (lambda: make(depth=True, renderer="mujoco"), "depth needs renderer 'opencv'"),
     (lambda: make(nx=7), "no states with nx = 7 in split 'train'"),
     (lambda: make(task="plait"), "task must be one of unknot, tie, convert"),
     (lambda: make(states="nope.h5"), "no knotgym-states file at nope.h5"),
@@ -58,17 +101,31 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: make(engine="bullet"), "engine must be one of mujoco, chain, got 'bullet'"),
     (lambda: make(render_mode="ansi"), "no render_mode 'ansi'; there is \"rgb_array\""),
     (lambda: started().reset(options={"start": 9999}), "start must be a row with nx = 0"),
+    (lambda: started().reset(options={"start": True}), "start must be a row"),
+    (lambda: started().reset(options={"start": "6"}), "start must be a row"),
+    (lambda: started().reset(options={"goal": 6.0}), "goal must be a row"),
     (lambda: started().reset(options={"begin": 3}), "no reset option 'begin'; use start or goal"),
     (lambda: started().step(np.full(6, 2.0)), "an action's numbers must be in [-1, 1], got [2.0"),
     (lambda: started().step([0, 0, 0]), "an action is 6 numbers (x, y, z, fx, fy, fz); got"),
     (lambda: make().unwrapped.step(np.zeros(6)), "reset the environment before its first step"),
     (lambda: gym.make_vec("knotgym/Tie-v0", num_envs=0), "num_envs must be at least 1, got 0"),
+    (lambda: many(autoreset_mode="never"), "no autoreset_mode 'never'; there is next_step, same"),
+    (lambda: many().reset(seed=[1, 2]), "one for each of 3 ropes, got 2"),
+    (lambda: many().reset(options={"reset_mask": np.array([1, 0, 1])}), "must be 3 booleans"),
+    (lambda: many().reset(options={"reset_mask": "all"}), "reset_mask must be 3 booleans"),
+    (lambda: rope(beads=100.0), "beads"),
+    (lambda: rope(sub_chains=1), "sub-chains"),
+    (lambda: rope(sub_chains=50), "sub-chains"),
+    (lambda: rope(radius=0.02), "bead"),
+    (lambda: rope(rooted="end"), "rooted"),
     (lambda: knotgym.shipped("best"), "no shipped set of states 'best'; there are readable"),
     (lambda: knotgym.verify("nope"), "no such file: nope, nor a Minari dataset of this id"),
     (lambda: knotgym.States.from_points([]), "points must have shape (n, beads, 3), got (0,)"),
+    (lambda: knotgym.States.from_points(np.zeros((1, 100, 3))), "rope 0: a closed rope needs"),
+    (lambda: knotgym.States.from_points(np.eye(3)[None], "eval"), "split must be train or test"),
     (lambda: knotgym.register_task("tie", lambda nx: (0, nx)), "a new lower-case word, got 'tie'"),
     (lambda: goal_env("tie", goals=3), "unexpected keyword argument 'goals'; there is nx, split"),
-    (lambda: open_episodes("nope.h5"), "no episodes at nope.h5, nor a dataset of this id under"),
+    (lambda: open_episodes("nope.h5"), "no such file: nope.h5, nor a Minari dataset of this id"),
     (lambda: arrays(3), "a dataset is an id, a folder or a file, got 3"),
     (lambda: arrays([]), "nothing to merge: give at least one set of episodes"),
     (lambda: batch([0], window=5), "window must be such as Window(n_step=5), got 5"),
@@ -80,6 +137,25 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: batch([0], window=Window(goals=GoalSampling())), "goals are drawn: hand a generator"),
     (lambda: Sequences(DATA, 0), "length must be at least 1, got 0"),
     (lambda: multiplied(arrays(DATA), 0, np.random.default_rng(0)), "multiplied at least once"),
+    (lambda: batch([0], action="fly"), "no action 'fly'"),
+    (lambda: batch([0], relabel="first"), "'last' or 'all'"),
+    (lambda: batch([0], labels=True), "no expert actions"),
+    (lambda: batch([0], labels=True, relabel="all"), "without relabel"),
+    (lambda: batch([0], relabel="all", reward=len), "leave out reward"),
+    (lambda: batch([0], relabel="all", window=GOALS), "leave out relabel"),
+    (lambda: Window(discount=1, goals=GoalSampling()), "geometrically"),
+    (lambda: draw(np.zeros((2, 3))), "at least 3 beads, got (2, 3)"),
+    (lambda: draw(np.full((10, 3), np.nan)), "finite"),
+    (lambda: draw_diagram(np.full((10, 3), np.nan)), "finite"),
+    (lambda: PolicyConfig(shares=(1.0,)), "shares"),
+    (lambda: PolicyConfig(shares=(0.0, 0.0, 0.0, 0.0)), "shares"),
+    (lambda: policy("genius"), "use random, "),
+    (lambda: policy("no_such_module:act"), "no_such_module"),
+    (lambda: policy("recorded:nowhere"), "nowhere"),
+    (lambda: policy("expert").compatible_task(BEADS), "action must be 'pull'"),
+    (lambda: policy("play").compatible_task(BEADS), "action must be 'pull'"),
+    (lambda: register("expert"), "expert"),
+    (lambda: register("module:function"), "module:function"),
     (lambda: images("nope", kind="jax"), "kind must be one of torch, huggingface, got 'jax'"),
 ]
 
@@ -93,3 +169,29 @@ def test_a_wrong_call_is_one_clear_line(
         call()
     said = str(raised.value)
     assert message in said and said.isprintable() and not list(tmp_path.iterdir())
+
+
+NEEDED: list[tuple[str, Callable[[], Any], str]] = [
+    ("polars", lambda: matching_rows("nx = 3", {}), ".[select]"),
+    ("pygame", lambda: KnotEnv("tie", render_mode="human"), "pygame"),
+    ("pyarrow", lambda: read_table(DATA), ".[huggingface]"),
+    ("torch", lambda: images(DATA, kind="torch"), ".[torch]"),
+    ("datasets", lambda: images(DATA, kind="huggingface"), ".[huggingface]"),
+    ("torch", lambda: torch_dataset(DATA), ".[torch]"),
+    ("d3rlpy", lambda: to_d3rlpy(DATA), "d3rlpy"),
+    ("tensordict", lambda: to_tensordict(DATA), ".[torchrl]"),
+    ("distributed", lambda: executor(1, "tcp://127.0.0.1:9").__enter__(), ".[dask]"),
+    ("stable_baselines3", lambda: sb3_vec_env("tie"), "stable-baselines3"),
+]
+
+
+@pytest.mark.parametrize(("library", "call", "words"), NEEDED, ids=[one[0] for one in NEEDED])
+def test_a_library_that_is_missing_is_named_with_what_installs_it(
+    library: str, call: Callable[[], Any], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [library, *(name for name in sys.modules if name.startswith(f"{library}."))]:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.delitem(sys.modules, "knotgym.adapters.batched_vec_env", raising=False)
+    with pytest.raises(KnotgymError, match="pip install") as raised:
+        call()
+    assert library in str(raised.value) and words in str(raised.value)

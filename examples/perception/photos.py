@@ -7,7 +7,7 @@
 `read` uses the reader that ships, or `--weights FOLDER`. A code counts as read if it is the
 picture's from some base point in one of the two directions, with its chirality. `train` draws new
 photos of the ropes in split train while it trains, and writes such a folder. On one core it makes
-about a thousandth of the steps of a GPU: the weights that ship took six minutes of an H100.
+about a thousandth of the steps of a GPU: the weights that ship took ten minutes of two.
 """
 
 import argparse
@@ -141,6 +141,7 @@ def example(number: int) -> Example:
         if shot is not None and shot.crossings.nx <= MOST:
             break
     line = shot.line.astype(np.float64)
+    line[:, 2] *= shot.look.scale
     found = find_crossings(line * (1.0, -1.0, 1.0))
     crossings = np.zeros((MOST, 5))
     for k, place in enumerate(found.over_place[:MOST].astype(int)):
@@ -151,15 +152,15 @@ def example(number: int) -> Example:
     if shot.look.marked:
         step = line[1, :2] - line[-1, :2]
         base[:] = *line[0, :2], *(step / np.hypot(*step)), 1
-    return shot.image, evenly(line[:, :2]), crossings, base
+    return shot.image, evenly(line), crossings, base
 
 
 def evenly(line: Array) -> Array:
-    """Return PLACES places evenly along a closed line (n, 2)."""
+    """Return PLACES places, evenly in the picture, along a closed line (n, 3)."""
     closed = np.concatenate([line, line[:1]])
-    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(closed, axis=0).T)))
+    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(closed[:, :2], axis=0).T)))
     at = np.arange(PLACES) * walked[-1] / PLACES
-    return np.stack([np.interp(at, walked, closed[:, k]) for k in (0, 1)], axis=1)
+    return np.stack([np.interp(at, walked, closed[:, k]) for k in range(3)], axis=1)
 
 
 def main() -> None:

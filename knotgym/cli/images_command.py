@@ -10,7 +10,7 @@ from knotgym.generate.images.images_config import ImagesConfig
     {"": ImagesConfig},
     f"nx count appearance.style appearance.sizes=--size engine {RUN}",
     extra("out", Path),
-    extra("states", Path),
+    extra("states", str),
     extra("vary", tuple[str, ...], ("none",)),
 )
 def images(given: Given) -> None:
@@ -31,17 +31,20 @@ def images(given: Given) -> None:
 
     Args:
         out: Folder to write; by default knotgym-data/images-nx0-4 for --nx 0-4.
-        states: Start from a states.h5; by default from the included states.
+        states: Start from a set of states: readable (default), bench, random-walk or hard-unknots,
+            which are included; or a states.h5.
         vary: What varies: all, none, or some of colours,width,background,turn,zoom,noise,blur.
     """
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.rendering.appearance_config import VARIED
+    from knotgym.states.state_file import ships
 
     states, vary = given["states"], given["vary"]
     vary = {("all",): VARIED, ("none",): ()}.get(vary, vary)
     usual = {"appearance.vary": vary} if "vary" in given.typed else {}
     config = given.config(ImagesConfig, usual=usual)
-    marks = ["" if states is None else f"-from-{states.absolute().parent.name}"]
+    whence = states if ships(states) else Path(states).absolute().parent.name
+    marks = [f"-from-{whence}" if states else ""]
     marks += ["-varied" if config.appearance.vary else ""]
     folder = given.folder(f"images-nx{as_typed(config.nx)}{''.join(marks)}")
     make_images(config, folder, given.run, states=states, progress=given.progress)

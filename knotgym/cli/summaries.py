@@ -55,7 +55,8 @@ def print_transcripts(path: Path, console: Console) -> None:
     if not found:
         raise InvalidFile(f"{path} contains no transcripts")
     config = found[0]["config"]
-    task = config["task"] and {name: config["task"][name] for name in ("task", "nx", "split")}
+    task = config.get("task")  # none where pictures were read
+    task = task and {name: task[name] for name in ("task", "nx", "split")}
     _print_facts({"model": config["chat"]["model"], "mode": config["mode"], "task": task}, console)
     _print_facts(summarize(found), console)
     if "actions" not in found[0]:

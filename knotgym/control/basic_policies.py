@@ -1,16 +1,16 @@
-"""Policies without a plan: random and constant actions, and what players of actions share."""
+"""Random actions, and what players of actions share."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput, InvalidPolicy, one_line
 from knotgym.control.rollouts import Ids, Pulls
-from knotgym.envs.environment import action_space
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.action_views import ActionView
 from knotgym.rope.actions import choices, nearest_beads
 from knotgym.rope.simulation import ROUNDING
 
@@ -18,17 +18,18 @@ Generators = Sequence[np.random.Generator]
 
 
 class ActionPlayer:
-    """Chooses actions of the task's view, which pulls carry out; subclasses define `choose`.
+    """Chooses actions of a view, which pulls carry out; subclasses define `choose`.
 
     Attributes:
         batch: the episodes.
         name: of the policy, for error messages.
+        view: of the actions; that of the task, unless a subclass gives another one.
         planned: int64 (lanes,), 0: nothing is simulated.
         rngs: the generator of the episode in each lane.
     """
 
-    def __init__(self, batch: EpisodeBatch, name: str) -> None:
-        self.batch, self.name = batch, name
+    def __init__(self, batch: EpisodeBatch, name: str, view: ActionView | None = None) -> None:
+        self.batch, self.name, self.view = batch, name, view or batch.view
         self.planned = np.zeros(batch.count, dtype=np.int64)
         self.rngs: list[np.random.Generator] = [np.random.default_rng(0)] * batch.count
         self._pulled = np.zeros(batch.count, dtype=bool)  # since the view last looked
@@ -38,29 +39,31 @@ class ActionPlayer:
         for index, rng in zip(ids.tolist(), rngs, strict=True):
             self.rngs[index] = rng
         self._pulled[ids] = False
+        self.view.reset(ids)
 
     def choose(self, ids: Ids) -> Any:
-        """Return one action of the task's view for each of the lanes; the caller checks them."""
+        """Return one action of the view for each of the lanes; the caller checks them."""
         raise NotImplementedError
 
     def act(self, ids: Ids) -> Pulls:
         """Choose actions, and return the pulls that carry them out."""
-        batch = self.batch
-        if batch.task.action == "pull":
-            actions = checked(self.choose(ids), batch, self.name)
-            positions = batch.simulation.rope.config.reach * actions[:, :3].astype(np.float64)
-            beads = nearest_beads(batch.simulation.points[ids], positions)
+        simulation, view = self.batch.simulation, self.view
+        if view.name == "pull":
+            actions = _checked(self.choose(ids), view, self.name)
+            positions = simulation.rope.config.reach * actions[:, :3].astype(np.float64)
+            beads = nearest_beads(simulation.points[ids], positions)
             return Pulls(ids, beads, actions[:, 3:])
-        view = batch.view
+        # The view learns of a pull when its lane acts again: then it can see where the bead is.
         before = ids[self._pulled[ids]]
         view.pulled(before, np.zeros(len(before), dtype=bool))
         deciding = ids[~view.busy[ids]]
         if len(deciding):
-            view.begin(checked(self.choose(deciding), batch, self.name), deciding)
+            view.begin(_checked(self.choose(deciding), view, self.name), deciding)
         self._pulled[ids] = True
         beads, forces = view.pulls_of(ids)
-        if batch.task.action != "macro":
+        if view.name != "macro":
             return Pulls(ids, beads, forces)
+        # whether this pull is the first of its macro-action, then bead, target and side
         macros = np.column_stack([view.pulls[ids] == 0, view.macros[ids]])
         return Pulls(ids, beads, forces, macros)
 
@@ -101,66 +104,26 @@ class _RandomPlayer(ActionPlayer):
         return np.stack([self.rngs[index].integers(self._counts) for index in ids.tolist()])
 
 
-class ConstantPolicy:
-    """The same pull at every step, which tows the rope."""
-
-    name = "constant"
-
-    def __init__(self, action: ArrayLike = (1.0,) * 6) -> None:
-        """Take `action`, (6,) in [-1, 1]."""
-        self._action = np.asarray(action, dtype=np.float32)
-
-    def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Tasks whose actions are pulls."""
-        return pull_task(task)
-
-    def player(self, batch: EpisodeBatch) -> ActionPlayer:
-        """Return a player for the lanes of a batch."""
-        return _ConstantPlayer(batch, self.name, self._action)
-
-
-class _ConstantPlayer(ActionPlayer):
-    def __init__(self, batch: EpisodeBatch, name: str, action: NDArray[np.float32]) -> None:
-        super().__init__(batch, name)
-        self._action = action
-
-    def choose(self, ids: Ids) -> NDArray[np.float32]:
-        return np.tile(self._action, (len(ids), 1))
-
-
-def pull_task(task: TaskConfig) -> TaskConfig:
-    """Return a task whose actions are pulls.
-
-    Raises:
-        InvalidPolicy: its actions are of another view.
-    """
-    if task.action != "pull":
-        raise InvalidPolicy(
-            f"this policy chooses pulls, so its action must be 'pull', got {task.action!r}"
-        )
-    return task
-
-
-def checked(actions: Any, batch: EpisodeBatch, name: str) -> NDArray[np.float32]:
+def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
     """Check the actions of user code or of a model, by the rules of the environment's `step`.
 
     Args:
         actions: one per episode that acts.
-        batch: the episodes.
+        view: of the actions.
         name: of the policy, for error messages.
 
     Returns:
         float32 (n, size of an action); pulls are clipped to [-1, 1].
 
     Raises:
-        InvalidPolicy: an action isn't one of the task's view, such as six finite numbers in
-            [-1, 1].
+        InvalidPolicy: an action isn't one of the view, such as six finite numbers in [-1, 1].
     """
-    (size,) = action_space(batch.task).shape or ()
+    size = view.size
     numbers = "finite numbers in [-1, 1]" if size == 6 else "whole numbers"
     wanted = f"policy {name} must give {size} {numbers} for an episode"
     if not (isinstance(actions, np.ndarray) and actions.dtype == np.float32):
         try:
+            # one by one, so that a message can show the action that is wrong
             rows = [np.asarray(action, dtype=np.float32).reshape(-1) for action in actions]
         except (TypeError, ValueError) as error:
             raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
@@ -174,7 +137,7 @@ def checked(actions: Any, batch: EpisodeBatch, name: str) -> NDArray[np.float32]
             raise InvalidPolicy(f"{wanted}, got {actions[bad][0].tolist()}")
         return np.clip(actions, -1, 1)
     try:
-        batch.view.check(actions, np.arange(len(actions)))
+        view.check(actions, np.arange(len(actions)))
     except InvalidInput as error:
         raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
     checked_actions: NDArray[np.float32] = actions

@@ -144,6 +144,7 @@ def load_own(name: str) -> Policy:
     """
     module, _, attribute = name.partition(":")
     try:
+        # the current folder is searched, too, as by `python -m`
         with _current_folder(module.partition(".")[0]):
             given = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, SyntaxError) as error:
@@ -172,6 +173,7 @@ def module_files(name: str) -> dict[str, Path]:
     own = Path(spec.origin)
     if not spec.submodule_search_locations:
         return found | {own.name: own}
+    # the whole package: which of its modules the policy uses isn't known without running it
     files = own.parent.rglob("*.py")
     return found | {path.relative_to(own.parent.parent).as_posix(): path for path in files}
 
@@ -203,6 +205,7 @@ def _user_code(name: str) -> Iterator[None]:
 
 def _invalid(name: str, error: Exception) -> InvalidPolicy:
     """One line that names the policy, the error, and where it was raised."""
+    # the innermost frame is where the user's code, or a library that it called, went wrong
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(frame.filename).name}, line {frame.lineno}"
     return InvalidPolicy(

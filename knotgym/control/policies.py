@@ -28,8 +28,8 @@ from typing import Any
 
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidPolicy, one_line
-from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
-from knotgym.control.own_policies import load_own, module_files
+from knotgym.control.basic_policies import RandomPolicy
+from knotgym.control.own_policies import OwnPolicy, load_own, module_files
 from knotgym.control.planning import (
     CHANGES,
     PASSES,
@@ -186,7 +186,7 @@ def _mixed(config: PolicyConfig) -> Mixed:
 
 _tables = tuple(path for path in (CHANGES, *PASSES.values()) if path.is_file())
 register_policy("random", lambda config: RandomPolicy())
-register_policy("constant", lambda config: ConstantPolicy())
+register_policy("constant", lambda config: OwnPolicy(lambda seen: [1.0] * 6, "constant"))
 register_policy("scripted", lambda config: Scripted())
 register_policy("expert", _expert, _tables)
 register_policy("noisy", _noisy, _tables)

@@ -6,7 +6,7 @@ Whether a policy of that name exists is found out when it is made, see `policies
 from math import inf
 from pathlib import Path
 
-from knotgym.common.configuration import Count, NonNegative, Positive, Share, Whole, configuration
+from knotgym.common.configuration import Count, Share, Whole, configuration
 from knotgym.common.errors import InvalidPolicy
 
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
@@ -20,14 +20,12 @@ class PassPlannerConfig:
     Attributes:
         candidates: passes tried at a state, at most; four times as many where towing is limited.
         budget: pulls simulated for a search, at most.
-        steps: pulls of a path to the goal, at most.
         last_resort: pulls that the planner of pulls may simulate for an episode in which no pass
             was found.
     """
 
     candidates: Count = 12
     budget: Count = 2000
-    steps: Count = 50
     last_resort: Whole = 60000
 
 
@@ -38,41 +36,10 @@ class PullPlannerConfig:
     Attributes:
         budget: pulls simulated for an episode, at most.
         batch_size: copies of the rope simulated side by side.
-        guided: share of macro-actions that imitate counted ones, where there are any; the rest are
-            random.
-        longest: most pulls of one macro-action.
-        kept: most states kept per code.
-        greed: exponent of the preference for codes near the goal; 0 for no preference.
-        stride: expected pulls per change of code.
-        least_stride: fewest pulls per change of code; a state from which the goal can't be reached
-            in time even at this rate is dropped.
-        unknown_hops: changes of code to the goal assumed where no path is known.
-        patience: delay, in pulls, that makes a state e times less likely to be chosen.
-        weariness: macro-actions from a code that halve its probability to be chosen again.
-        try_cost: pulls that each try of a state counts for when the worst state of a code is
-            dropped.
-        stuck: macro-actions from a code after which other configurations with the same code are
-            kept too.
-        template_noise: standard deviation of an imitated macro-action's positions, in arcs.
-        strange: macro-actions that each crossing too many or too few counts for where no path is
-            known.
     """
 
     budget: Whole = 60000
     batch_size: Count = 8
-    guided: Share = 0.8
-    longest: Count = 10
-    kept: Count = 6
-    greed: NonNegative = 4.0
-    stride: NonNegative = 6.0
-    least_stride: Whole = 2
-    unknown_hops: Whole = 2
-    patience: Positive = 10.0
-    weariness: Positive = 10.0
-    try_cost: NonNegative = 2.0
-    stuck: Whole = 24
-    template_noise: NonNegative = 0.1
-    strange: NonNegative = 30.0
 
 
 @configuration

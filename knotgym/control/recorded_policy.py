@@ -55,6 +55,7 @@ class _RecordedPlayer:
         self.names = [policy.name] * batch.count
         self._known: dict[_Key, int] = {}
         if policy.by_start:
+            # the start to the bit, noise included, and the goal: together they name an episode
             keys = zip(rows["start_qpos"], rows["goal_visits"], strict=True)
             self._known = {_key(*one): row for row, one in enumerate(keys)}
 
@@ -105,5 +106,6 @@ def recording_files(name: str) -> dict[str, Path]:
 
 
 def _key(start_qpos: np.ndarray, goal_visits: np.ndarray) -> _Key:
+    # padding differs from file to file, so zeros are left out
     visits = np.ascontiguousarray(goal_visits, dtype=np.int16)
     return np.ascontiguousarray(start_qpos).tobytes(), visits[visits != 0].tobytes()

@@ -6,6 +6,9 @@ played beside it.
 
 A `Policy` is a description; its `player` acts in the lanes of one batch, so nothing is left over
 from an earlier run. A player may leave lanes out while it plans: the others go on without them.
+
+After a change run `pytest tests/control/test_policies.py`: an episode must depend on its own seed
+alone; then `python benchmarks/golden.py --compare tests/data/golden.json`: nothing may differ.
 """
 
 from collections.abc import Sequence
@@ -37,6 +40,8 @@ _STATES = frozenset({"observation", "visits", "signs", "crossings"})  # the last
 _CODES = ("visits", "signs")  # columns that widen with the longest code
 _OUTCOMES = ("reward", "terminated", "truncated", "share")
 
+# Of speed and memory alone: no result depends on these three. `python benchmarks/collect.py`
+# measures what they are about.
 LANES = 256  # ropes side by side, by default
 _BLOCK = 64  # starts that are drawn and laid together
 _MOST_BYTES = 2**28  # of the steps of episodes under way; more lanes than fit aren't used
@@ -140,6 +145,7 @@ def rollouts(
     todo = seeds.rows if isinstance(seeds, Table) else len(seeds)
     if not todo:
         seeds, todo = [0], 1  # a batch has at least one rope; its episode isn't returned
+        # its columns have the widths of the task, which only a batch knows
         empty = rollouts(policy, task, seeds, keep=keep, attempt=attempt, adviser=adviser)
         return empty.select([])
     batch = EpisodeBatch(task, max(1, min(lanes, todo, _fitting(task))))
@@ -151,6 +157,8 @@ def rollouts(
         free = np.flatnonzero(batch.number < 0)
         ids = coming.begin(free)
         if len(ids):
+            # A stream of its own for each episode and attempt, apart from the one that drew its
+            # start: a policy that draws more or less changes no start.
             draws = [generator(Stream.POLICY, max(0, s), attempt) for s in batch.seed[ids].tolist()]
             player.begin(ids, draws)
             record.begin(ids)
@@ -162,6 +170,7 @@ def rollouts(
         if advice is not None:
             record.advise(advice.given(playing))
         pulls = _checked(player.act(playing), playing, batch, policy.name)
+        # every lane plans; asking again lets their searches go on
         if not len(pulls.ids):
             continue
         record.before(pulls)
@@ -173,6 +182,7 @@ def rollouts(
             planned += int(advice.planned[index]) if advice is not None else 0
             names = getattr(player, "names", None)
             record.end(index, policy.name if names is None else str(names[index]), planned)
+        # freed only now, so that the next episodes begin together
         batch.number[over] = -1
 
 
@@ -227,6 +237,7 @@ class _Coming:
             left = ids[:0]
         while len(left):
             if self._laid == self._begun:
+                # the last block is no larger than what is left to play
                 size = min(_BLOCK, self._todo - self._begun)
                 if self._spare is None:
                     self._spare = EpisodeBatch(self._batch.task, size)
@@ -260,8 +271,8 @@ class _Advice:
 
     def __init__(self, player: Player, batch: EpisodeBatch) -> None:
         self._player, self._batch = player, batch
-        self._asked = np.full(batch.count, -1, dtype=np.int64)  # step that was last asked about
-        self.planned = np.zeros(batch.count, dtype=np.int64)
+        self._asked = np.empty(batch.count, dtype=np.int64)  # step that was last asked about
+        self.planned = np.empty(batch.count, dtype=np.int64)
 
     def begin(self, ids: Ids) -> None:
         """Episodes begin in lanes."""
@@ -274,6 +285,7 @@ class _Advice:
         beads = np.zeros(len(asked), dtype=np.int64)
         forces = np.zeros((len(asked), 3), dtype=np.float32)
         if len(asked):
+            # a generator for each (episode, step): advice doesn't depend on the states before
             keys = zip(self._batch.seed[asked].tolist(), steps[asked].tolist(), strict=True)
             rngs = [generator(Stream.EXPERT_LABEL, max(0, seed), step) for seed, step in keys]
             self._player.begin(asked, rngs)
@@ -340,6 +352,8 @@ class _Record:
         self._totals[ids] += outcome.rewards
         given = (*outcome, batch.applied_shares[ids])
         for name, values in zip(_OUTCOMES, given, strict=True):
+            # The batch counts the pull already, and what came of it belongs to the state that it
+            # was made in.
             self._put(name, ids, values, -1)
         self._see(ids)
 
@@ -375,6 +389,7 @@ class _Record:
 
     def whole(self) -> Episodes:
         """Return all episodes."""
+        # goals were kept at the width that codes had then; all get the final one
         width = 2 * self._batch.signs.shape[1]
         rows: dict[str, Any] = {}
         for column in self._episodes.columns:
@@ -391,6 +406,8 @@ class _Record:
                 parts = [_padded(part, full) for part in parts]
             steps[column.name] = np.concatenate(parts)
         made = Episodes(Table(self._sized(self._episodes), rows), Table(self._sized(schema), steps))
+        # columns as narrow as the longest code that occurs, so that a file doesn't depend on the
+        # batch
         return fitted([made])[0]
 
     def _sized(self, schema: Schema) -> Schema:

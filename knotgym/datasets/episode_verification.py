@@ -24,7 +24,6 @@ from knotgym.datasets.episodes import Episodes, differences, distinct, gauss_cod
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import ships
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
@@ -47,9 +46,7 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     Raises:
         InvalidFile: a recording's pulls aren't those that were written, or lead to other states.
     """
-    parts, task = [], dataset.task
-    if not ships(task.states):
-        task = replace(task, states=str(dataset.states_path()))
+    parts, task = [], dataset.found_task
     for first in range(0, dataset.episodes.episodes.rows, _BLOCK):
         count("episodes played again", first, dataset.episodes.episodes.rows)
         some = dataset.episodes.select(

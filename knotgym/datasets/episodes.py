@@ -252,7 +252,7 @@ def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None)
     return GaussCode(numbers, "".join(letters))
 
 
-def within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]:
+def _within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]:
     """Return which states lie within the bound on towing: bool (rows,), see `rope.towing`."""
     seen = episodes.steps["observation"]
     if tow_limit is None:
@@ -272,7 +272,7 @@ def codes_held(
         first state beyond the bound on towing on, and where the simulation blew up; and the steps.
     """
     offsets, episode = episodes.offsets, episodes.episode_of()
-    beyond = ~within_tow(episodes, tow_limit)
+    beyond = ~_within_tow(episodes, tow_limit)
     beyond[episodes.last()] |= episodes.episodes["failed"]
     passed = np.concatenate([[0], np.cumsum(beyond)])
     numbers = _code_ids(episodes.steps["visits"])
@@ -343,16 +343,11 @@ def _names(schema: Schema) -> list[str]:
 def _widened(table: Table, sizes: dict[str, int]) -> Table:
     """Return a table whose codes are as wide as `sizes` says; what is cut off is zero."""
     columns = dict(table)
-    for name in _CODES:
-        if name not in columns:
-            continue
+    for name in (one for one in _CODES if one in table):
         width = sizes["labels" if name == "signs" else "visits"]
-        old = columns[name]
-        if old.shape[1] != width:
-            new = np.zeros((len(old), width), old.dtype)
-            shared = min(width, old.shape[1])
-            new[:, :shared] = old[:, :shared]
-            columns[name] = new
+        columns[name] = kept = table[name][:, :width]
+        if kept.shape[1] < width:
+            columns[name] = np.pad(kept, ((0, 0), (0, width - kept.shape[1])))
     return Table(table.schema.sized(**sizes), columns)
 
 

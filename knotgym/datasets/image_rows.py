@@ -78,11 +78,7 @@ def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
     return {
         **derived(row.points, look, shot),
         "points": row.points.ravel().tolist(),
-        "appearance": {
-            one.name: list(value) if one.name in _RGB else value
-            for one in fields(Appearance)
-            for value in [getattr(look, one.name)]
-        },
+        "appearance": {one.name: getattr(look, one.name) for one in fields(Appearance)},
         "source": source,
         "split": row.split,
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
@@ -223,13 +224,15 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         rewards = np.zeros(self.num_envs)
         terminated = np.zeros(self.num_envs, dtype=bool)
         truncated = np.zeros(self.num_envs, dtype=bool)
-        running = np.flatnonzero(~done)
+        running, ended = np.flatnonzero(~done), np.flatnonzero(done)
+        # next_step: what ended in the step before is reset in this one, and its action ignored
+        restart = partial(self._begin, ended) if len(ended) else None
         if len(running):
             rewards[running], terminated[running], truncated[running] = self.episodes.act(
-                actions[running], running
+                actions[running], running, restart
             )
-        # next_step: what ended in the step before is reset in this one, and its action ignored
-        self._begin(np.flatnonzero(done))
+        elif restart is not None:
+            restart()
         self._done = terminated | truncated
         final: dict[str, Any] = {}
         if self._autoreset == _SAME_STEP and self._done.any():

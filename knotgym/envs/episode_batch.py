@@ -7,16 +7,19 @@ What happens in an episode depends on its seed and its pulls, not on the episode
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
+from knotgym.common.threads import Meanwhile
 from knotgym.envs.observations import (
     SYMBOLS,
     alone,
     cut,
+    each,
     looks,
     observe,
     picture_config,
@@ -32,6 +35,8 @@ from knotgym.rope.reset_noise import least_clearance, start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
 from knotgym.topology.code_arrays import CodeArrays, code_texts, plain_codes, read_codes, visits_of
 from knotgym.topology.gauss import GaussCode
+
+_FEW = 16  # ropes, that are worth a thread of their own to be looked at
 
 Ids = NDArray[np.int64]
 Seed = int | np.random.Generator
@@ -98,6 +103,10 @@ class EpisodeBatch:
         self.centre, self.forces = np.zeros((2, count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
         self.applied_shares = np.ones(count)
+        # Gauss code, the same with chirality, and the goal's, as text; made again where they are
+        # old, because most steps change few codes
+        self._texts = np.full((3, count), None, dtype=object)
+        self._old_texts = np.ones(count, dtype=bool)
 
     # beginning
 
@@ -115,6 +124,7 @@ class EpisodeBatch:
             return goals.rows
         code = str(self.starts.gauss_code[start])
         if (goals.nx, code) not in self._other_goals:
+            # a start of as many crossings may show a goal's code: nothing would be left to do
             differs = self.goals.gauss_code[goals.rows] != code
             self._other_goals[goals.nx, code] = goals.rows[differs]
         return self._other_goals[goals.nx, code]
@@ -212,7 +222,7 @@ class EpisodeBatch:
         """Replace the goals' codes of ropes; `goal_row` and the goals' pictures stay."""
         visits = visits_of(goals, self.wanted.shape[1] // 2)
         self._widen(visits.shape[1])
-        self.wanted[ids] = visits
+        self.wanted[ids], self._old_texts[ids] = visits, True
         self._read(ids)
 
     def copy_from(self, other: "EpisodeBatch", rows: Ids, ids: Ids) -> None:
@@ -223,33 +233,43 @@ class EpisodeBatch:
         other._widen(width)
         for name in _STATE:
             getattr(self, name)[ids] = getattr(other, name)[rows]
+        self._old_texts[ids] = True
         self.view.reset(ids)
 
     # acting
 
-    def pull(self, ids: Ids, beads: NDArray[np.int64], forces: NDArray[np.floating]) -> Outcome:
+    def pull(
+        self,
+        ids: Ids,
+        beads: NDArray[np.int64],
+        forces: NDArray[np.floating],
+        meanwhile: Meanwhile = None,
+    ) -> Outcome:
         """Pull a bead of each rope; if a simulation blows up, its rope stays as it was.
 
         Args:
             ids: which ropes, in increasing order.
             beads: int64 (n,), pulled at their centres.
             forces: (n, 3), in units of the largest force, each component in [-1, 1].
+            meanwhile: as of `Simulation.step`; it may begin episodes of other ropes.
 
         Returns:
             Rewards, and which episodes end; see `reward`.
         """
         newtons = forces.astype(np.float64) * self.simulation.max_force
-        failed = ~self.simulation.step(beads, newtons, ids)
+        failed = ~self.simulation.step(beads, newtons, ids, meanwhile)
         shares = self.simulation.applied_shares[ids]
         self.failed[ids], self.beads[ids], self.applied_shares[ids] = failed, beads, shares
         self.forces[ids] = shares[:, None] * newtons
         self._read(ids)
         towed = np.zeros(len(ids), dtype=bool)
         if self.task.tow_limit is not None:
+            # from where the centre was at reset, not summed up along the way
             moved = distances_towed(self.simulation.points[ids], self.centre[ids])
             towed = moved > self.task.tow_limit
         self.towed[ids] = towed
         self.steps[ids] += 1
+        # beyond the limit on towing a shown goal doesn't count
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
         return outcome(self.task, self.successes(ids), self.steps[ids], failed, towed)
 
@@ -257,21 +277,25 @@ class EpisodeBatch:
         """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
         return (self.held[ids] >= self.hold[ids]) & ~self.failed[ids]
 
-    def act(self, actions: ArrayLike, ids: Ids) -> Outcome:
+    def act(self, actions: ArrayLike, ids: Ids, meanwhile: Meanwhile = None) -> Outcome:
         """Take one action of the task's view in each episode of `ids`, with all of its pulls.
+
+        The other arguments are those of `pull`.
 
         Raises:
             InvalidInput: an action is invalid; no rope has moved.
         """
         if self.task.action == "pull":
             beads, _ = self.simulation.read_actions(actions, ids)
+            # `read_actions` has checked them, but for rounding beyond 1
             forces = np.clip(np.asarray(actions, dtype=np.float64)[:, 3:], -1.0, 1.0)
-            return self.pull(ids, beads, forces)
+            return self.pull(ids, beads, forces, meanwhile)
         self.view.begin(actions, ids)
         total = Outcome(np.zeros(len(ids)), *np.zeros((2, len(ids)), dtype=bool))
         rows = np.arange(len(ids))
         while len(rows):
-            last = self.pull(ids[rows], *self.view.pulls_of(ids[rows]))
+            last = self.pull(ids[rows], *self.view.pulls_of(ids[rows]), meanwhile)
+            meanwhile = None
             self.view.pulled(ids[rows], last.terminated | last.truncated)
             total.rewards[rows] += last.rewards
             total.terminated[rows], total.truncated[rows] = last.terminated, last.truncated
@@ -303,13 +327,21 @@ class EpisodeBatch:
 
     def observation(self, index: int) -> Any:
         """Return the observation of episode `index`, of the kind `task.observation`."""
-        seen = self.observations(np.array([index]))
-        if isinstance(seen, dict):
-            return {name: array[0] for name, array in seen.items()}
-        return seen[0]
+        return each(self.observations(np.array([index])), itemgetter(0))
 
     def observations(self, ids: Ids) -> Any:
         """Return the observations of the episodes `ids`: an array (n, ...), or a dict of such."""
+        if self.task.observation != "state":
+            return self._observed(ids)
+        seen = np.empty((len(ids), 6 * self.task.beads), dtype=np.float32)
+
+        def part(rows: slice) -> None:
+            seen[rows] = self._observed(ids[rows])
+
+        self.simulation.threads.spread(part, len(ids), _FEW)
+        return seen
+
+    def _observed(self, ids: Ids) -> Any:
         return observe(
             self.task,
             self.simulation.points[ids],
@@ -345,9 +377,11 @@ class EpisodeBatch:
             signs = cut(self.signs[ids], SYMBOLS // 2)
             shown = cut(self.visits[ids]), signs, cut(self.wanted[ids])
         else:
-            visits = self.visits[ids]
-            chiral, goals = code_texts(visits, self.signs[ids]), code_texts(self.wanted[ids])
-            shown = code_texts(visits), chiral, goals
+            old = ids[self._old_texts[ids]]
+            self._old_texts[old] = False
+            seen, goals, chiral = self.visits[old], self.wanted[old], self.signs[old]
+            self._texts[:, old] = code_texts(seen), code_texts(seen, chiral), code_texts(goals)
+            shown = self._texts[0, ids], self._texts[1, ids], self._texts[2, ids]
         infos = {
             "gauss_code": shown[0],
             "gauss_code_chiral": shown[1],
@@ -367,10 +401,13 @@ class EpisodeBatch:
 
     def _read(self, ids: Ids) -> None:
         """Read the codes of ropes after they moved, or of their goals."""
-        points, threads = self.simulation.points[ids], self.simulation.threads
-        codes = read_codes(points, self.visits.shape[1] // 2, threads)
+        points, threads = self.simulation.points, self.simulation.threads
+        codes = read_codes(points, self.visits.shape[1] // 2, threads, ids)
         self._widen(codes.visits.shape[1])
+        self._old_texts[ids] |= (codes.signs != self.signs[ids]).any(axis=1)
+        self._old_texts[ids] |= (codes.visits != self.visits[ids]).any(axis=1)
         self.visits[ids], self.signs[ids], self.crossings[ids] = codes
+        # both are padded with 0 to one width, so rows are equal just if the codes are
         self.shown[ids] = (codes.visits == self.wanted[ids]).all(axis=1)
 
     def _widen(self, columns: int) -> None:

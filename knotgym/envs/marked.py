@@ -13,6 +13,8 @@ is mapped back to the world:
     origin        the centre of the rope
 
 The observation is one float32 vector; `split` names its parts.
+
+After a change run `pytest tests/envs/test_marked.py`: all images of a state must look the same.
 """
 
 from __future__ import annotations
@@ -178,6 +180,7 @@ def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_])
     # the rotation that makes the mode real, after the reflection diag(1, mirror)
     axes[:, 0, 0], axes[:, 0, 1] = cosine, -sine * mirror
     axes[:, 1, 0], axes[:, 1, 1] = sine, cosine * mirror
+    # switched, z points down: what was over is under
     axes[:, 2, 2] = np.where(switch, -1.0, 1.0)
     return CanonicalFrames(axes, centres, reverse)
 
@@ -206,6 +209,7 @@ def _tokens(visits: tuple[int, ...]) -> Tokens:
     [[1, 1], [-1, 0], [0, -1]]
     """
     tokens = np.full((TOKENS, 2), (0, -1), dtype=np.int16)
+    # `-visit` is the other visit of the same crossing
     at = {visit: index for index, visit in enumerate(visits)}
     for index, visit in enumerate(visits[:TOKENS]):
         tokens[index] = (visit > 0) - (visit < 0), at[-visit]

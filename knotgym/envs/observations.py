@@ -22,6 +22,7 @@ from knotgym.topology.code_arrays import plain_codes
 if TYPE_CHECKING:
     from knotgym.rendering.appearance import Appearance
 
+_MANY = 16  # pictures that a thread draws at once
 SYMBOLS = 64  # visits of a code in an observation, two per crossing
 
 
@@ -101,19 +102,26 @@ def pixels(
             seen[rows, :, :size] = alone(ropes[rows], looks[rows], picture)
         else:
             draw_many(ropes[rows], picture, out=seen[rows])
-        for one, goal in zip(seen[rows], goal_pictures[rows], strict=True):
-            one[:, size:] = goal
+        goals = np.concatenate(goal_pictures[rows])
+        seen[rows, :, size:] = goals.reshape(-1, height, size, picture.channels)
 
-    (ALONE if picture.renderer == "mujoco" else threads).spread(part, len(seen))
+    (ALONE if picture.renderer == "mujoco" else threads).spread(part, len(seen), most=_MANY)
     return seen
 
 
-def stacked(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def each(seen: Any, function: Callable[[Any], Any]) -> Any:
+    """Apply a function to an observation; to both parts of one of the kind "both"."""
+    if isinstance(seen, dict):
+        return {name: each(part, function) for name, part in seen.items()}
+    return function(seen)
+
+
+def _stacked(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Rearrange pictures (..., size, 2 size, 3) to (..., size, size, 6), goal channels last."""
     return np.concatenate(np.split(pictures, 2, axis=-2), axis=-1)
 
 
-def state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
+def _state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
     """Concatenate the vertices of each rope with those of its goal.
 
     Args:
@@ -168,7 +176,7 @@ def observe(
         return cut(np.stack([visits, goal_visits], axis=1))
     seen: dict[str, NDArray[Any]] = {}
     if task.observation != "state":
-        seen["pixels"] = stacked(pictures()) if task.layout == "stacked" else pictures()
+        seen["pixels"] = _stacked(pictures()) if task.layout == "stacked" else pictures()
     if task.observation != "pixels":
-        seen["state"] = state(points, goal_points)
+        seen["state"] = _state(points, goal_points)
     return seen if task.observation == "both" else seen[task.observation]

@@ -3,6 +3,8 @@
 At each step it updates its hypotheses of the rope's shape and position from the picture, infers
 which bead its last action pulled, and either continues its plan or replans. Planning is that of
 policy `planner`, in the chain engine.
+
+After a change run what `shape_hypotheses` says.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +15,8 @@ from numpy.typing import NDArray
 
 from knotgym.control.planning import BatchedSearch, PullSearch, shipped_guide
 from knotgym.control.policy_config import PullPlannerConfig
-from knotgym.learn.imagination import BEADS
+from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.position_belief import REACH
 from knotgym.learn.reader import Reader
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, perturb_heights
 from knotgym.rope.chain.chain_simulation import ChainSimulation
@@ -22,7 +25,6 @@ from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]
 
-REACH = 2.0  # metres for which an action's coordinate of 1 stands
 # Force of a tow, in all three axes the largest; any direction straightens the rope equally well.
 _TOW = np.ones(3)
 # Probability that the goal is the code now shown although the episode continues (misread picture).

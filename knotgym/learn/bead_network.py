@@ -1,4 +1,7 @@
-"""A convolutional network over the beads of a closed rope, with circular padding."""
+"""A convolutional network over the beads of a closed rope, with circular padding.
+
+After a change run what `shape_hypotheses` says; weights that ship must still load.
+"""
 
 import torch
 from torch import Tensor, nn
@@ -19,6 +22,7 @@ class BeadNetwork(nn.Module):
             for dilation in dilations
         )
         self.outward = nn.ConvTranspose1d(width, width // 2, 2, stride=2)
+        # at full resolution, past the blocks
         self.beside = _CircularConvolution(inputs, width // 2, 3)
         self.last = _CircularConvolution(width // 2, outputs, 3)
 
@@ -38,6 +42,7 @@ class _CircularConvolution(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, kernel: int, dilation: int = 1) -> None:
         super().__init__()
+        # as much on either side as keeps the number of beads; odd kernels only
         self._margin = dilation * (kernel - 1) // 2
         self.convolution = nn.Conv1d(inputs, outputs, kernel, dilation=dilation)
 

@@ -3,6 +3,10 @@
 A macro-action is chosen as bead, strand given bead, and side given both, so that a state with
 several good macro-actions doesn't get a mixture of them. Another head tells whether a macro-action
 works here. All is in the canonical frame of `envs.marked`.
+
+After a change run `pytest tests/learn/test_clone.py`; weights that ship must still load, and
+`knotgym evaluate --policy pretrained-clone --task tie --nx 2 --episodes 256` stay in the interval
+of docs/benchmark.md.
 """
 
 from collections.abc import Sequence
@@ -12,8 +16,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from knotgym.learn.imagination import BEADS
+from knotgym.learn.colour_reading import BEADS
 
+# Sizes: other widths and numbers of layers are in docs/experiments.md; of these no others are on
+# record.
 _PATCH = 10  # neighbouring beads in one token
 _VISITS = 12  # visits of a code that the network sees
 _ARCS, _ARC_WIDTH = 2 * _VISITS + 1, 6
@@ -45,11 +51,16 @@ def inputs(seen: Sequence[Any]) -> Inputs:
     """Return the network's inputs of the first four parts of `Marked`, arrays or tensors."""
     points, marks, code, goal = (torch.as_tensor(one) for one in seen)
     points, marks = points.float(), marks.float()
+    # central differences: the direction of the rope at each vertex, which positions alone leave to
+    # be learned
     tangents = points.roll(-1, 1) - points.roll(1, 1)
     beads = torch.cat([points * _POINT, tangents * _TANGENT, marks], dim=2)
+    # Arc k begins after the k-th visit. The visits of a bead itself come after it begins, so they
+    # are taken off again.
     visits = marks.sum(2)
     arcs = (visits.cumsum(1) - visits).long().clamp(max=_ARCS - 1)
     tokens = torch.stack([code, goal], dim=1)[:, :, :_VISITS].long()
+    # 1 over, -1 under, 0 after the end of the code; the index of the other visit
     signs, partners = tokens.unbind(3)
     # an index beyond the visits that are seen, or of an empty token, has no column
     known = (partners >= 0) & (partners < _VISITS)
@@ -83,7 +94,10 @@ class CloneNetwork(nn.Module):
         self.codes = nn.Sequential(
             nn.Linear(codes, 2 * width), nn.ReLU(), nn.Linear(2 * width, width)
         )
+        # Ten neighbouring beads make one token, so attention is over ten patches and the code and
+        # not over a hundred beads: about a hundredth of the products.
         self.inward = nn.Linear(_PATCH * (8 + _ARC_WIDTH), width)
+        # learned, as the canonical frame gives bead 0 a meaning
         self.place = nn.Parameter(0.1 * torch.randn(BEADS // _PATCH, width))
         self.body = nn.TransformerEncoder(
             nn.TransformerEncoderLayer(
@@ -97,23 +111,28 @@ class CloneNetwork(nn.Module):
         self.outward = nn.Linear(width, _PATCH * own)
         self.local = nn.Linear(8 + _ARC_WIDTH, own)
         self.bead = nn.Linear(own, 1)
+        # The strand is pointed at: a query of the chosen bead against all beads, with a bias by
+        # their distance along the rope.
         self.query = nn.Sequential(nn.Linear(own + width, width), nn.ReLU(), nn.Linear(width, own))
         self.apart = nn.Embedding(BEADS, 1)
         self.side = nn.Sequential(nn.Linear(3 * own + width, width), nn.ReLU(), nn.Linear(width, 4))
+        # no distance is preferred at first
         nn.init.zeros_(self.apart.weight)
 
     def forward(self, states: Inputs) -> MarkedInputs:
         """Look at states."""
         count = len(states.beads)
         own = torch.cat([states.beads, self.arc(states.arcs)], dim=2)
+        # both codes as one vector: a token of its own, and added to every patch
         whole = self.codes(states.codes.flatten(1))[:, None]
         patches = self.inward(own.reshape(count, BEADS // _PATCH, -1)) + self.place + whole
         tokens = self.norm(self.body(torch.cat([whole, patches], dim=1)))
+        # back to beads: what a patch knows, and beside it what each bead has of its own
         beads = self.outward(tokens[:, 1:]).reshape(count, BEADS, -1) + self.local(own)
         beads = functional.relu(beads)
         return MarkedInputs(beads, tokens[:, 0], self.bead(beads)[..., 0])
 
-    def targets(self, seen: MarkedInputs, beads: Tensor) -> Tensor:
+    def _targets(self, seen: MarkedInputs, beads: Tensor) -> Tensor:
         """Return logits (n, k, BEADS) of the strand to pass, given the bead to lead, (n, k)."""
         whole = seen.whole[:, None].expand(-1, beads.shape[1], -1)
         query = self.query(torch.cat([_picked(seen.beads, beads), whole], dim=2))
@@ -123,6 +142,8 @@ class CloneNetwork(nn.Module):
 
     def sides(self, seen: MarkedInputs, beads: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
         """Return logits (n, k, 2) of passing under and over, and logits that either works."""
+        # the product of both beads' features tells what neither alone does: how the two lie to each
+        # other
         one, two = _picked(seen.beads, torch.cat([beads, targets], dim=1)).chunk(2, dim=1)
         whole = seen.whole[:, None].expand(-1, beads.shape[1], -1)
         side, works = self.side(torch.cat([one, two, one * two, whole], dim=2)).chunk(2, dim=2)
@@ -139,15 +160,16 @@ class CloneNetwork(nn.Module):
         seen = self(states)
         beads, targets, sides = macros.unbind(1)
         side, works = self.sides(seen, beads[:, None], targets[:, None])
-        strand = self.targets(seen, beads[:, None])[:, 0]
+        strand = self._targets(seen, beads[:, None])[:, 0]
         chosen = torch.stack(
             [
-                smoothed_loss(seen.logits, beads),
-                smoothed_loss(strand, targets),
+                _smoothed_loss(seen.logits, beads),
+                _smoothed_loss(strand, targets),
                 functional.cross_entropy(side[:, 0], sides, reduction="none"),
             ],
             dim=1,
         )
+        # choices that didn't work are imitated by nobody: they only teach the last head
         chance = worked.float()[:, None]
         working = functional.binary_cross_entropy_with_logits(
             works[:, 0].gather(1, sides[:, None]), chance, reduction="none"
@@ -158,7 +180,8 @@ class CloneNetwork(nn.Module):
         """Return macro-actions, int64 (n, 64, 3): both sides of the likeliest beads and strands."""
         some, each = _LIKELY
         beads = seen.logits.topk(some, dim=1).indices
-        targets = self.targets(seen, beads).topk(each, dim=2).indices.flatten(1)
+        targets = self._targets(seen, beads).topk(each, dim=2).indices.flatten(1)
+        # 8 beads, 4 strands each, 2 sides: the 64 of which `rate` finds the best
         pairs = torch.stack([beads.repeat_interleave(each, 1), targets], dim=2)
         sides = torch.arange(2).repeat(len(pairs), pairs.shape[1])[..., None]
         return torch.cat([pairs.repeat_interleave(2, 1), sides], dim=2)
@@ -172,8 +195,9 @@ class CloneNetwork(nn.Module):
         """
         beads, targets, sides = macros.unbind(2)
         chosen = functional.log_softmax(seen.logits, 1).gather(1, beads)
-        strands = functional.log_softmax(self.targets(seen, beads), 2)
+        strands = functional.log_softmax(self._targets(seen, beads), 2)
         side, works = self.sides(seen, beads, targets)
+        # log p(bead) + log p(strand | bead) + log p(side | both)
         for logs, index in ((strands, targets), (functional.log_softmax(side, 2), sides)):
             chosen = chosen + logs.gather(2, index[..., None])[..., 0]
         return chosen, functional.logsigmoid(works.gather(2, sides[..., None])[..., 0])
@@ -184,7 +208,7 @@ def _picked(beads: Tensor, index: Tensor) -> Tensor:
     return beads.gather(1, index[..., None].expand(-1, -1, beads.shape[2]))
 
 
-def smoothed_loss(logits: Tensor, beads: Tensor) -> Tensor:
+def _smoothed_loss(logits: Tensor, beads: Tensor) -> Tensor:
     """Return the cross entropy (n,) of beads (n,), with labels smoothed over their neighbours."""
     logs = functional.log_softmax(logits, dim=1)
     rows = torch.arange(len(beads), device=beads.device)

@@ -5,6 +5,8 @@ the order of policy `expert`, also by what they are worth in that order. Nothing
 
 It sees the rope and the goal's code from vertices; if the observation is "pixels" it sees nothing
 but the pictures, as the reader of `shape_hypotheses` reads them.
+
+After a change run what `clone_network` says.
 """
 
 import math
@@ -21,8 +23,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from knotgym.common.errors import InvalidFile, InvalidPolicy, one_line
+from knotgym.control.basic_policies import ActionPlayer, Generators
 from knotgym.control.planning import PassValues, pass_values, see
-from knotgym.control.rollouts import Player, Pulls
+from knotgym.control.rollouts import Player
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.marked import Marked, mark
 from knotgym.envs.tasks import TaskConfig
@@ -36,12 +39,12 @@ from knotgym.learn.checkpoint import (
     write_checkpoint,
 )
 from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
-from knotgym.learn.imagination import BEADS
+from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
+from knotgym.rope.action_views import ActionView
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_actions import LONGEST, WaypointFollower
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
@@ -94,54 +97,39 @@ class ClonePolicy:
         return _ClonePlayer(self, batch)
 
 
-class _ClonePlayer:
+class _ClonePlayer(ActionPlayer):
+    """Chooses macro-actions, whatever the view of the task."""
+
     def __init__(self, policy: ClonePolicy, batch: EpisodeBatch) -> None:
-        self._network, self._batch = policy.network, batch
-        split = batch.task.split
+        super().__init__(batch, CLONE, ActionView("macro", batch.simulation))
+        self._network, split = policy.network, batch.task.split
         self._values = pass_values(split, every_code=True) if policy.guided else None
-        self._follower = WaypointFollower(batch.count)
-        self._taken = np.zeros(batch.count, dtype=np.int64)  # pulls of each lane's macro-action
-        self._macros = np.zeros((batch.count, 3), dtype=np.int64)
-        self._rngs: dict[int, np.random.Generator] = {}
         self._codes: dict[int, GaussCode | None] = {}  # at the last choice
         self._eyes: dict[int, _Eyes] = {}
-        self.planned = np.zeros(batch.count, dtype=np.int64)
 
-    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
-        self._follower.release(ids)
-        for index, rng in zip(ids.tolist(), rngs, strict=True):
-            self._rngs[index], self._codes[index] = rng, None
-            if self._batch.task.observation == "pixels":
-                self._eyes[index] = _Eyes(rng)
+    def begin(self, ids: Ids, rngs: Generators) -> None:
+        super().begin(ids, rngs)
+        for index in ids.tolist():
+            self._codes[index] = None
+            if self.batch.task.observation == "pixels":
+                self._eyes[index] = _Eyes(self.rngs[index])
 
-    def act(self, ids: Ids) -> Pulls:
-        follower, points = self._follower, self._batch.simulation.points
-        over = follower.arrive(points, ids) | (self._taken[ids] >= LONGEST)
-        deciding = ids[over]
-        if len(deciding):
-            self._macros[deciding] = self._choose(deciding)
-            follower.begin_passes(deciding, self._macros[deciding], points)
-            self._taken[deciding] = 0
-            follower.arrive(points, deciding)
-        macros = np.column_stack([self._taken[ids] == 0, self._macros[ids]])
-        self._taken[ids] += 1
-        return Pulls(ids, follower.beads[ids], follower.forces(points, ids), macros)
-
-    def _choose(self, ids: Ids) -> NDArray[np.int64]:
-        """Return macro-actions, int64 (n, 3): bead, target, side."""
+    def choose(self, ids: Ids) -> NDArray[np.float32]:
         indices = ids.tolist()
         if self._eyes:
-            seen = [self._eyes[k].look(self._batch.rgb(k)) for k in indices]
+            seen = [self._eyes[k].look(self.batch.rgb(k)) for k in indices]
             points, goals = np.stack([rope for rope, _ in seen]), [goal for _, goal in seen]
             codes = [label(rope) for rope in points]
         else:
-            points, goals = self._batch.simulation.points[ids], self._batch.goals_of(ids)
-            codes = self._batch.codes_of(ids)
+            points, goals = self.batch.simulation.points[ids], self.batch.goals_of(ids)
+            codes = self.batch.codes_of(ids)
         stuck = [code == self._codes[k] for k, code in zip(indices, codes, strict=True)]
         self._codes |= dict(zip(indices, codes, strict=True))
-        rngs = [self._rngs[k] for k in indices]
+        rngs = [self.rngs[k] for k in indices]
         temperatures = np.where(stuck, _ESCAPE, 0.0)
-        return choose_macros(self._network, points, goals, temperatures, rngs, self._values)
+        macros = choose_macros(self._network, points, goals, temperatures, rngs, self._values)
+        macros[:, 2] = macros[:, 2] > 0  # the view has 0 for under, 1 for over
+        return macros.astype(np.float32)
 
 
 class _Eyes:
@@ -202,6 +190,7 @@ def _choose_block(
     values: PassValues | None,
 ) -> NDArray[np.int64]:
     """Choose macro-actions in up to _BLOCK states; missing ones are filled up with zeros."""
+    # Always _BLOCK rows, as sums of a network round by the shape of their batch.
     seen, count = mark(points, goals), len(points)
     states = Inputs(*(_filled(one) for one in inputs(seen[:4])))
     with inference():
@@ -215,8 +204,11 @@ def _choose_block(
     noise = np.zeros(chosen.shape)
     for row in np.flatnonzero(temperatures > 0).tolist():
         noise[row] = temperatures[row] * rngs[row].gumbel(size=noise.shape[1])
+    # all are logarithms: worth by the order, chance of being chosen, and weighed by WORKING the
+    # chance that it works
     best = (prior + share * chosen + WORKING * works + torch.from_numpy(noise)).argmax(1)[:count]
     beads, targets, sides = macros[torch.arange(count), best].numpy().T
+    # back from the canonical frame into the world; reversal is its own inverse
     beads, targets = seen.frames.renumber(beads), seen.frames.renumber(targets)
     targets = (targets + (targets == beads)) % points.shape[1]  # a bead can't pass itself
     return np.stack([beads, targets, seen.frames.sides(2 * sides - 1)], axis=1)
@@ -256,6 +248,7 @@ def _with_passes(
             own = marked.rows([row]).frames
             seen = own.renumber(beads), own.renumber(targets), (own.sides(sides) + 1) // 2
             macros[row, known : known + len(ordered)] = torch.from_numpy(np.hstack(seen))
+            # no pass of the order may be worth less than one that the order doesn't have
             worth = torch.tensor([value for _, value in ordered]).clamp(min=_UNORDERED)
             prior[row, known : known + len(ordered)] = worth.log()
     return macros, prior

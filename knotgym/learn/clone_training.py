@@ -2,6 +2,9 @@
 
 Weights are averaged over steps, and of the averages the one with the lowest held-out loss is kept:
 a few thousand decisions are learned by heart in minutes.
+
+After a change run `pytest tests/learn`: an interrupted training must end with the
+same weights.
 """
 
 import math
@@ -14,11 +17,12 @@ from torch import Tensor
 
 from knotgym.common.streams import Stream, generator
 from knotgym.learn.clone_network import CloneNetwork, inputs
+from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.decisions import Examples
-from knotgym.learn.imagination import BEADS
 from knotgym.learn.train_config import CloneConfig
 from knotgym.learn.training import Training
 
+# Settings once, and constants since none was worth more than chance (docs/experiments.md).
 _DECAY = 0.05  # of the weights
 _AVERAGE = 0.998  # decay of their average, per step
 _HELD_OUT = 0.1  # share of the episodes
@@ -39,9 +43,10 @@ class CloneTraining(Training):
         torch.manual_seed(config.seed)
         network = CloneNetwork(config.width, config.layers).to(config.device)
         super().__init__(network, config.rate, _DECAY, config.steps)
-        self._config, held = config, held_out(data.episodes, config.seed)
+        self._config, held = config, _held_out(data.episodes, config.seed)
         aside, fitted = np.flatnonzero(held), np.flatnonzero(~held)
         self._fitted = _tensors(data.rows(fitted), config.device)
+        # evenly spread over the held-out decisions, so that every episode counts
         self._aside = _tensors(data.rows(aside[:: len(aside) // _JUDGED + 1]), config.device)
         self._average, self._best = (_copied(network.state_dict()) for _ in range(2))
         self._least = torch.full((1,), math.inf, dtype=torch.float64)
@@ -56,6 +61,7 @@ class CloneTraining(Training):
         config, losses = self._config, list[Tensor]()
         self.network.train()
         for _ in range(min(config.save_every, config.steps - self.step)):
+            # a stream for each step, so that a resumed training draws what it would have drawn
             rng = generator(Stream.LEARN_CLONE, config.seed, self.step)
             rows = rng.integers(len(self._fitted[-1]), size=config.batch)
             drawn = torch.from_numpy(rows).to(config.device)
@@ -71,6 +77,7 @@ class CloneTraining(Training):
         if len(self._aside[-1]):
             with torch.no_grad():
                 judged = _loss(self._made(self._average), self._aside).item()
+        # early stopping without stopping: the weights are kept, the training goes on
         if judged < self._least.item():
             self._least.fill_(judged)
             self._best = _copied(self._average)
@@ -94,7 +101,7 @@ class CloneTraining(Training):
 
 def first_guesses(network: CloneNetwork, data: Examples, seed: int) -> dict[str, dict[str, float]]:
     """Compute how often the likeliest bead is the one chosen, in held-out decisions, by nx."""
-    aside, crossings = data.worked & held_out(data.episodes, seed), data.nx
+    aside, crossings = data.worked & _held_out(data.episodes, seed), data.nx
     found = dict[str, dict[str, float]]()
     for nx in np.unique(crossings[aside]).tolist():
         own = data.rows(np.flatnonzero(aside & (crossings == nx))[:_JUDGED])
@@ -109,7 +116,7 @@ def first_guesses(network: CloneNetwork, data: Examples, seed: int) -> dict[str,
     return found
 
 
-def held_out(episodes: NDArray[np.int64], seed: int) -> NDArray[np.bool_]:
+def _held_out(episodes: NDArray[np.int64], seed: int) -> NDArray[np.bool_]:
     """Draw which decisions are held out, by whole episodes: bool (n,)."""
     numbers = np.unique(episodes)
     rng = generator(Stream.LEARN_HELD_OUT, seed)

@@ -8,6 +8,8 @@ over.
 
 Coordinates are pixels from the picture's middle, x right, y up. Positions along the rope are in
 beads: the middle of bead i is at i, and BEADS is 0 again.
+
+After a change run what `shape_hypotheses` says.
 """
 
 from typing import NamedTuple

@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.model import Array, RopeConfig
-
-BEADS = RopeConfig().beads
+from knotgym.rope.model import Array
 
 
 def imagine(

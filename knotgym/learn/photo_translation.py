@@ -1,7 +1,7 @@
 """Redraw photos of an episode in the published colours, for a policy that reads these.
 
-A photo gives the rope's centre line, which strand is over, and at the marked base where the code
-begins. The beads are spread evenly along it; how steep the rope is somewhere isn't known.
+A photo gives the rope's centre line, which strand is over, at the marked base where the code
+begins, and roughly how much longer the rope is than its picture. From that follows where beads are.
 """
 
 import numpy as np
@@ -11,6 +11,7 @@ from knotgym.learn.colour_reading import BEADS, enforce_votes
 from knotgym.learn.rope_reader import RopeReader
 from knotgym.rendering.camera import DEFAULT
 from knotgym.rendering.picture import draw
+from knotgym.rope.model import RopeConfig
 from knotgym.topology.crossings import find_crossings
 
 Array = NDArray[np.float64]
@@ -18,6 +19,10 @@ Array = NDArray[np.float64]
 VIEWS = 2  # of a photo that are read; an episode has many
 _APART = 0.012  # height difference of strands that cross, metres
 _JUMP = 0.03  # metres; a base that moves the beads by more than any other numbering is misread
+# Of the lengths between points of the line. The network spreads what is steep, so its values are
+# squared; the least of them, by how much the middle may be missed, and a length.
+_LEAST, _RIDGE, _SCALE, _ROUNDS = 0.003, 1e-4, 0.2, 20
+_LENGTH = RopeConfig().length  # metres
 _LIFTED = 5  # beads on either side of a crossing that are raised or lowered with it
 
 
@@ -55,17 +60,17 @@ def rope_points(reader: RopeReader, photo: NDArray[np.uint8], before: Array | No
         return _loop() if before is None else before
     line = reading.line * (1.0, -1.0, 1.0)
     line[:, :2] = (line[:, :2] - (0.5 * len(photo), -0.5 * len(photo))) * DEFAULT.view / len(photo)
-    closed = np.concatenate([line, line[:1]])
-    walked = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(closed[:, :2], axis=0), axis=1)))
+    walked = np.append(0.0, np.cumsum(_lengths(line, reading.stretch)))
     at = np.arange(BEADS) * walked[-1] / BEADS
+    closed = np.concatenate([line, line[:1]])
     points = np.zeros((BEADS, 3))
     points[:, :2] = np.stack([np.interp(at, walked, closed[:, k]) for k in (0, 1)], axis=1)
     crossings = find_crossings(line)
-    places = [
+    visits = [
         np.interp(place, np.arange(len(walked)), walked) * BEADS / walked[-1]
         for place in (crossings.over_place, crossings.under_place)
     ]
-    votes = np.column_stack([*places, np.ones(crossings.nx)])
+    votes = np.column_stack([*visits, np.ones(crossings.nx)])
     enforce_votes(points, votes, _APART, _LIFTED)
     if before is None:
         return points
@@ -73,6 +78,31 @@ def rope_points(reader: RopeReader, photo: NDArray[np.uint8], before: Array | No
     # a pull moves the rope little, so a base far from where it was is a misread one
     seen = reading.based and _apart(points, before) < _apart(nearest, before) + _JUMP**2
     return points if seen else nearest
+
+
+def _lengths(line: Array, stretch: Array) -> Array:
+    """Return the length of the rope from each point of its line to the next, metres.
+
+    What they are longer than their pictures is that nearest to the reading's, by relative entropy,
+    for which all add up to the rope and its middle is that of the picture, as the camera has it.
+
+    Args:
+        line: float64 (n, 3), metres from the middle of the picture.
+        stretch: float64 (n,), of a reading.
+    """
+    after = np.roll(line, -1, axis=0)
+    step = np.hypot(*(after - line)[:, :2].T)
+    # the nearest one is the reading's times the exponential of a linear function of the place
+    place = np.column_stack([np.ones(len(line)), 0.5 * (after + line)[:, :2] / _SCALE])
+    read = step * (stretch**2 + _LEAST)
+    wanted = np.array([_LENGTH, 0, 0]) - step @ place
+    wanted[0] = max(wanted[0], _LEAST * _LENGTH)
+    tilt, ridge = np.zeros(3), _RIDGE * _LENGTH * np.diag([0, 1, 1])
+    for _ in range(_ROUNDS):  # Newton's
+        more = read * np.exp(np.clip(place @ tilt, -6, 6))
+        off = more @ place - wanted + ridge @ tilt
+        tilt -= np.clip(np.linalg.solve((place.T * more) @ place + ridge, off), -1, 1)
+    return step + more
 
 
 def _loop() -> Array:

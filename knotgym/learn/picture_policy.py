@@ -55,6 +55,8 @@ class _PicturePlayer:
     def act(self, ids: NDArray[np.int64]) -> Pulls:
         actions = np.stack([self._agent.act(index, self._seen(index)) for index in ids.tolist()])
         self.planned[ids] = [self._agent.imagined(index) for index in ids.tolist()]
+        # The agent names a point, as an action does: which bead that is, the simulation decides and
+        # the agent must infer.
         beads, _ = self._batch.simulation.read_actions(actions, ids)
         return Pulls(ids, beads, actions[:, 3:])
 

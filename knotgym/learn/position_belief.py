@@ -4,6 +4,8 @@ The camera follows the rope's middle (the mean of its beads), and an action name
 world and pulls the bead nearest to it. So to pull a bead that is visible in the picture, the agent
 must also know where the middle is. Each particle is one possible middle; observing which bead an
 action moved reweights them. Positions are in metres.
+
+After a change run what `shape_hypotheses` says.
 """
 
 import numpy as np
@@ -26,7 +28,7 @@ _NEAR = np.array([1.0, 0.7, 0.3])
 # Distances beyond a bead at which `aim` tries points, metres. A point farther out on the free side
 # names the bead more robustly, but also comes nearer to beads of other strands.
 _MARGINS = (0.0, 0.015, 0.04, 0.12, 0.5)
-_REACH = 2.0  # metres for which an action's coordinate of 1 stands
+REACH = 2.0  # metres for which an action's coordinate of 1 stands
 
 
 class PositionBelief:
@@ -55,7 +57,7 @@ class PositionBelief:
         middle = np.median(self.positions, axis=0)
         away = _directions(points, bead)
         candidates = np.concatenate([points[bead] + middle + margin * away for margin in _MARGINS])
-        candidates = np.clip(candidates, -_REACH, _REACH)
+        candidates = np.clip(candidates, -REACH, REACH)
         worth = _expected_worth(points, self.positions, candidates, bead, _NEAR)
         best = int(worth.argmax())
         return candidates[best], float(worth[best])

@@ -9,6 +9,8 @@ Two bead networks work on what the colours tell (`colour_reading`).
   taken. So heights that the picture doesn't show persist from earlier steps.
 
 Positions are in metres, z up, the rope's middle at the origin.
+
+After a change run what `shape_hypotheses` says; weights that ship must still load.
 """
 
 from collections.abc import Iterator
@@ -34,10 +36,11 @@ from knotgym.rendering.camera import DEFAULT, bead_colours
 
 Array = NDArray[np.float64]
 
-INPUTS = 19  # input channels of both networks, see `network_inputs`
+INPUTS = 19  # input channels of both networks, see `_network_inputs`
 READINGS = 8  # of one picture, with the same x and y and different heights
 PIXEL = 1 / DEFAULT.pixels_per_metre  # width of a pixel, metres
 _COLOURS = bead_colours(BEADS).astype(np.float64)
+# Set by hand, as the scales below; no record says what others would score.
 _GATE = 4.0  # standard deviation of the distance of a bead's pixels from a guess, pixels
 _LEAST = 0.3  # weight of a bead that the axis must pass through
 # Scales that bring the networks' inputs and outputs to about 1: positions and offsets in pixels,
@@ -94,7 +97,7 @@ class Reader(nn.Module):
             Readings, float32 (n, READINGS, BEADS, 3), metres, and log-probabilities, float32
             (n, READINGS).
         """
-        axes = np.stack([first_axis(one.pixels) for one in seen])
+        axes = np.stack([_first_axis(one.pixels) for one in seen])
         guesses = np.zeros((len(seen), BEADS, 3))
         # colours locate the middles of beads; vertex i lies between beads i - 1 and i
         guesses[..., :2] = PIXEL * 0.5 * (axes + np.roll(axes, 1, axis=1))
@@ -177,7 +180,7 @@ class Reader(nn.Module):
     ) -> Tensor:
         """Run a network on pictures and guesses; return float32 (n, BEADS, outputs)."""
         inputs = np.stack(
-            [network_inputs(*pair, heights) for pair in zip(seen, guesses, strict=True)]
+            [_network_inputs(*pair, heights) for pair in zip(seen, guesses, strict=True)]
         )
         if moves is not None:
             inputs[:, 15:18] = moves.transpose(0, 2, 1) / _MOVE_SCALE
@@ -217,7 +220,7 @@ def look(picture: NDArray[np.uint8]) -> Seen:
     return Seen(picture, decode(picture))
 
 
-def first_axis(pixels: Pixels) -> Array:
+def _first_axis(pixels: Pixels) -> Array:
     """Locate the middles of beads by colour alone, without outliers; float64 (BEADS, 2), pixels."""
     anywhere = np.full((BEADS, 2), np.nan)
     axis = interpolated_axis(bead_moments(*pixels, anywhere, 1.0), _LEAST)
@@ -229,7 +232,7 @@ def first_axis(pixels: Pixels) -> Array:
     return axis
 
 
-def network_inputs(seen: Seen, guess: Array, heights: bool) -> NDArray[np.float32]:
+def _network_inputs(seen: Seen, guess: Array, heights: bool) -> NDArray[np.float32]:
     """Compute the input channels of a network.
 
     Args:

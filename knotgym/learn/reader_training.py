@@ -1,4 +1,8 @@
-"""Train the reader on pictures rendered on the fly from stored states, with augmentation."""
+"""Train the reader on pictures rendered on the fly from stored states, with augmentation.
+
+After a change run `pytest tests/learn/test_training.py`: an interrupted training must end with the
+same weights.
+"""
 
 import numpy as np
 import torch
@@ -7,7 +11,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from knotgym.common.streams import Stream, generator
-from knotgym.learn.imagination import BEADS, imagine
+from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.imagination import imagine
 from knotgym.learn.reader import PIXEL, Reader, look, waves
 from knotgym.learn.train_config import ReaderConfig
 from knotgym.learn.training import Training

@@ -3,11 +3,13 @@
 A network finds the strands and, at crossings, which is the upper one (`strand_network`); points
 on them are linked to a closed line (`strand_walk`), whose crossings give the code. Mirror images
 and quarter turns of the picture are read too, and their fields averaged.
+
+After a change run `pytest tests/learn/test_rope_reader.py`: fields of turned pictures must be
+turned back, and photos be read.
 """
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -18,8 +20,7 @@ from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.learn.checkpoint import ROPE_READER, policy_folder, read_weights
 from knotgym.learn.reader import inference
 from knotgym.learn.strand_network import CELL, DEPTH, ORIENTATIONS, Fields, StrandNetwork
-from knotgym.learn.strand_walk import exchange, follow, link, ridge_points, unite
-from knotgym.rendering.photo_look import TAPE
+from knotgym.learn.strand_walk import exchange, follow, link, ridge_points
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 
@@ -31,8 +32,7 @@ _LOOP = 6.0  # length of the smallest loop, cells
 _SHORT = 8  # points; fewer are no rope
 _CROWDED = 1200  # points; more aren't a rope's
 _BASE = 0.3  # least response at the base bead
-_BEADS = 100  # of a rope with tape
-_WHITE = 210.0  # levels of white tape in usual light
+_NEAR = [-2, -1, 0, 1, 2]  # points of the line that it reaches
 
 
 class RopeReading(NamedTuple):
@@ -44,12 +44,15 @@ class RopeReading(NamedTuple):
         confidence: a score in [0, 1], higher where the code is surer to be right.
         line: float64 (n, 3), the rope's centre line from the base bead: x and y in pixels, and a
             level, which is 1 on the upper strand of a crossing, -1 on the lower one, 0 elsewhere.
+        stretch: float64 (n,), by what share the rope is longer than its picture between each point
+            and the next, because it is steep; roughly.
         based: whether the base bead is seen.
     """
 
     code: GaussCode
     confidence: float
     line: Array
+    stretch: Array
     based: bool
 
 
@@ -60,6 +63,7 @@ class Maps(NamedTuple):
     upper: NDArray[np.float32]
     base: NDArray[np.float32]
     along: NDArray[np.float32]
+    stretch: NDArray[np.float32]
 
 
 class RopeReader:
@@ -92,22 +96,23 @@ class RopeReader:
         whole = torch.from_numpy(picture.copy()).permute(2, 0, 1)[None].float()
         seen = functional.interpolate(whole, (side, side), mode="bilinear", align_corners=False)
         with inference():
-            maps = maps_of(self.network, seen, views)[0]
+            maps = _maps_of(self.network, seen, views)[0]
         found = read_maps(maps)
         if found is None:
             return None
         line, code, margin, share = found
-        base = np.array([_bilinear(maps.base[None], x, y)[0] for x, y in line[:, :2]])
+        base = _along(maps.base, line)
         start, based = int(base.argmax()), bool(base.max() > _BASE)
         step = line[(start + 1) % len(line), :2] - line[start - 1, :2]
-        forwards = bool(step @ _bilinear(maps.along, *line[start, :2]) > 0)
+        if step @ _bilinear(maps.along, *line[start, :2]) < 0:
+            line, base, start = line[::-1], base[::-1], len(line) - 1 - start
+        line, base = (np.roll(one, -start, axis=0) for one in (line, base))
+        # the middle of the response lies between points
+        line[0, :2] = np.average(line[_NEAR, :2], axis=0, weights=base[_NEAR])
+        stretch = _stretch(line, maps.stretch)
         line[:, :2] = (line[:, :2] + 0.5) * CELL * len(picture) / side
-        if not based:
-            start, forwards, based = _taped(picture, line)
-        line = np.roll(line, -start, axis=0)
-        if not forwards:
-            line = np.roll(line[::-1], 1, axis=0)
-        return RopeReading(_lifted(line).code, _confidence(code.nx, margin, share), line, based)
+        score = _confidence(code.nx, margin, share)
+        return RopeReading(_lifted(line).code, score, line, stretch, based)
 
 
 def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
@@ -127,33 +132,18 @@ def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
     return RopeReader(network)
 
 
-def _taped(picture: NDArray[np.uint8], line: Array) -> tuple[int, bool, bool]:
-    """Find tape on a rope, red and then white, where the network saw none.
+def _along(field: NDArray[np.float32], line: Array) -> Array:
+    """Interpolate a field (h, w) at the points of a line, cells."""
+    return np.array([_bilinear(field[None], x, y)[0] for x, y in line[:, :2]])
 
-    Returns:
-        The point of the line that is nearest to the base, whether the walk goes on from there, and
-        whether there is tape at all.
-    """
-    count = 4 * _BEADS
-    closed = np.concatenate([line, line[:1]])
-    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(closed[:, :2], axis=0).T)))
-    at = np.arange(count) * walked[-1] / count
-    # levels along the rope, four to a bead; `remap` counts from the middles of pixels
-    x, y = (np.interp(at, walked, closed[:, k]).astype(np.float32) - 0.5 for k in (0, 1))
-    levels = cv2.remap(picture.astype(np.float32), x, y, cv2.INTER_LINEAR).reshape(count, 3)
-    usual = np.median(levels, axis=0)
-    best = -np.inf, 0, True
-    for forwards in (True, False):
-        seen = levels if forwards else levels[::-1]
-        gain = np.zeros(count)
-        # the bead ahead, and that behind
-        for first, tape in ((0, np.full(3, _WHITE)), (-4, np.array(TAPE, dtype=np.float64))):
-            bead = np.mean([np.roll(seen, -first - k, axis=0) for k in range(4)], axis=0)
-            gain += ((bead - usual) ** 2 - (bead - tape) ** 2).sum(axis=1)
-        place = int(gain.argmax())
-        best = max(best, (gain[place], place if forwards else (count - place) % count, forwards))
-    start = int(np.argmin(np.abs(walked[:-1] - at[best[1]])))
-    return start, best[2], bool(best[0] > 0)
+
+def _stretch(line: Array, field: NDArray[np.float32]) -> Array:
+    """Return the field of stretch along a line, between each point and the next."""
+    index = np.arange(len(line))
+    # at a crossing the field tells of the upper strand; of the lower one what is beside it counts
+    upper = np.min([np.roll(line[:, 2], k) for k in (-1, 0, 1)], axis=0) >= 0
+    found = np.interp(index, index[upper], _along(field, line)[upper], period=len(line))
+    return np.maximum(0.5 * (found + np.roll(found, -1)), 0.0)
 
 
 def _confidence(nx: int, margin: float, share: float) -> float:
@@ -161,24 +151,24 @@ def _confidence(nx: int, margin: float, share: float) -> float:
     return float(np.clip(margin * share**4 * 0.99**nx, 0.0, 1.0))
 
 
-def maps_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Maps]:
+def _maps_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Maps]:
     """Find strands in n pictures (n, 3, side, side), averaged over the first views of eight."""
     with torch.no_grad():
-        views = fields_of(network, pictures, votes)
-    lines, upper, base, along = (torch.stack(part).mean(0) for part in zip(*views, strict=True))
-    parts = torch.sigmoid(lines), upper, torch.sigmoid(base), along
+        views = _fields_of(network, pictures, votes)
+    mean = Fields(*(torch.stack(part).mean(0) for part in zip(*views, strict=True)))
+    parts = mean._replace(lines=torch.sigmoid(mean.lines), base=torch.sigmoid(mean.base))
     return [Maps(*one) for one in zip(*(part.cpu().numpy() for part in parts), strict=True)]
 
 
 def read_maps(maps: Maps) -> tuple[Array, GaussCode, float, float] | None:
-    """Return the line, float64 (n, 3), cells, its code, the margin and the share of `traced`."""
-    found = traced(maps)
+    """Return the line, float64 (n, 3), cells, its code, the margin and the share of `_traced`."""
+    found = _traced(maps)
     if found is None:
         return None
-    return *coded(found[0], maps), found[1]
+    return *_coded(found[0], maps), found[1]
 
 
-def fields_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Fields]:
+def _fields_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Fields]:
     """Run the network on `votes` of the eight mirror images and turns; turn the fields back."""
     found = []
     for vote in range(votes):
@@ -190,24 +180,24 @@ def fields_of(network: StrandNetwork, pictures: Tensor, votes: int) -> list[Fiel
 
 
 def turned_back(fields: Fields, turns: int, flip: bool) -> Fields:
-    lines, upper, base, along = (torch.rot90(part, -turns, (-2, -1)) for part in fields)
+    """Return the fields of a picture that was flipped or not, and then turned by quarters."""
+    lines, upper, base, along, stretch = (torch.rot90(part, -turns, (-2, -1)) for part in fields)
     # torch.rot90 turns the picture by -90 degrees as angles go here (y down)
     lines = torch.roll(lines, turns * (ORIENTATIONS // 2), 1)
     upper = upper * (-1) ** turns
     for _ in range(turns):
         along = torch.stack([-along[:, 1], along[:, 0]], 1)
     if flip:
-        lines, upper, base, along = (
-            torch.flip(part, (-1,)) for part in (lines, upper, base, along)
+        lines, upper, base, along, stretch = (
+            torch.flip(part, (-1,)) for part in (lines, upper, base, along, stretch)
         )
-        order = -torch.arange(ORIENTATIONS) % ORIENTATIONS
-        lines = lines[:, order]
+        lines = lines[:, -torch.arange(ORIENTATIONS) % ORIENTATIONS]
         upper = upper * torch.tensor([1.0, -1.0], device=upper.device)[:, None, None]
         along = along * torch.tensor([-1.0, 1.0], device=along.device)[:, None, None]
-    return Fields(lines, upper, base, along)
+    return Fields(lines, upper, base, along, stretch)
 
 
-def traced(maps: Maps) -> tuple[Array, float] | None:
+def _traced(maps: Maps) -> tuple[Array, float] | None:
     """Walk along the rope.
 
     Returns:
@@ -219,17 +209,16 @@ def traced(maps: Maps) -> tuple[Array, float] | None:
         return None
     partner, paid = link(points)
     exchange(points, partner, paid)
-    unite(points, partner, paid)
     order, line = follow(partner)
     closed = np.bincount(line[line >= 0]) if (line >= 0).any() else np.zeros(1)
     if closed.max() < _SHORT:
         return None
     own = order[line == closed.argmax()] // 2
-    line = smooth(points[own, :2])
+    line = _smooth(points[own, :2])
     return None if len(line) < _SHORT else (line, len(own) / len(points))
 
 
-def smooth(line: Array) -> Array:
+def _smooth(line: Array) -> Array:
     """Smooth a closed line (n, 2), and cut off loops too small to be a strand's."""
     for _ in range(2):
         line = 0.25 * (np.roll(line, 1, 0) + 2 * line + np.roll(line, -1, 0))
@@ -245,7 +234,7 @@ def smooth(line: Array) -> Array:
     return line[kept]
 
 
-def coded(line: Array, maps: Maps) -> tuple[Array, GaussCode, float]:
+def _coded(line: Array, maps: Maps) -> tuple[Array, GaussCode, float]:
     """Lift a closed line (n, 2), cells, at its crossings; return it, its code and the margin."""
     points = np.column_stack([line[:, 0], -line[:, 1], np.zeros(len(line))])
     flat = find_crossings(points)

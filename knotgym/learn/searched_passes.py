@@ -25,7 +25,7 @@ from knotgym.control.planning.passes import (
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.learn.decisions import Decisions, examples
+from knotgym.learn.decisions import examples
 from knotgym.learn.train_config import CloneConfig
 from knotgym.rope.macro_actions import LONGEST, Pass
 from knotgym.rope.model import Array
@@ -36,6 +36,7 @@ from knotgym.topology.gauss import GaussCode
 
 TOGETHER = 250  # searches of one call
 _ROPES = 128  # that are searched in side by side
+# Of these only the budget has a measurement.
 _WANDER = 2  # random passes before a search, at most
 # A search that finds a way finds it early: at tie nx 3 one of budget 2,000 simulates 240 pulls on
 # average, most of them in searches that fail.
@@ -66,6 +67,7 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
         [random_pass(setup.beads, rng) for _ in range(rng.integers(_WANDER + 1))] for rng in rngs
     ]
     given = zip(states, batch.simulation.points[ids].copy(), goals, wanders, strict=True)
+    # numbered by the order in which they were given, though they end in any order
     search = BatchedSearch(_ROPES)
     found = dict(search.run(_found(*one, values) for one in given))
     # a code that is held out is no goal, wherever passes lead
@@ -77,14 +79,13 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
     ]
     # none where the order of the passes knows no way to any of the goals
     episodes, points, codes, macros, worked = zip(*rows, strict=True) if rows else ((),) * 5
-    decisions = Decisions(
+    return examples(
         np.array(points, dtype=np.float32).reshape(-1, setup.beads, 3),
-        np.array([str(code) for code in codes], dtype=np.str_),
+        codes,
         np.array(macros, dtype=np.int64).reshape(-1, 3),
         np.array(worked, dtype=np.bool_),
         np.array(episodes, dtype=np.int64),
-    )
-    return examples(decisions)._asdict()
+    )._asdict()
 
 
 def _found(
@@ -93,6 +94,7 @@ def _found(
     """Search a way from where random passes lead, unless they lead to the goal."""
     for move in wander:
         _, ((_, landing),) = yield Orders({0: Trial(state, move, LONGEST, goal)})
+        # a start that shows its goal would have nothing to find
         if landing.lost or landing.code.matches(goal):
             break
         state, points = landing.state, landing.points
@@ -110,6 +112,7 @@ def _shown(
     some = partial(_some, rng=rng)
     for one in some([one for one in plan.tried if _leads_elsewhere(one, goal)], elsewhere):
         yield _numbered(one, int(rng.integers(beads)), one.landing.points)
+    # by identity, as two tries of one pass from one state are different examples
     vain = [one for one in plan.tried if id(one) not in way]
     if not plan.passes:
         yield from ((one.points, goal, one.move, False) for one in some(vain, _IN_VAIN))
@@ -140,5 +143,6 @@ def _leads_elsewhere(one: TriedPass, goal: GaussCode) -> bool:
 
 
 def _some(passes: Sequence[TriedPass], most: int, *, rng: np.random.Generator) -> list[TriedPass]:
+    # drawn without replacement, then in the order of the search
     chosen = rng.permutation(len(passes))[:most]
     return [passes[k] for k in np.sort(chosen).tolist()]

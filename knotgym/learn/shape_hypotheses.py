@@ -5,12 +5,17 @@ keeps several candidate ropes that the picture may show. After a pull, the chain
 them; how well the beads of each then match the next picture reweights them, as in a particle
 filter. Which bead was pulled is not visible either: it is inferred along with the rope's position
 (`position_belief`). Lengths are in metres, z up.
+
+After a change run `pytest tests/learn/test_shape_hypotheses.py tests/learn/test_picture_policy.py`,
+and `knotgym evaluate --policy pretrained --task tie --nx 2 --episodes 256`: success must stay in
+the interval of docs/benchmark.md.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.learn.imagination import BEADS, imagine
+from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.imagination import imagine
 from knotgym.learn.position_belief import PositionBelief
 from knotgym.learn.reader import Reader
 from knotgym.rendering.picture import draw

@@ -7,6 +7,8 @@ these lifted fields strands don't meet (`strand_walk`).
 
 Directions are angles in the picture, x right and y down. A direction without an orientation is
 written as the unit vector of twice its angle.
+
+After a change run `pytest tests/learn/test_rope_reader.py`; weights that ship must still load.
 """
 
 from typing import NamedTuple
@@ -31,12 +33,15 @@ class Fields(NamedTuple):
             where it is unsure.
         base: (n, h, w), logit that the white base bead is here.
         along: (n, 2, h, w), direction in which the rope leaves the base bead.
+        stretch: (n, h, w), length of the upper strand for each length in the picture, less 1: the
+            steeper the rope, the more.
     """
 
     lines: Tensor
     upper: Tensor
     base: Tensor
     along: Tensor
+    stretch: Tensor
 
 
 class StrandNetwork(nn.Module):
@@ -53,7 +58,7 @@ class StrandNetwork(nn.Module):
         for above, width in zip(_WIDTHS[1:], _WIDTHS[2:], strict=False):
             self.up.append(nn.Conv2d(width, above, 1))
             self.decode.append(_Block(above))
-        self.head = nn.Sequential(_Convolution(_WIDTHS[1], 48), nn.Conv2d(48, ORIENTATIONS + 5, 1))
+        self.head = nn.Sequential(_Convolution(_WIDTHS[1], 48), nn.Conv2d(48, ORIENTATIONS + 6, 1))
         # at first nearly every cell is predicted to be empty, as nearly every cell is
         nn.init.constant_(self.head[-1].bias, 0.0)
         nn.init.constant_(self.head[-1].bias[:ORIENTATIONS], -4.0)
@@ -77,7 +82,8 @@ class StrandNetwork(nn.Module):
             x = decode(wide + levels.pop())
         out = self.head(x)
         k = ORIENTATIONS
-        return Fields(out[:, :k], out[:, k : k + 2], out[:, k + 2], out[:, k + 3 :])
+        upper, base, along, stretch = out[:, k:].split((2, 1, 2, 1), 1)
+        return Fields(out[:, :k], upper, base[:, 0], along, stretch[:, 0])
 
 
 class _Convolution(nn.Sequential):

@@ -1,6 +1,8 @@
 """What the network of `strand_network` should return, computed from the rope's line, and its loss.
 
 Places in arguments are in pixels, x right and y down.
+
+After a change run `pytest tests/learn/test_rope_reader.py`.
 """
 
 import math
@@ -18,13 +20,15 @@ _RARE = 9.0  # extra weight of cells with a full response, of which there are fe
 _REACH = 2  # cells around a line or a crossing
 _BASE = 1.5  # width of the response at the base, cells
 _UPPER, _ALONG = 2.0, 0.5  # weights of the losses of directions
+_STRETCH, _STEEPEST = 2.0, 3.0  # weight of the loss of stretch, and the largest stretch
 
 
 class Strands(NamedTuple):
     """What n pictures show.
 
     Attributes:
-        line: float32 (n, m, 2), places evenly along the closed line of the rope.
+        line: float32 (n, m, 3), places evenly along the closed line of the rope, and its height,
+            pixels.
         crossings: float32 (n, c, 5): place, cosine and sine of twice the angle of the upper strand,
             and 1; rows of zeros where there are fewer.
         base: float32 (n, 5): place of the base bead, unit direction of the walk there, and 1 if it
@@ -40,7 +44,7 @@ def strand_loss(fields: Fields, true: Strands) -> Tensor:
     """Return the mean loss of n pictures."""
     lines, base = fields.lines.float(), fields.base.float()
     side = lines.shape[-1]
-    wanted = lifted_lines(true.line, side)
+    wanted = lifted_lines(true.line[..., :2], side)
     loss = _sparse_loss(lines, wanted, wanted.sum())
     seen = true.base[:, None, 4:]
     places, share = _window(true.base[:, None, :2], side, 2 * _REACH, _BASE)
@@ -55,7 +59,24 @@ def strand_loss(fields: Fields, true: Strands) -> Tensor:
         found = field.float().flatten(2).gather(2, each).view(len(rows), 2, *places.shape[1:])
         off = (found - rows[..., 2:4].transpose(1, 2)[..., None]).square().sum(1)
         loss = loss + weight * (share * off).sum() / share.sum().clamp(min=1)
-    return loss
+    middle, stretch, seen = _stretch(true.line)
+    places, share = _window(middle, side, 1, _SIGMA)
+    share = share * seen[..., None]
+    found = fields.stretch.float().flatten(1).gather(1, places.flatten(1)).view_as(share)
+    off = (found - stretch[..., None]).square()
+    return loss + _STRETCH * (share * off).sum() / share.sum().clamp(min=1)
+
+
+def _stretch(line: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return middles of the pieces of lines, their stretch, and whether no strand lies on them."""
+    step = line.roll(-1, 1) - line
+    middle = line + 0.5 * step
+    stretch = step.norm(dim=2) / step[..., :2].norm(dim=2).clamp(min=1e-4) - 1
+    apart = torch.cdist(middle[..., :2], middle[..., :2])
+    higher = middle[:, None, :, 2] - middle[:, :, None, 2]
+    # a strand on another is farther above it than beside it
+    hidden = ((apart < _REACH * CELL) & (higher > 2 * apart + 1)).any(2)
+    return middle[..., :2], stretch.clamp(max=_STEEPEST), ~hidden
 
 
 def lifted_lines(line: Tensor, side: int) -> Tensor:

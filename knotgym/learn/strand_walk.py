@@ -7,6 +7,9 @@ and following them gives closed lines. Two strands that cross share places, but 
 links between them are dear.
 
 Places are in cells, x right and y down; the centre of cell (row, column) is (column, row).
+
+After a change run `pytest tests/learn/test_rope_reader.py`: drawn lines must be walked through
+their crossings.
 """
 
 import numpy as np
@@ -23,8 +26,6 @@ _MOST = 6000  # candidates, at most; a picture with more shows no rope
 _NEAR, _ALIKE = 1.3, 0.35
 _REACH = 9.0  # length of a link at most, cells
 _SWEEPS = 8  # over all pairs of links, at most
-_UNIONS = 6  # exchanges of links, at most
-_DEAREST = 20.0  # what an exchange may cost, cells
 _ROUNDS = 20  # times that loose points are dropped, at most
 _BEND = 2.5  # cost of a turn of one radian, cells
 _SWERVE = 3.0  # cost of a link that doesn't point in the direction of both ends: share per radian^2
@@ -85,7 +86,7 @@ def ridge_points(lines: NDArray[np.float32]) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def link_cost(points: Array, i: int, j: int) -> float:
+def _link_cost(points: Array, i: int, j: int) -> float:
     """Return the cost of linking end i to end j, cells; end 2 k + 1 of point k is that ahead."""
     a, b = i // 2, j // 2
     one, other = (1.0 if i % 2 else -1.0), (-1.0 if j % 2 else 1.0)
@@ -124,7 +125,7 @@ def link(points: Array) -> tuple[Integers, Array]:
                 continue
             for i in range(2 * a, 2 * a + 2):
                 for j in range(2 * b, 2 * b + 2):
-                    cost = link_cost(points, i, j)
+                    cost = _link_cost(points, i, j)
                     if cost < 2 * _REACH and m < len(costs):
                         first[m], second[m], costs[m] = i, j, cost
                         m += 1
@@ -166,7 +167,7 @@ def exchange(points: Array, partner: Integers, paid: Array) -> None:
                 dy = points[i // 2, 1] - points[j // 2, 1]
                 if dx * dx + dy * dy > _REACH * _REACH:
                     continue
-                left, right = link_cost(points, i, j), link_cost(points, one, other)
+                left, right = _link_cost(points, i, j), _link_cost(points, one, other)
                 if left + right < paid[i] + paid[j] - 1e-6:
                     partner[i], partner[j], partner[one], partner[other] = j, i, other, one
                     paid[i] = paid[j] = left
@@ -174,40 +175,6 @@ def exchange(points: Array, partner: Integers, paid: Array) -> None:
                     better = True
         if not better:
             return
-
-
-@njit(cache=True, nogil=True)
-def unite(points: Array, partner: Integers, paid: Array) -> None:
-    """Unite lines that close, in place, by exchanging ends of two links, the cheapest first.
-
-    A rope is one closed line. Where two strands cross at a small angle, the cheapest links may make
-    two of it.
-    """
-    for _ in range(_UNIONS):
-        order, line = follow(partner)
-        number = np.full(len(points), -1, np.int64)
-        for k in range(len(order)):
-            number[order[k] // 2] = line[k]
-        best, one, other = _DEAREST, -1, -1
-        for i in range(len(partner)):
-            if partner[i] < 0 or number[i // 2] < 0:
-                continue
-            for j in range(len(partner)):
-                if partner[j] < 0 or number[j // 2] < 0 or number[i // 2] == number[j // 2]:
-                    continue
-                dx = points[i // 2, 0] - points[j // 2, 0]
-                dy = points[i // 2, 1] - points[j // 2, 1]
-                if dx * dx + dy * dy > _REACH * _REACH:
-                    continue
-                both = link_cost(points, i, j) + link_cost(points, partner[i], partner[j])
-                if both - paid[i] - paid[j] < best:
-                    best, one, other = both - paid[i] - paid[j], i, j
-        if one < 0:
-            return
-        first, second = partner[one], partner[other]
-        for i, j in ((one, other), (first, second)):
-            partner[i], partner[j] = j, i
-            paid[i] = paid[j] = link_cost(points, i, j)
 
 
 @njit(cache=True, nogil=True)

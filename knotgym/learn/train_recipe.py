@@ -19,7 +19,7 @@ from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.learn.checkpoint import CARD, Learned, save_reader
 from knotgym.learn.clone_policy import save_clone
 from knotgym.learn.clone_training import CloneTraining, first_guesses
-from knotgym.learn.decisions import Examples, examples
+from knotgym.learn.decisions import Examples
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.searched_passes import TOGETHER, demonstrate
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
@@ -113,11 +113,13 @@ def _train_reader(
     card: dict[str, Any],
     progress: Progress,
 ) -> Recipe[None]:
+    # a recipe yields calls at least once; this one has none to make
     yield []
     data = states_and_pulls([one.episodes for one in opened])
     training = ReaderTraining(data, config)
     fit(training, checkpoint_of(place), config.save_every, "reader", progress)
     rng = generator(Stream.LEARN_PLACES, config.seed)
+    # drawn without replacement, in the order of the data
     rows = data.starts[np.sort(rng.permutation(len(data.starts))[: config.positions])]
     learned = Learned(training.network.eval(), data.frames[rows].mean(axis=1, dtype=np.float32))
     facts = {"episodes": len(data.starts), "frames": len(data.frames)}
@@ -139,12 +141,13 @@ def _train_clone(
                 f"{one.name} doesn't say which macro-actions its policy chose, so the clone can't"
                 " learn them; use a set of expert or noisy"
             )
-        parts.append(examples(decisions_of(one.episodes, count)))
+        parts.append(decisions_of(one.episodes, count))
         count += one.episodes.episodes.rows
     calls = _demonstrations(config)
     for made in (yield calls):
         own = Examples(**made)
         # searches are numbered from 0 for each task and nx
+        # unique over all parts: held-out episodes are drawn by their numbers
         parts.append(own._replace(episodes=own.episodes % TOGETHER + count))
         count += TOGETHER
     data = Examples(*(np.concatenate(own) for own in zip(*parts, strict=True)))

@@ -2,6 +2,9 @@
 
 Each step draws from its own random stream, so a resumed training draws what an uninterrupted one
 would have drawn, and ends with the same bits.
+
+After a change run `pytest tests/learn/test_training.py`: an interrupted training must end with the
+same weights.
 """
 
 import csv
@@ -21,9 +24,10 @@ from torch import Tensor, nn
 
 from knotgym.common.atomic_files import atomic_write, require_regular
 from knotgym.common.errors import InvalidFile, one_line
-from knotgym.runs.progress import Progress, Status
+from knotgym.runs.progress import Progress
 
 _SEAL = "seal"  # name of the array that holds the digest of the others
+# set by hand; no record says what others would score
 _WARM_UP, _LEAST_RATE = 50, 0.02  # steps over which the rate rises; share of the peak at the end
 _CURVE_ROWS = 100  # of a learning curve, at most
 
@@ -51,12 +55,14 @@ class Training(ABC):
 
     def minimize(self, loss: Tensor) -> None:
         """Take one optimizer step; the rate rises linearly, then falls by a cosine."""
+        # from 1 to 0 by half a cosine over the whole training, down to _LEAST_RATE of the peak
         falling = 0.5 + 0.5 * math.cos(math.pi * self.step / self.steps)
         rate = self._rate * min(1.0, (self.step + 1) / _WARM_UP)
         for group in self._optimizer.param_groups:
             group["lr"] = rate * (_LEAST_RATE + (1 - _LEAST_RATE) * falling)
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        # one odd batch may not undo what many have learned
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         self._optimizer.step()
         self.step += 1
@@ -67,6 +73,8 @@ class Training(ABC):
 
     def save(self, path: Path) -> None:
         """Write the checkpoint, with a digest; it replaces the one before at once."""
+        # AdamW's two means and its count for each parameter: without them a resumed training would
+        # take other steps
         moments = self._optimizer.state_dict()["state"]
         parts = {**self.parts(), **{f"optimizer {number}": own for number, own in moments.items()}}
         kept = {f"{part}/{k}": one for part, own in parts.items() for k, one in own.items()}
@@ -97,6 +105,7 @@ class Training(ABC):
                 if tensors.keys() != parts[part].keys():
                     raise ValueError(f"its {part} is another one")
                 for name, own in tensors.items():
+                    # in place: the optimizer holds these very tensors
                     own.copy_(parts[part][name])
             moments = {
                 int(part.split()[1]): own for part, own in parts.items() if part[:9] == "optimizer"
@@ -121,17 +130,12 @@ def fit(training: Training, path: Path, save_every: int, what: str, progress: Pr
     if path.exists():
         training.restore(path)
 
-    def status() -> Status:
-        facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
-        return Status(training.step, training.steps, f"steps of the {what}", facts)
-
-    progress.stage(f"training the {what}")
     while training.step < training.steps:
-        progress.show(status)
+        facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
+        progress.stage(f"training the {what}", training.step, training.steps, facts)
         training.advance()
         if training.step % save_every == 0 or training.step == training.steps:
             training.save(path)
-    progress.show(status, last=True)
 
 
 def _digest(kept: dict[str, Tensor]) -> bytes:
@@ -155,6 +159,7 @@ def draw_curve(
         kept: the step whose weights are kept, marked by a grey line.
     """
     rows = np.array(curve, dtype=np.float64)
+    # at most _CURVE_ROWS groups of neighbouring rows, each shown by its mean
     groups = np.array_split(rows, range(0, len(rows), -(-len(rows) // _CURVE_ROWS))[1:])
     rows = np.array([[group[-1, 0], *group[:, 1:].mean(axis=0)] for group in groups])
     with atomic_write(out / "curve.csv") as part, part.open("w", newline="") as file:

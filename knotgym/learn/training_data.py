@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episodes import Episodes, gauss_codes
+from knotgym.datasets.episodes import Episodes
 from knotgym.envs.tasks import TaskConfig
-from knotgym.learn.decisions import Decisions
-from knotgym.learn.imagination import BEADS
+from knotgym.learn.colour_reading import BEADS
+from knotgym.learn.decisions import Examples, examples
 from knotgym.rope.model import RopeConfig
+from knotgym.topology.code_arrays import plain_codes
 
 
 class TrainingData(NamedTuple):
@@ -45,17 +46,18 @@ def states_and_pulls(sets: Sequence[Episodes]) -> TrainingData:
     return TrainingData(*(np.concatenate(own) for own in zip(*parts, strict=True)))
 
 
-def decisions_of(one: Episodes, first: int = 0) -> Decisions:
+def decisions_of(one: Episodes, first: int = 0) -> Examples:
     """Return the passes of a set of episodes; the numbers of episodes begin at `first`."""
     steps, episodes = one.steps, one.episodes
     # other macro-actions, which the scripted policy has too, pass no strand
     passes = (steps["macro_side"] != 0) & (steps["macro_target"] < steps["observation"].shape[1])
+    # the first pull of each: there the policy saw the state and chose
     chosen = np.flatnonzero(steps["macro_start"] & passes)
     number = one.episode_of()[chosen]
     macros = [steps[f"macro_{name}"][chosen] for name in ("bead", "target", "side")]
-    return Decisions(
+    return examples(
         steps["observation"][chosen],
-        gauss_codes(episodes["goal_visits"])[number],
+        plain_codes(np.asarray(episodes["goal_visits"][number], np.int16)),
         np.stack(macros, axis=1).astype(np.int64),
         episodes["success"][number],
         first + number,

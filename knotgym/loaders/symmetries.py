@@ -19,9 +19,13 @@ by `inverse`.
 
     frame = Symmetries.canonical(observations)
     actions = frame.inverse().actions(policy(frame.observations(observations)))
+
+After a change run `pytest tests/loaders/test_symmetries.py`: an image of a step must be the step of
+the image.
 """
 
 from collections.abc import Mapping
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -29,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.marked import mark
-from knotgym.envs.observations import SYMBOLS
+from knotgym.envs.observations import SYMBOLS, each
 from knotgym.rope.actions import chosen_forces, force_choices
 from knotgym.topology.code_arrays import plain_code
 from knotgym.topology.crossings import label_many
@@ -72,6 +76,7 @@ class Symmetries(Symmetry):
         """
         turn = rng.uniform(0, 2 * np.pi, count)
         if of_pictures:
+            # drawn as any turn and rounded down, so both kinds take the same numbers of the stream
             turn = np.floor(turn / (np.pi / 2)) * (np.pi / 2)
         flags = rng.random((3, count)) < 0.5
         if of_pictures:
@@ -117,6 +122,7 @@ class Symmetries(Symmetry):
             flags.reshape(len(own), *(1 for _ in own.shape[1:-1]), 2), (*own.shape[:-1], 2)
         )
         rows = np.concatenate([own, flags], axis=-1).reshape(-1, SYMBOLS + 2)
+        # few different codes in a batch: each is mapped once
         different, at = np.unique(rows, axis=0, return_inverse=True)
         for row in different:
             code = plain_code(row[:SYMBOLS])
@@ -139,6 +145,7 @@ class Symmetries(Symmetry):
                 f" {seen.shape}"
             )
         size = seen.shape[1]
+        # rope and goal are turned alike, each about its own middle
         halves = seen.reshape(len(seen), size, 2, size, -1)
         mirrored = np.where(self.mirror[:, None, None, None, None], halves[:, :, :, ::-1], halves)
         out = np.empty_like(mirrored)
@@ -176,7 +183,7 @@ class Symmetries(Symmetry):
                 made[name] = np.asarray(values)
             else:
                 raise InvalidInput(f"no symmetry is known for {name!r} of a batch; leave it out")
-        return {name: _taken(values, kept) for name, values in made.items()}
+        return dict(each(made, itemgetter(kept)))
 
     @property
     def _quarters(self) -> NDArray[np.int64]:
@@ -188,8 +195,9 @@ class Symmetries(Symmetry):
 
     def observations(self, seen: Any) -> Any:
         """Map observations, as `applied` does."""
-        if isinstance(seen, dict):
-            return {name: self.observations(values) for name, values in seen.items()}
+        return each(seen, self._observations)
+
+    def _observations(self, seen: ArrayLike) -> Array:
         values = np.asarray(seen)
         if len(values) != len(self.turn):
             raise InvalidInput(f"{len(self.turn)} symmetries don't fit {len(values)} samples")
@@ -208,6 +216,7 @@ class Symmetries(Symmetry):
     def actions(self, actions: Array) -> Array:
         """Map actions (n, ..., 6), (n, ..., 4) or (n, ..., 3) of the views pull, bead and macro."""
         if actions.dtype.kind == "f":
+            # position and force are two vectors, moved alike
             moved = self.vectors(actions.reshape(*actions.shape[:-1], 2, 3))
             return moved.reshape(actions.shape)
         made = actions.copy()
@@ -242,12 +251,6 @@ def multiplied(
     count = len(np.asarray(batch["actions"])) if "actions" in batch else 0
     copies = [Symmetries.drawn(count, rng, **kinds).applied(batch) for _ in range(times)]
     return {name: _joined([copy[name] for copy in copies]) for name in copies[0]}
-
-
-def _taken(values: Any, kept: NDArray[np.bool_]) -> Any:
-    if isinstance(values, dict):
-        return {name: _taken(one, kept) for name, one in values.items()}
-    return values[kept]
 
 
 def _joined(parts: list[Any]) -> Any:

@@ -10,6 +10,8 @@ strand itself. It makes the gap in the under strand. The band covers parts of th
 which are therefore painted once more.
 """
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +27,7 @@ from knotgym.rendering.camera import (
 from knotgym.rendering.polygon_fill import SHIFT
 from knotgym.rendering.rasterizer import EDGE, average, polygons
 from knotgym.topology.crossings import Crossings, find_crossings
+from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]
 
@@ -64,7 +67,7 @@ def draw_diagram(
         InvalidInput: points have the wrong shape or are not finite, or the size is out of range.
     """
     rope = seen_from(view, checked_points(points, 2))
-    curve, crossings = _smooth(rope)
+    curve, crossings = smooth_curve(rope, find_crossings(rope).code, _PARTS)
     shown = side or side_of(rope)
     config = PictureConfig(size=size, view=shown, rope_radius=max(_RADIUS, _THINNEST * shown))
     centre = 0.5 * (rope.min(axis=0) + rope.max(axis=0))
@@ -93,7 +96,7 @@ def draw_lines(points: ArrayLike, config: PictureConfig) -> NDArray[np.uint8]:
         uint8 (size, size, 3), RGB.
     """
     rope = checked_points(points, 2)
-    curve, crossings = _smooth(rope)
+    curve, crossings = smooth_curve(rope, find_crossings(rope).code, _PARTS)
     colours = np.zeros((len(curve), 3), dtype=np.uint8)
     pixels = project(curve, config, rope.mean(axis=0))
     return _paint(curve, crossings, pixels, config, colours, _WHITE, _LINE_GAP)
@@ -109,25 +112,39 @@ def side_of(points: ArrayLike) -> float:
     return max(_SMALLEST, _MARGIN * float(extent))
 
 
-def _smooth(rope: Array) -> tuple[Array, Crossings]:
-    """Return a closed curve through the beads, _PARTS pieces per bead, and its crossings.
+def smooth_curve(
+    rope: Array, code: GaussCode, parts: int, eases: Sequence[float] = ()
+) -> tuple[Array, Crossings]:
+    """Lay a smooth closed curve along a rope, with the same Gauss code.
 
-    It is the Catmull-Rom spline, unless that has another Gauss code than the rope; then it is the
-    polyline of the beads.
+    Args:
+        rope: float64 (beads, 3).
+        code: of the rope.
+        parts: pieces of the curve for each bead.
+        eases: shares by which vertices move towards their neighbours, twice, as no rope bends at a
+            point. The first that keeps the code is taken. If none does, the curve is the
+            Catmull-Rom spline, or the polygon.
+
+    Returns:
+        float64 (beads parts, 3), and its crossings.
     """
-    code = find_crossings(rope).code
-    before, after = np.roll(rope, 1, axis=0), np.roll(rope, -1, axis=0)
-    beyond = np.roll(rope, -2, axis=0)
-    t = (np.arange(_PARTS) / _PARTS)[:, None, None]
-    # the cubic from rope to after with the tangents (after - before) / 2 and (beyond - rope) / 2
-    slope, bend = after - before, 2 * before - 5 * rope + 4 * after - beyond
-    spline = rope + 0.5 * t * (slope + t * (bend + t * (3 * (rope - after) + beyond - before)))
-    for curve in (spline, rope + t * (after - rope)):
-        laid = np.ascontiguousarray(curve.swapaxes(0, 1)).reshape(-1, 3)
-        crossings = find_crossings(laid)
+    n, t = len(rope), (np.arange(parts) / parts)[:, None]
+    before, after = np.arange(-1, n - 1), np.append(np.arange(1, n), 0)
+    for ease, bent in (*((ease, 1.0) for ease in eases), (0.0, 1.0), (0.0, 0.0)):
+        here = rope
+        for _ in range(2 if ease else 0):
+            here = here + ease * (here[before] + here[after] - 2 * here)
+        step = here[after] - here
+        slope = step - 0.5 * bent * (step - step[before])
+        end = step + bent * (slope[after] - step)
+        # the cubic through here and the next vertex, with these slopes at its ends
+        square, cube = 3 * step - 2 * slope - end, slope + end - 2 * step
+        terms = [one[:, None] for one in (here, slope, square, cube)]
+        curve = (terms[0] + t * (terms[1] + t * (terms[2] + t * terms[3]))).reshape(-1, 3)
+        crossings = find_crossings(curve)
         if crossings.code == code:
             break
-    return laid, crossings
+    return curve, crossings
 
 
 def _paint(

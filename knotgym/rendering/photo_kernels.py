@@ -2,6 +2,9 @@
 
 Arithmetic is + - * / and sqrt alone, in float32 without fastmath, so that the same numbers give the
 same bytes on every processor. Pixel (row, column) has its centre at (column + 0.5, row + 0.5).
+
+After a change run `pytest tests/rendering/test_photo.py`: answers must be those of an outside
+computation.
 """
 
 from typing import Any
@@ -23,6 +26,7 @@ def _smooth_noise(texture: Array, x: Any, y: Any) -> Any:
     """Interpolate a periodic texture, float32 (64, 64), at a point."""
     column, row = int(np.floor(x)), int(np.floor(y))
     x, y = x - np.float32(column), y - np.float32(row)
+    # the texture repeats every 64 cells, so an index is its last six bits
     c, d, r, s = column & 63, (column + 1) & 63, row & 63, (row + 1) & 63
     upper = texture[r, c] + x * (texture[r, d] - texture[r, c])
     lower = texture[s, c] + x * (texture[s, d] - texture[s, c])
@@ -50,6 +54,8 @@ def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, la
             if kind == GRADIENT:
                 value = x + half
             elif kind == NOISE:
+                # three octaves, each a third as wide and weaker than the one before: spots of
+                # several sizes
                 value = np.float32(0.5) * _smooth_noise(texture, x, y)
                 value += np.float32(0.3) * _smooth_noise(texture, 3 * x, 3 * y)
                 value += np.float32(0.2) * _smooth_noise(texture, 9 * x, 9 * y)
@@ -97,11 +103,14 @@ def shapes(
                     np.float32(column) + np.float32(0.5) - x,
                     np.float32(row) + np.float32(0.5) - y,
                 )
+                # inside a convex shape every side's distance is negative; the largest tells how far
+                # the outside is
                 out = shade = -FAR
                 for s in range(1, outlines.shape[1]):
                     nx, ny, off = outlines[k, s]
                     out = max(out, nx * px + ny * py - off)
                     shade = max(shade, nx * (px - shift[0]) + ny * (py - shift[1]) - off)
+                # a pixel half covered lies on the side itself: antialiasing by distance
                 cover = min(max(np.float32(0.5) - out, np.float32(0)), np.float32(1))
                 lit = min(max(np.float32(0.5) - shade / soft, np.float32(0)), np.float32(1))
                 lit = 1 - np.float32(dark) * lit
@@ -159,6 +168,7 @@ def stamp(
             continue
         x0, y0 = curve[k, 0], curve[k, 1]
         dx, dy = curve[after[k], 0] - x0, curve[after[k], 1] - y0
+        # a piece without a length is a point; 1e-9 keeps it from being NaN
         inverse = np.float32(1) / max(dx * dx + dy * dy, np.float32(1e-9))
         left, right = int(max(min(x0, x0 + dx) - reach, 0)), int(max(x0, x0 + dx) + reach) + 1
         top, bottom = int(max(min(y0, y0 + dy) - reach, 0)), int(max(y0, y0 + dy) + reach) + 1
@@ -166,6 +176,7 @@ def stamp(
             py = np.float32(row) + half - y0
             for column in range(left, min(right, size)):
                 px = np.float32(column) + half - x0
+                # where along the piece the pixel's nearest point is: projected, then clamped
                 t = (px * dx + py * dy) * inverse
                 # the upper layer ends square, on the lower one, which goes on below it
                 upper = flags[k] & OVER and not (
@@ -239,6 +250,7 @@ def compose(
         np.float32(ambient),
         np.float32(dark),
     )
+    # the half vector between the light and the eye, which looks down the z axis (Blinn)
     hx, hy, hz = light[0], light[1], light[2] + one
     norm = one / np.sqrt(hx * hx + hy * hy + hz * hz)
     hx, hy, hz = hx * norm, hy * norm, hz * norm
@@ -254,6 +266,8 @@ def compose(
                 continue
             d = np.sqrt(min(square[0, r, c], square[1, r, c]))
             s = min(max(half + (radius - d) / (2 * soft), zero), one)
+            # smoothstep of the distance: a soft edge; the second shadow is contact, darkest beside
+            # the rope
             lit = one - np.float32(0.7) * dark * s * s * (3 - 2 * s)
             low, high = np.sqrt(square[0, row, column]), np.sqrt(square[1, row, column])
             s = min(max(one - (min(low, high) - radius) / near, zero), one)
@@ -277,14 +291,19 @@ def compose(
                 tx = tangent[k, 0] + t * (tangent[j, 0] - tangent[k, 0])
                 ty = tangent[k, 1] + t * (tangent[j, 1] - tangent[k, 1])
                 tz = tangent[k, 2] + t * (tangent[j, 2] - tangent[k, 2])
+                # length of the tangent in the picture; small where the rope rises towards the eye
                 flat = np.sqrt(tx * tx + ty * ty) + np.float32(1e-6)
                 px = np.float32(column) + half - curve[k, 0] - t * (curve[j, 0] - curve[k, 0])
                 py = np.float32(row) + half - curve[k, 1] - t * (curve[j, 1] - curve[k, 1])
+                # across the rope, -1 to 1, signed by the side of the tangent; a round section is
+                # sqrt(1 - u^2) high
                 u = min(d / radius, one) if tx * py - ty * px >= 0 else -min(d / radius, one)
                 rise = np.sqrt(one - u * u)
                 groove, lean, which, edge, fibre = one, zero, 0, radius, one
                 turn = along[k] + t * (along[k + 1] - along[k])
                 if twisted:
+                    # two strands round the rope: angle round the axis plus twist along it, in
+                    # strands
                     v = 2 * (turn + _arcsine_share(u))
                     which = int(np.floor(v)) & 1
                     v -= np.floor(v)
@@ -305,6 +324,8 @@ def compose(
                 norm = one / np.sqrt(nx * nx + ny * ny + nz * nz)
                 diffuse = max((nx * light[0] + ny * light[1] + nz * light[2]) * norm, zero)
                 sheen = max((nx * hx + ny * hy + nz * hz) * norm, zero)
+                # the sixteenth power by four squarings: + - * / and sqrt alone round alike
+                # everywhere
                 for _ in range(4):
                     sheen *= sheen
                 sky = ambient * (half + half * rise)
@@ -346,6 +367,8 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
                 low + (x >> np.uint32(24)),
                 (y >> np.uint32(24)) + ((y >> np.uint32(16)) & byte),
             )
+            # a sum of four bytes has mean 510 and is nearly normal; two bytes, of colour, have mean
+            # 255
             grey = np.float32(np.int32(low) - 510) * scale + half
             tint = np.float32(np.int32(high) - 255) * scale * half
             light = 1 + slope[0] * (np.float32(column) / size - half)

@@ -191,13 +191,13 @@ def levels_of(colour: Array) -> RGB:
 
 def lab(colours: Array) -> Array:
     """Return CIELAB (n, 3) of RGB levels (n, 3), with a and b at half weight."""
-    levels = np.clip(colours, 0, 255).astype(np.uint8)
+    levels = np.minimum(np.maximum(colours, 0), 255).astype(np.uint8)
     return cv2.cvtColor(levels[None], cv2.COLOR_RGB2LAB)[0] * np.array([100 / 255, 0.5, 0.5])
 
 
 def lengths(vectors: Array) -> Array:
-    """Return the lengths of vectors along the last axis."""
-    return np.sqrt((vectors**2).sum(axis=-1))
+    """Return the lengths of vectors along the last axis, which NumPy is slow to sum over."""
+    return np.sqrt(sum(np.square(vectors[..., k]) for k in range(vectors.shape[-1])))
 
 
 def low_of(values: Array) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.rendering import photo_kernels as kernels
+from knotgym.rendering.diagram import smooth_curve
 from knotgym.rendering.photo_look import (
     LIMITS,
     SURFACES,
@@ -29,6 +30,8 @@ from knotgym.rendering.strand_spacing import strand_spacing
 from knotgym.topology.crossings import Crossings, find_crossings
 
 Array = NDArray[Any]
+
+_EASES = (0.25, 0.1)  # see `smooth_curve`
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,24 +76,7 @@ class PhotoRope:
     def __init__(self, points: Array, size: int) -> None:
         self.points, self.parts = points, min(-(-size // 128), 3)
         self.crossings, flat = find_crossings(points), points - points.mean(axis=0)
-        n, t = len(points), (np.arange(self.parts) / self.parts)[:, None]
-        before, after = np.arange(-1, n - 1), np.append(np.arange(1, n), 0)
-        # vertices are eased towards their neighbours, as no rope bends at a point; less, or along
-        # the polygon, where that would change the code
-        for ease, bent in ((0.25, 1.0), (0.1, 1.0), (0.0, 1.0), (0.0, 0.0)):
-            here = flat
-            for _ in range(2 if ease else 0):
-                here = here + ease * (here[before] + here[after] - 2 * here)
-            step = here[after] - here
-            slope = step - 0.5 * bent * (step - step[before])
-            end = step + bent * (slope[after] - step)
-            # the cubic through here and the next vertex, with these slopes at its ends
-            square, cube = 3 * step - 2 * slope - end, slope + end - 2 * step
-            parts = [one[:, None] for one in (here, slope, square, cube)]
-            self.curve = (parts[0] + t * (parts[1] + t * (parts[2] + t * parts[3]))).reshape(-1, 3)
-            self.shown = find_crossings(self.curve)
-            if self.shown.code == self.crossings.code:
-                return
+        self.curve, self.shown = smooth_curve(flat, self.crossings.code, self.parts, _EASES)
 
 
 class PhotoView:

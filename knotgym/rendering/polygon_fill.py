@@ -21,6 +21,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+# Fractions of a pixel as OpenCV takes them in its argument `shift`; all products below stay within
+# int64.
 SHIFT = 6  # coordinates are in units of 1 / 2**SHIFT pixels
 _ONE = 1 << 16
 _HALF = _ONE >> 1
@@ -41,6 +43,7 @@ def fill(canvas: NDArray[np.uint16], corners: NDArray[np.int32], value: int) -> 
     bottom = corners[0, 1]
     for i in range(n):
         before = i - 1 if i else n - 1
+        # a repeated corner would be a line without a direction
         if corners[i, 0] != corners[before, 0] or corners[i, 1] != corners[before, 1]:
             _line(
                 canvas,
@@ -58,6 +61,7 @@ def fill(canvas: NDArray[np.uint16], corners: NDArray[np.int32], value: int) -> 
     # through the corners. `at` is the corner at which a chain's current edge begins, `ends` the row
     # in which it ends, `x` where it is in the current row.
     at_0, at_1, ends_0, ends_1 = top, top, y, y
+    # nowhere yet: the first row sets both
     x_0 = x_1 = -_ONE
     slope_0 = slope_1 = 0
     left = n  # edges that neither chain has come to
@@ -70,9 +74,12 @@ def fill(canvas: NDArray[np.uint16], corners: NDArray[np.int32], value: int) -> 
             at_1, ends_1, x_1, slope_1, left = _next_edge(
                 corners, at_1, n - 1, y, ends_1, x_1, slope_1, left
             )
+        # both chains have met: the polygon is below this row no more
         if left < 0:
             break
         if y >= 0:
+            # rounded to the nearest sample, both ends included; a convex polygon has one stretch a
+            # row
             first = max((min(x_0, x_1) + _HALF) >> 16, 0)
             final = min((max(x_0, x_1) + _HALF) >> 16, columns - 1)
             for x in range(first, final + 1):
@@ -108,9 +115,11 @@ def _next_edge(
     start, end = at, (at + step) % n
     while left > 0:
         left -= 1
+        # edges that end in the row where they begin are passed over: the outline has painted them
         row = _row(corners[end, 1])
         if row > y:
             x = int(corners[start, 0]) << _UP
+            # dx for each row; the row count is that of the rounded rows, as in OpenCV
             across = (int(corners[end, 0]) << _UP) - x
             # half a unit is added, for rounding
             return end, row, x, _quotient(2 * across + (row - y), 2 * (row - y)), left
@@ -138,8 +147,10 @@ def _line(canvas: NDArray[np.uint16], x: int, y: int, x_end: int, y_end: int, va
     flat = abs(x_end - x) > abs(y_end - y)
     if (flat and x_end < x) or (not flat and y_end < y):
         x, y, x_end, y_end = x_end, y_end, x, y
+    # the last sample by itself: rounded slopes may end one beside it
     _put(canvas, (x_end + _HALF) >> 16, (y_end + _HALF) >> 16, value)
     if flat:
+        # `| 1` is OpenCV's way round a division by zero
         slope, count = _quotient((y_end - y) << 16, (x_end - x) | 1), (x_end - x) >> 16
         column, y = (x + _HALF) >> 16, y + _HALF
         for k in range(count + 1):
@@ -185,6 +196,7 @@ def _clipped(
             return none
     if _outside(y, bottom) != 0:
         edge = 0 if y < 0 else bottom
+        # where the line meets the edge, rounded towards zero as C divides
         x += _quotient((edge - y) * (x_end - x), y_end - y)
         y = edge
     if _outside(y_end, bottom) != 0:
@@ -222,6 +234,7 @@ def shrink(
         out: uint8 (rows, columns, 3 or 4), the fourth for depth; already the colour and level of
             number 0; output.
     """
+    # wide enough for sums of 64 bytes; reused for every pixel
     block = np.empty((8, 8, 3), np.int64)
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
@@ -272,6 +285,7 @@ def _average(block: NDArray[np.int64], width: int) -> None:
         for i in range(width):
             for j in range(width):
                 for c in range(3):
+                    # (a + b + c + d + 2) / 4: the nearest whole number, halves up
                     upper = block[2 * i, 2 * j, c] + block[2 * i, 2 * j + 1, c]
                     lower = block[2 * i + 1, 2 * j, c] + block[2 * i + 1, 2 * j + 1, c]
                     block[i, j, c] = (upper + lower + 2) >> 2
@@ -281,5 +295,6 @@ def _average(block: NDArray[np.int64], width: int) -> None:
             for i in range(width):
                 for j in range(width):
                     total += block[i, j, c]
+            # in float32 and by the reciprocal, as OpenCV computes an odd block
             mean = np.float32(total) * np.float32(1.0 / (width * width))
             block[0, 0, c] = np.int64(np.rint(mean))

@@ -59,8 +59,7 @@ def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Ar
     total = along[beads]
     at = np.empty(visits)
     for k in range(len(over)):
-        for side in range(2):
-            place = over[k] if side == 0 else under[k]
+        for side, place in enumerate((over[k], under[k])):
             i = min(int(place), beads - 1)
             at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
     # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same

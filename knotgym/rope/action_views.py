@@ -8,6 +8,8 @@
 A macro-action is a pass without chance, carried out by the `WaypointFollower` until the
 bead has reached its last waypoint, the episode has ended, or LONGEST pulls were made. A change of
 code doesn't end it: a crossing that has only just been made comes undone in the next one.
+
+After a change run `pytest tests/envs/test_action_views.py`.
 """
 
 import numpy as np
@@ -23,6 +25,8 @@ class ActionView:
     """Carries out agents' actions on the ropes of a simulation, pull by pull.
 
     Attributes:
+        name: "pull", "bead" or "macro".
+        size: how many numbers an action has.
         busy: bool (count,), whether a rope's action has pulls left.
         pulls: int64 (count,), pulls of each rope's current or last action.
         macros: int64 (count, 3), the current or last macro-action: bead, target, side (+1 over, -1
@@ -30,9 +34,11 @@ class ActionView:
     """
 
     def __init__(self, view: str, simulation: Simulation) -> None:
-        self._view, self._simulation = view, simulation
+        self.name, self._simulation = view, simulation
         count, beads = simulation.points.shape[:2]
         self._counts = choices(view, beads) if view in CHOICES else None
+        self.size = 6 if self._counts is None else len(self._counts)
+        # wide enough for every view; those of macro-actions are kept by the controller
         self._actions: NDArray[np.float64] = np.zeros((count, 6))
         self._controller = WaypointFollower(count)
         self.busy = np.zeros(count, dtype=bool)
@@ -49,15 +55,17 @@ class ActionView:
         if self._counts is None:
             self._simulation.read_actions(a, ids)
             return a
-        if a.shape != (len(ids), len(self._counts)):
+        if a.shape != (len(ids), self.size):
             raise InvalidInput(
-                f"an action of the view {self._view!r} is {len(self._counts)} whole numbers; got"
+                f"an action of the view {self.name!r} is {self.size} whole numbers; got"
                 f" shape {a.shape} for {len(ids)} ropes"
             )
+        # equal to their rounded values, so that an integer in a float array is taken, and NaN is
+        # not
         bad = ~((a == np.rint(a)) & (a >= 0) & (a < self._counts)).all(axis=1)
         if bad.any():
             raise InvalidInput(
-                f"an action of the view {self._view!r} is whole numbers below"
+                f"an action of the view {self.name!r} is whole numbers below"
                 f" {self._counts.tolist()}, got {a[bad][0].tolist()}"
             )
         return a
@@ -74,10 +82,11 @@ class ActionView:
         """
         chosen = self.check(actions, ids)
         self.busy[ids], self.pulls[ids] = True, 0
-        if self._view != "macro":
+        if self.name != "macro":
             self._actions[ids, : chosen.shape[1]] = chosen
             return
         self.macros[ids] = chosen
+        # an agent's 0 and 1 become the side -1 and +1 of `macro_actions.Pass`
         self.macros[ids, 2] = 2 * self.macros[ids, 2] - 1
         self._controller.begin_passes(ids, self.macros[ids], self._simulation.points)
 
@@ -87,7 +96,7 @@ class ActionView:
         Returns:
             beads int64 (n,); forces float32 (n, 3), in units of the largest force.
         """
-        if self._view == "bead":
+        if self.name == "bead":
             forces = chosen_forces(self._actions[ids, 1:4])
             return self._actions[ids, 0].astype(np.int64), forces.astype(np.float32)
         self._controller.arrive(self._simulation.points, ids)
@@ -97,7 +106,9 @@ class ActionView:
         """Record that the ropes `ids` made a pull, and whether it `ended` their episodes."""
         self.pulls[ids] += 1
         self.busy[ids] = False
-        if self._view == "macro":
+        if self.name == "macro":
+            # waypoints that the pull reached are passed now, so that an action that is over ends
+            # with this pull and not with one more
             arrived = self._controller.arrive(self._simulation.points, ids)
             spent = arrived | (self.pulls[ids] >= LONGEST)
             self.busy[ids] = ~spent & ~ended

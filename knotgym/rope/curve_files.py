@@ -64,6 +64,7 @@ def read_curves(path: str | Path) -> list[Curve]:
         found = [(name, _array(points)) for name, points in reader(given)]
     except Exception as error:  # there is no end to what foreign bytes make NumPy raise
         raise InvalidInput(f"{path} can't be read as curves: {one_line(error)[:300]}") from error
+    # Parts of one name are components of one link. Without names all parts are those of one link.
     for name, count in Counter(name for name, _ in found).most_common(1):
         if count > 1:
             raise InvalidInput(
@@ -91,6 +92,7 @@ def _array(points: ArrayLike) -> Array:
 def _lines(path: Path) -> Iterator[str]:
     """Yield the lines of a text, whatever byte-order mark it begins with."""
     with open(path, "rb") as file:
+        # Windows writes UTF-16 with a byte-order mark; all else is UTF-8, which may have one, too.
         wide = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     with open(path, encoding="utf-16" if wide else "utf-8-sig") as text:
         for number in range(_MOST + 1):
@@ -111,6 +113,7 @@ def _from_table(path: Path) -> Components:
     begun = False
     for number, line in enumerate(chain(lines, [""]), 1):
         text = _COMMENT.sub("", line).strip()
+        # the first of these that the row has; None parts by any white space
         parted_by = next((mark for mark in ",;\t" if mark in text), None)
         words = [word.strip(" \t\"'") for word in text.split(parted_by)]
         if any(words):
@@ -134,6 +137,7 @@ def _row(words: Sequence[str], number: int) -> tuple[str, list[float]]:
 def _by_name(rows: list[tuple[str, list[float]]]) -> Components:
     """Part the rows of a component by name, unless the names only count them."""
     try:
+        # A first column that only counts the rows, as pandas writes, is no name.
         counts = [float(name) for name, _ in rows]
     except ValueError:  # a name, or none
         counts = []
@@ -147,6 +151,7 @@ def _by_name(rows: list[tuple[str, list[float]]]) -> Components:
 
 def _without_counts(lines: Iterator[str]) -> Iterator[str]:
     """Leave x y z of a molecule's file: the number of atoms, a comment, and a row for each."""
+    # Chemists' files begin with the number of atoms; others with this suffix are plain tables.
     first = next(lines, "")
     lines = chain([first], lines)
     if not first.strip().isdecimal():
@@ -228,6 +233,8 @@ def _walk(
         while following := [vertex for vertex in joined[walk[end]] if vertex not in seen]:
             seen.add(following[0])
             add(following[0])
+    # Line elements say whether a curve closes; a vertex that is repeated at the end says so to the
+    # reader.
     closed = len(walk) > 2 and walk[0] in joined[walk[-1]]
     return [*walk, walk[0]] if closed else [*walk]
 
@@ -236,6 +243,8 @@ def _from_vect(path: Path) -> Components:
     words = [word for line in _lines(path) for word in line.partition("#")[0].split()]
     if words[:1] != ["VECT"] or len(words) < 4:
         raise InvalidInput("a text of Geomview begins with VECT and three numbers")
+    # After these three numbers: vertices of each polyline, colours of each, all coordinates, all
+    # colours.
     polylines, vertices, colours = [int(word) for word in words[1:4]]
     begin = 4 + 2 * max(polylines, 0)
     # vertices of each polyline, negative if it is closed; how many colours it has isn't needed
@@ -258,6 +267,7 @@ def _nested(name: str, value: Any) -> Components:
         for key, inner in value.items():
             yield from _nested(f"{name}.{key}".strip("."), inner)
     elif isinstance(value, list):
+        # two lists deep is a curve, three are several
         if value and isinstance(value[0], list) and value[0] and isinstance(value[0][0], list):
             for inner in value:
                 yield from _nested(name, inner)

@@ -54,6 +54,8 @@ def simulation_of(count: int, config: RopeConfig, engine: str = MUJOCO) -> Simul
     """
     from knotgym.rope.model import Rope
 
+    # one for each size: making one compiles a model and lays its ropes, which takes longer than
+    # many of the calls that share it
     key = engine, count, config
     if key not in _shared:
         _shared[key] = simulation(engine, count, Rope(config))

@@ -100,6 +100,7 @@ def transported(along: Array, order: Array, parent: Array) -> Array:
                 _shortest_arc(x_axis, along[row, bead], world[row, bead])
             else:
                 _shortest_arc(along[row, up], along[row, bead], arc)
+                # the arc is applied in the world's frame, so it stands on the left
                 _multiply(arc, world[row, up], world[row, bead])
     return world
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.rope.actions import FORCE_BINS, quantized
 from knotgym.rope.model import Array
 
+# A pass takes 9 on average (docs/experiments.md); why 10 is the most, no record says.
 LONGEST = 10  # actions of a macro-action, at most
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
 KINDS = ("pass", "curl", "spread", "shift")
@@ -277,6 +278,8 @@ def _straight(points, ids, passes, waypoints, rise, farthest, lift, beyond):  # 
     """
     for k in range(len(ids)):
         rope, bead, target, side = points[ids[k]], passes[k, 0], passes[k, 1], passes[k, 2]
+        # Seen from above; where both beads lie at one point any direction will do, and (1, 0) is as
+        # good as another.
         x, y = rope[target, 0] - rope[bead, 0], rope[target, 1] - rope[bead, 1]
         far = np.sqrt(x * x + y * y)
         ahead_x, ahead_y = (x / far, y / far) if far > 0 else (1.0, 0.0)

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.configuration import Count, NonNegative, Positive, Real, choice, configuration
+from knotgym.common.configuration import Count, NonNegative, Positive, choice, configuration
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.closed_curves import clearance, equal_chords
 from knotgym.rope.kinematics import backward, forward, transported
@@ -29,6 +29,12 @@ from knotgym.rope.kinematics import backward, forward, transported
 Array = NDArray[np.float64]
 
 ROPE_FORMAT = 1  # increase whenever the same configuration would move differently
+# MuJoCo's solver parameters of the constraints that join the sub-chains, as published; the chain
+# engine closes the rope exactly and has none. They count for the fingerprint, by these names.
+_CLOSURES: dict[str, tuple[float, ...]] = {
+    "closure_solref": (0.02, 1.0),
+    "closure_solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
+}
 
 
 @configuration
@@ -47,8 +53,6 @@ class RopeConfig:
             The rope is the same, but with the root in the middle the tree is half as deep. MuJoCo
             integrates joint angles, which differ between the two, so that beads end up millimetres
             apart after an action.
-        closure_solref, closure_solimp: MuJoCo's solver parameters of the constraints that join the
-            sub-chains.
         timestep: integrator step, seconds.
         frame_skip: integrator steps per action.
         max_force: largest component of the force on a bead, newtons.
@@ -63,8 +67,6 @@ class RopeConfig:
     joint_damping: NonNegative = 0.01
     sub_chains: Count = 7
     rooted: Annotated[str, choice("middle", "start")] = "middle"
-    closure_solref: tuple[Real, Real] = (0.02, 1.0)
-    closure_solimp: tuple[Real, Real, Real, Real, Real] = (0.9, 0.95, 0.001, 0.5, 2.0)
     timestep: Positive = 0.008
     frame_skip: Count = 24
     max_force: Positive = 0.2
@@ -90,7 +92,7 @@ class RopeConfig:
     @property
     def fingerprint(self) -> str:
         """Hash of the settings, 16 hexadecimal digits, stored in files made with this rope."""
-        text = json.dumps({"format": ROPE_FORMAT, **asdict(self)}, sort_keys=True)
+        text = json.dumps({"format": ROPE_FORMAT, **asdict(self), **_CLOSURES}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -272,6 +274,8 @@ class Rope:
         if len(points) != self.config.beads:
             return False
         lengths = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+        # Inside a sub-chain beads are rigid, so a micrometre is rounding; a closure is soft, and
+        # open by less than a diameter in every state that a simulation can reach.
         off = np.abs(lengths - self.config.bead_length)
         return bool(off[self._next_in_chain].max() < 1e-6 and off.max() < 2 * self.config.radius)
 
@@ -348,8 +352,8 @@ def _join(spec: mujoco.MjSpec, config: RopeConfig, last: int, after: int) -> Non
     )
     # the anchor in the frame of the first body: the end of bead `last`
     joined.data[0:3] = [config.bead_length, 0.0, 0.0]
-    joined.solref = list(config.closure_solref)
-    joined.solimp = list(config.closure_solimp)
+    joined.solref = list(_CLOSURES["closure_solref"])
+    joined.solimp = list(_CLOSURES["closure_solimp"])
     # Their capsules overlap where they meet. MuJoCo exempts parent and child from collision, but
     # these two belong to different trees.
     spec.add_exclude(bodyname1=f"bead{last}", bodyname2=f"bead{after}")

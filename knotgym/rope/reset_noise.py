@@ -67,6 +67,8 @@ def start_qpos(
         reduced = scale * 0.5 ** max(0, draw - FULL_DRAWS + 1)
         moved = noised(writable[left], reduced, [rngs[row] for row in left])
         # much noise may leave a rope that no small correction closes
+        # The chords are equal and their directions sum to 0, so the closing chord has a bead's
+        # length unless Newton's method in `close_loops` didn't converge.
         gaps = np.linalg.norm(moved[:, 0] - moved[:, -1], axis=1) - rope.config.bead_length
         closed = np.abs(gaps) < _GAP
         moved[~closed] = writable[left][~closed]

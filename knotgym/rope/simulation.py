@@ -3,6 +3,9 @@
 A rope's *state* is everything that the engine needs to continue bit for bit, with any number of
 threads and beside any other ropes. Its *qpos* are MuJoCo's generalized positions with either
 engine. Actions follow the published interface, see `actions`; `engines` makes simulations by name.
+
+After a change run `pytest tests/rope/test_simulations.py`, one contract for both engines: the same
+bytes in any company, on any number of threads.
 """
 
 from abc import ABC, abstractmethod
@@ -13,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.common.threads import Threads
+from knotgym.common.threads import Meanwhile, Threads
 from knotgym.rope.actions import decode_actions, encode_actions
-from knotgym.rope.model import Array, Rope
+from knotgym.rope.model import Array, Rope, RopeConfig
 
 ROUNDING = 1e-6  # tolerance for float32 rounding of actions beyond 1; they are clipped to 1
 
@@ -27,7 +30,6 @@ class Simulation(ABC):
 
     Attributes:
         engine: the name of the engine, see `engines`.
-        shares: the values that an entry of `applied_shares` can have.
         rope: the model that all ropes share.
         count: number of ropes.
         threads: that share the work on them.
@@ -39,7 +41,6 @@ class Simulation(ABC):
     """
 
     engine: ClassVar[str]
-    shares: ClassVar[tuple[float, ...]]
     points: Array
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
@@ -51,13 +52,10 @@ class Simulation(ABC):
         self.applied_shares: Array = np.ones(count)
         self.threads = Threads(threads)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {
-            "config": self.rope.config,
-            "count": self.count,
-            "threads": self.threads.count,
-            "states": self.states(),
-        }
+    def __reduce__(self) -> Any:
+        # the compiled model isn't pickled but compiled again
+        made = type(self), self.count, self.rope.config, self.threads.count
+        return _with_states, (*made, self.states())
 
     @property
     def max_force(self) -> float:
@@ -84,13 +82,16 @@ class Simulation(ABC):
         """
 
     @abstractmethod
-    def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
+    def step(
+        self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None, meanwhile: Meanwhile = None
+    ) -> NDArray[np.bool_]:
         """Apply a force to one bead of each rope for one action, timestep * frame_skip seconds.
 
         Args:
             beads: int (len(ids),); the force acts at the bead's centre of mass.
             forces: (len(ids), 3), newtons, world frame.
             ids: the ropes, in increasing order; None for all.
+            meanwhile: called before or while the ropes move; it may change other ropes.
 
         Returns:
             bool (len(ids),): False where the simulation blew up; such a rope stays as it was.
@@ -129,6 +130,8 @@ class Simulation(ABC):
         bad = ~(np.abs(a) <= 1.0 + ROUNDING).all(axis=1)
         if bad.any():
             raise InvalidInput(f"an action's numbers must be in [-1, 1], got {a[bad][0].tolist()}")
+        # Actions of float32 may be beyond 1 by their rounding. Clipping keeps the largest force the
+        # largest, so a replay of stored actions applies what was applied.
         clipped, beads = np.clip(a, -1.0, 1.0), np.empty(len(where), dtype=np.int64)
         forces = np.empty((len(where), 3))
 
@@ -136,6 +139,7 @@ class Simulation(ABC):
             points, config = self.points[where[rows]], self.rope.config
             beads[rows], forces[rows] = decode_actions(clipped[rows], points, config)
 
+        # shared among the threads, as everything is that grows with the number of ropes
         self.threads.spread(read, len(where))
         return beads, forces
 
@@ -145,3 +149,12 @@ class Simulation(ABC):
 
     def _all(self, ids: Ids) -> NDArray[np.int64]:
         return np.arange(self.count) if ids is None else np.asarray(ids, dtype=np.int64)
+
+
+def _with_states(
+    kind: type[Simulation], count: int, config: RopeConfig, threads: int, states: Array
+) -> Simulation:
+    """Unpickle a simulation."""
+    made = kind(count, Rope(config), threads)
+    made.restore(states)
+    return made

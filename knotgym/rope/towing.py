@@ -3,6 +3,8 @@
 The medium is viscous, so the centre follows the sum of all applied forces. A rope that is pulled in
 one direction for long enough trails behind the pulled bead, stretches and untangles. A limit on the
 displacement rules this out, but still allows pulls that cancel out over an episode.
+
+After a change run `pytest tests/rope/test_towing.py`: the expert's plans must keep to the bound.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 def centres(points: ArrayLike) -> NDArray[np.float64]:
     """Return the mean vertex of each rope (n, beads, 3): float64 (n, 3), metres."""
+    # Beads are alike and each lies between two vertices, so round the loop the mean vertex is their
+    # centre of mass.
     mean: NDArray[np.float64] = np.asarray(points, dtype=np.float64).mean(axis=1)
     return mean
 

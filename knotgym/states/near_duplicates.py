@@ -23,6 +23,7 @@ least over all symmetries one by one, and no pair within NEAR may be missed.
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,7 @@ Complex = NDArray[np.complex128]
 # apart. It is a definition, not a fit; a change makes other splits, so other sets.
 NEAR = 0.015  # metres, root mean square over the beads
 _BLOCK = 1024  # rows, or pairs, held in memory at once
+_WAVES = 5  # frequencies whose moduli tell most configurations apart
 
 
 class Spectra(NamedTuple):
@@ -44,21 +46,30 @@ class Spectra(NamedTuple):
         flat: complex128 (n, beads), transform of x + iy.
         upright: complex128 (n, beads), transform of z.
         square: float64 (n,), sum of squared distances of the vertices from their mean, m^2.
+        invariants: float64 (n, 3 _WAVES + 1), metres, the same for all that a symmetry makes of a
+            configuration. Their distance (a norm) is at most that of the configurations.
     """
 
     flat: Complex
     upright: Complex
     square: Array
+    invariants: Array
 
     @classmethod
     def of(cls, points: Array) -> Spectra:
         """Transform configurations, float64 (n, beads, 3), metres."""
         centred = points - points.mean(axis=1, keepdims=True)
-        return cls(
-            np.fft.fft(centred[..., 0] + 1j * centred[..., 1], axis=1),
-            np.fft.fft(centred[..., 2], axis=1),
-            (centred**2).sum(axis=(1, 2)),
-        )
+        flat = np.fft.fft(centred[..., 0] + 1j * centred[..., 1], axis=1)
+        upright = np.fft.fft(centred[..., 2], axis=1)
+        square, beads = (centred**2).sum(axis=(1, 2)), points.shape[1]
+        # Moduli of the lowest frequencies, where most of a rope's shape is. Frequencies k and -k
+        # change places by symmetries, so they are sorted; z is real, so its own are equal. What
+        # all others hold together is the last number (Parseval).
+        waves = np.arange(1, _WAVES + 1)
+        sides = np.sort(np.abs(np.stack([flat[:, waves], flat[:, -waves]])), axis=0)
+        lowest = np.hstack([*sides, np.sqrt(2) * np.abs(upright[:, waves])])
+        rest = np.sqrt(np.maximum(0.0, beads * square - (lowest**2).sum(axis=1)))
+        return cls(flat, upright, square, np.column_stack([lowest, rest]) / beads)
 
     def least_distances(self, others: Spectra) -> Array:
         """Bound the distance of all pairs from below: float64 (n, len(others)), metres."""
@@ -163,14 +174,14 @@ def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
     return distance, row
 
 
-def repeated(points: Array) -> list[tuple[int, int]]:
-    """List the rows that equal an earlier one bit for bit, as pairs (first such row, row).
+def repeated(rows: Iterable[Hashable]) -> list[tuple[int, int]]:
+    """List the rows that equal an earlier one, as pairs (first such row, row).
 
-    >>> repeated(np.array([[1.0], [2.0], [1.0]]))
+    >>> repeated(["a", "b", "a"])
     [(0, 2)]
     """
-    first: dict[bytes, int] = {}
-    pairs = [(first.setdefault(one.tobytes(), row), row) for row, one in enumerate(points)]
+    first: dict[Hashable, int] = {}
+    pairs = [(first.setdefault(one, row), row) for row, one in enumerate(rows)]
     return [(earlier, row) for earlier, row in pairs if earlier != row]
 
 

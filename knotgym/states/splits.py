@@ -2,6 +2,8 @@
 
 Near-duplicates (`near_duplicates`) are always in the same split. For splits by code see
 `States.rows`.
+
+After a change run `pytest tests/datasets/test_splits.py`: no split may hold what is another's.
 """
 
 from __future__ import annotations

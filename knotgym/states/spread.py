@@ -2,6 +2,8 @@
 
 The measures are comparable between sets: distances between configurations (bead by bead, and as
 curves), radii of gyration, heights, and where along the rope the crossings are.
+
+After a change run `pytest tests/datasets/test_spread.py`.
 """
 
 from collections.abc import Sequence

@@ -6,6 +6,9 @@
 
 The width is the same for all rows of a batch, at least WIDTH, and grows with the rope that shows
 the most crossings, so no code is ever cut.
+
+After a change run `pytest tests/topology/test_crossings.py tests/envs`: codes must be those of
+`crossings.label`.
 """
 
 from collections.abc import Sequence
@@ -21,6 +24,7 @@ from knotgym.topology.crossing_kernel import scan_rows
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
 FINITE = "every x, y, z must be a finite number"
+_FEW = 16  # ropes, that are worth a thread of their own
 WIDTH = 32  # crossings that arrays have room for at first
 
 
@@ -37,7 +41,10 @@ class CodeArrays(NamedTuple):
 
 
 def read_codes(
-    points: NDArray[np.float64], width: int = WIDTH, threads: Threads = ALONE
+    points: NDArray[np.float64],
+    width: int = WIDTH,
+    threads: Threads = ALONE,
+    ids: NDArray[np.int64] | None = None,
 ) -> CodeArrays:
     """Read the Gauss codes of many ropes.
 
@@ -45,17 +52,22 @@ def read_codes(
         points: float64 (n, beads, 3), metres.
         width: crossings that the arrays have room for, at least; WIDTH or a multiple.
         threads: that read them.
+        ids: int64 (m,), which ropes; all by default.
 
     Raises:
         InvalidInput: a coordinate isn't finite.
     """
-    count, ropes = len(points), np.ascontiguousarray(points)
+    which = np.arange(len(points)) if ids is None else ids
+    count = len(which)
+    # Nothing is known of the codes before they are read, so there is room for WIDTH crossings. The
+    # rare rope with more makes all be read again, with room for it: twice the time once, instead of
+    # wide arrays always.
     crossings = np.empty(count, dtype=np.int64)
     while True:
         visits = np.empty((count, 2 * width), dtype=np.int16)
         signs = np.empty((count, width), dtype=np.int8)
-        scan = partial(_scan, (ropes, visits, signs, crossings))
-        most = max(threads.spread(scan, count), default=0)
+        scan = partial(_scan, points, (which, visits, signs, crossings))
+        most = max(threads.spread(scan, count, _FEW), default=0)
         if count and crossings.min() < 0:
             raise InvalidInput(
                 f"no closed rope: a coordinate of rope {int(crossings.argmin())} is not finite;"
@@ -63,6 +75,7 @@ def read_codes(
             )
         if most <= width:
             return CodeArrays(visits, signs, crossings)
+        # rounded up to a multiple, so that batches of like ropes have arrays of one width
         width = WIDTH * -(-most // WIDTH)
 
 
@@ -96,12 +109,14 @@ def code_texts(
     return texts
 
 
-def _scan(arrays: Sequence[NDArray[Any]], rows: slice) -> int:
-    return int(scan_rows(*(array[rows] for array in arrays)))
+def _scan(points: NDArray[np.float64], arrays: Sequence[NDArray[Any]], rows: slice) -> int:
+    which, *codes = (array[rows] for array in arrays)
+    return int(scan_rows(points[which], *codes))
 
 
 def _rows(array: NDArray[Any]) -> list[bytes]:
     """Return the bytes of each row of an array (n, width)."""
+    # one opaque item a row: its bytes are a key that is hashed as fast as memory is read
     width = array.shape[1] * array.itemsize
     listed: list[bytes] = np.ascontiguousarray(array).view(f"V{width}")[:, 0].tolist()
     return listed
@@ -113,6 +128,7 @@ def _code(visits: bytes, signs: bytes | None) -> GaussCode:
     walk = tuple(numbers[numbers != 0].tolist())
     if signs is None:
         return trusted_code(walk, None if walk else "")
+    # signs are padded, too; a code of n visits has n / 2 of them
     own = np.frombuffer(signs, dtype=np.int8)[: len(walk) // 2]
     return trusted_code(walk, "".join([POSITIVE if sign > 0 else NEGATIVE for sign in own]))
 

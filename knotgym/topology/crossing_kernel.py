@@ -28,6 +28,7 @@ from knotgym.topology.orientation import side
 OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
 ALL = np.iinfo(np.int64).max  # crossings
+# about speed alone; `python benchmarks/codes.py` measures it
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
 
@@ -193,6 +194,7 @@ def _crosses(points: np.ndarray, i: int, j: int) -> int:
     """
     beads = points.shape[0]
     i_end, j_end = (i + 1) % beads, (j + 1) % beads
+    # the side of edge i on which edge j ends, and on which it begins: equal if j lies on one side
     turn: int = side(points, i, i_end, j_end)
     if side(points, i, i_end, j) == turn:
         return 0
@@ -242,7 +244,7 @@ def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> flo
         return 0.5
     low = max(min(start, end), min(points[j, axis], points[j_end, axis]))
     high = min(max(start, end), max(points[j, axis], points[j_end, axis]))
-    return float(min(max((0.5 * (low + high) - start) / (end - start), 0.0), 1.0))
+    return float((0.5 * (low + high) - start) / (end - start))
 
 
 @njit(cache=True, nogil=True)
@@ -250,7 +252,7 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     """Sort the strands by position along the rope, int64 (2 n,).
 
     A counting sort by edge, with an insertion sort by fraction within each edge: few edges have
-    more than one strand. Ties are broken by the number of the other edge.
+    more than one strand.
     """
     # starts[e] : starts[e + 1] is the range of the walk that belongs to edge e
     starts = np.zeros(beads + 1, np.int64)
@@ -262,16 +264,11 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     filled = starts[:beads].copy()  # the next free slot of each edge
     for strand in range(len(fractions)):
         edge = hits[strand // 2, strand % 2]
-        other = hits[strand // 2, 1 - strand % 2]
         slot = filled[edge]
         filled[edge] += 1
-        while slot > starts[edge]:
-            rival = walk[slot - 1]
-            if fractions[rival] < fractions[strand]:
-                break
-            if fractions[rival] == fractions[strand] and hits[rival // 2, 1 - rival % 2] < other:
-                break
-            walk[slot] = rival
+        # insertion from behind: strands of one edge that are farther along move up
+        while slot > starts[edge] and fractions[walk[slot - 1]] > fractions[strand]:
+            walk[slot] = walk[slot - 1]
             slot -= 1
         walk[slot] = strand
     return walk

@@ -74,6 +74,7 @@ def find_crossings(points: ArrayLike) -> Crossings:
         InvalidInput: the shape is wrong, or a coordinate is not finite.
     """
     visits, table = _scan(points)
+    # indexed by a list, so these are copies and not views of the table
     position, sign = table[:, [X, Y]], table[:, SIGN].astype(np.int8)
     columns: list[NDArray[Any]] = [
         table[:, column].copy() for column in (OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z)
@@ -101,6 +102,7 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
     Raises:
         InvalidInput: the shape is wrong, or a coordinate is not finite.
     """
+    # one object for equal codes, of which a batch shows few
     return read_codes(_checked(points, 3)).objects()
 
 
@@ -124,6 +126,7 @@ def visit_spacing(crossings: Crossings, beads: int) -> float:
     """
     if crossings.nx == 0:
         return np.inf
+    # Both strands of each crossing count: a kink's two visits may be its smallest distance.
     places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
     return float(np.diff(places, append=places[0] + beads).min())
 

@@ -36,7 +36,7 @@ def is_planar(code: GaussCode) -> bool:
     (True, False)
     """
     if code.chirality is None:
-        return _some_turns(code) is not None
+        return _planar_turns(code) is not None
     return _is_sphere(face_permutation(code))
 
 
@@ -49,8 +49,8 @@ def with_chirality(code: GaussCode) -> GaussCode:
     if code.chirality is not None:
         if _is_sphere(face_permutation(code)):
             return code
-    elif (turns := _some_turns(code)) is not None:
-        part, signs = parts(code), _signs(code.visits, turns)
+    elif (found := _planar_turns(code)) is not None:
+        part, signs = found[0], _signs(code.visits, found[1])
         # flip each part so that its first letter is "a"
         flips = {number: -signs[part.index(number)] for number in set(part)}
         return GaussCode(
@@ -68,11 +68,12 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
     >>> chiralities(GaussCode.parse("1+,2-,3+,1-,2+,3-"))
     ('aaa', 'ccc')
     """
-    turns = _some_turns(code)
-    if turns is None:
+    found = _planar_turns(code)
+    if found is None:
         return ()
-    part = parts(code)
+    part, turns = found
     patterns = []
+    # Components may be flipped independently, so there are 2 ** parts patterns.
     for flips in product((1, -1), repeat=max(part, default=-1) + 1):  # one per part
         signs = _signs(code.visits, [turn * flips[part[label]] for label, turn in enumerate(turns)])
         patterns.append(_letters(signs))
@@ -90,21 +91,7 @@ def parts(code: GaussCode) -> tuple[int, ...]:
     >>> parts(GaussCode.parse("1+,2-,3+,1-,2+,3-,4+,4-"))
     (0, 0, 0, 1)
     """
-    interlaced = _interlacement(code.visits)
-    part = [-1] * code.nx
-    number = 0
-    # depth-first search of the interlacement graph from each label that has no component yet
-    for label in range(code.nx):
-        if part[label] < 0:
-            todo = [label]
-            part[label] = number
-            while todo:
-                for other in _labels(interlaced[todo.pop()]):
-                    if part[other] < 0:
-                        part[other] = number
-                        todo.append(other)
-            number += 1
-    return tuple(part)
+    return tuple(_walked(code.visits)[0])
 
 
 def summands(code: GaussCode) -> list[GaussCode]:
@@ -137,18 +124,7 @@ def faces(code: GaussCode) -> list[list[int]]:
     Raises:
         InvalidInput: the code has no chirality.
     """
-    onwards = face_permutation(code)
-    seen = [False] * len(onwards)
-    walks = []
-    for dart in range(len(onwards)):
-        face = []
-        while not seen[dart]:
-            seen[dart] = True
-            face.append(dart)
-            dart = onwards[dart]
-        if face:
-            walks.append(face)
-    return walks
+    return _cycles(face_permutation(code))
 
 
 def planar_codes(nx: int) -> Iterator[GaussCode]:
@@ -161,9 +137,9 @@ def planar_codes(nx: int) -> Iterator[GaussCode]:
     """
     # Planarity depends only on the order of the labels: test each word once, then choose heights.
     for word in _words([0] * (2 * nx), 1):
-        if is_planar(GaussCode(with_heights(word, [1] * nx))):
+        if is_planar(GaussCode(_with_heights(word, [1] * nx))):
             for heights in product((1, -1), repeat=nx):
-                yield GaussCode(with_heights(word, list(heights)))
+                yield GaussCode(_with_heights(word, list(heights)))
 
 
 def uniform_code(nx: int, rng: np.random.Generator) -> GaussCode:
@@ -177,10 +153,12 @@ def uniform_code(nx: int, rng: np.random.Generator) -> GaussCode:
     """
     while True:
         word = np.empty(2 * nx, dtype=np.int64)
+        # even positions hold each label once, odd ones a permutation of them: every pairing of
+        # opposite parities, equally often
         word[0::2] = np.arange(1, nx + 1)
         word[1::2] = rng.permutation(nx) + 1
         over = rng.integers(2, size=nx)
-        code = GaussCode.relabelled(with_heights(word.tolist(), (2 * over - 1).tolist()))
+        code = GaussCode.relabelled(_with_heights(word.tolist(), (2 * over - 1).tolist()))
         if is_planar(code):
             return code
 
@@ -205,7 +183,7 @@ def _words(word: list[int], label: int) -> Iterator[list[int]]:
     word[first] = 0
 
 
-def with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
+def _with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
     """Turn labels into visits; heights[label - 1] is +1 if the label's first visit is over."""
     seen: set[int] = set()
     visits = []
@@ -224,6 +202,7 @@ def _signs(visits: tuple[int, ...], turns: list[int] | tuple[int, ...]) -> list[
     """Convert turns to crossing signs, or signs to turns; the conversion is its own inverse."""
     first: dict[int, int] = {}
     for visit in visits:
+        # only whether the first visit is over matters
         first.setdefault(abs(visit), visit)
     return [turn if visit > 0 else -turn for turn, visit in zip(turns, first.values(), strict=True)]
 
@@ -256,18 +235,24 @@ def _face_permutation(visits: tuple[int, ...], turns: list[int]) -> list[int]:
 
 
 def _is_sphere(permutation: list[int]) -> bool:
-    """Count the faces, overwriting the list, and apply Euler's formula."""
-    if not permutation:
-        return True
-    number = 0
-    for start in range(len(permutation)):
-        if permutation[start] >= 0:
-            number += 1
-            dart = start
-            while permutation[dart] >= 0:  # follow the cycle, marking its darts with -1
-                permutation[dart], dart = -1, permutation[dart]
-    # n crossings, 2 n edges, 4 n darts: n - 2 n + faces = 2
-    return number == len(permutation) // 4 + 2
+    """Count the faces, and apply Euler's formula."""
+    # n crossings, 2 n edges, 4 n darts: n - 2 n + faces = 2; the plain loop has no darts
+    return not permutation or len(_cycles(permutation)) == len(permutation) // 4 + 2
+
+
+def _cycles(permutation: list[int]) -> list[list[int]]:
+    """List the cycles of a permutation, in order of their first members."""
+    seen = [False] * len(permutation)
+    cycles = []
+    for dart in range(len(permutation)):
+        cycle = []
+        while not seen[dart]:
+            seen[dart] = True
+            cycle.append(dart)
+            dart = permutation[dart]
+        if cycle:
+            cycles.append(cycle)
+    return cycles
 
 
 def _interlacement(visits: tuple[int, ...]) -> list[int]:
@@ -291,34 +276,45 @@ def _interlacement(visits: tuple[int, ...]) -> list[int]:
 def _labels(bits: int) -> Iterator[int]:
     """Yield the indices of the bits that are set."""
     while bits:
+        # the lowest bit that is set
         low = bits & -bits
         yield low.bit_length() - 1
         bits ^= low
 
 
-def _some_turns(code: GaussCode) -> list[int] | None:
-    """Return one planar handedness of the visits, as turns, or None if there is none.
+def _walked(visits: tuple[int, ...]) -> tuple[list[int], list[int]]:
+    """Walk the interlacement graph, depth first from each label that wasn't reached before.
 
-    In each component the first crossing turns left; the parity rule of de Fraysseix and Ossona de
-    Mendez then fixes the others along the interlacement graph.
+    Returns:
+        The number of each label's component, see `parts`; and turns. In each component the first
+        crossing turns left, and the parity rule of de Fraysseix and Ossona de Mendez fixes the
+        others: these are a planar handedness of the visits if there is one.
     """
-    interlaced = _interlacement(code.visits)
-    positions = _code_positions(code.visits)
-    turns = [0] * code.nx  # 0: not decided yet
-    for label in range(code.nx):
-        if turns[label] == 0:
-            turns[label] = 1
-            todo = [label]
-            while todo:
-                known = todo.pop()
-                for other in _labels(interlaced[known]):
-                    if turns[other] == 0:
-                        # common: how many crossings interlace both
-                        common = (interlaced[known] & interlaced[other]).bit_count()
-                        alike = (common + positions[known][0] + positions[other][0]) % 2 == 1
-                        turns[other] = turns[known] if alike else -turns[known]
-                        todo.append(other)
-    return turns if _is_sphere(_face_permutation(code.visits, turns)) else None
+    interlaced, positions = _interlacement(visits), _code_positions(visits)
+    part, turns, number = [-1] * len(interlaced), [1] * len(interlaced), 0
+    for label in range(len(interlaced)):
+        if part[label] >= 0:
+            continue
+        part[label], todo = number, [label]
+        while todo:
+            known = todo.pop()
+            for other in _labels(interlaced[known]):
+                if part[other] < 0:
+                    part[other] = number
+                    # common: how many crossings interlace both
+                    common = (interlaced[known] & interlaced[other]).bit_count()
+                    alike = (common + positions[known][0] + positions[other][0]) % 2 == 1
+                    turns[other] = turns[known] if alike else -turns[known]
+                    todo.append(other)
+        number += 1
+    return part, turns
+
+
+def _planar_turns(code: GaussCode) -> tuple[list[int], list[int]] | None:
+    """Return what `_walked` does, or None if no handedness of the visits is planar."""
+    part, turns = _walked(code.visits)
+    # the rule holds for planar codes alone, so the faces are counted, too
+    return (part, turns) if _is_sphere(_face_permutation(code.visits, turns)) else None
 
 
 def not_planar(code: GaussCode) -> InvalidInput:

@@ -93,6 +93,7 @@ def based_diagrams(code: GaussCode) -> list[GaussCode]:
     found: set[GaussCode] = set()
     # seen from below, every crossing is switched and the picture is reflected
     for side in (code, code.mirrored().reflected()):
+        # every base point in both directions: at most 8 n codes of a diagram of n crossings
         for way in (side, side.reversed()):
             found.update(way.rebased(k) for k in range(max(1, len(way.visits))))
     return sorted(found, key=lambda one: (one.visits, one.chirality or ""))
@@ -106,6 +107,8 @@ def table_type(code: GaussCode) -> str | None:
     """
     if not 3 <= code.nx <= TABLED:
         return None
+    # visits alone, without letters: a reflected diagram has the same ones, and types say no
+    # handedness
     return _by_diagram().get(min(one.visits for one in based_diagrams(code)))
 
 
@@ -162,6 +165,8 @@ def _types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
     for names in _sums():
         diagrams = [prime_diagrams()[name] for name in names]
         # the Jones polynomial of a sum depends on the relative handedness of its summands
+        # The first summand keeps its hand: mirroring all of them mirrors the sum, and the
+        # polynomial is taken up to that.
         for mirrors in product((False, True), repeat=len(names) - 1):
             hands = [
                 code.mirrored() if mirror else code
@@ -175,6 +180,7 @@ def _sums() -> Iterator[tuple[str, ...]]:
     """Yield the summands of every type in the table: prime ones first, then composite ones."""
     names = list(prime_diagrams())
     yield from ((name,) for name in names)
+    # a summand of a composite knot leaves room for another one of three crossings at least
     small = [name for name in names if _rank(name)[0] <= TABLED - 3]
     for count in range(2, TABLED // 3 + 1):
         for summands in combinations_with_replacement(small, count):
@@ -204,5 +210,6 @@ def _summands(knot: str) -> list[tuple[bool, str]]:
 
 def _rank(name: str) -> tuple[int, int]:
     """Return the crossing number and the index of a prime type."""
+    # so 10_2 comes after 9_49, as in the tables, and not before it as text
     crossings, number = name.split("_")
     return int(crossings), int(number)

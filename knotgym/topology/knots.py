@@ -54,6 +54,8 @@ def is_unknot(code: GaussCode) -> bool:
         InvalidInput: no closed curve shows the code.
         Failed: the polynomials are trivial, and more than 24 crossings are left.
     """
+    # The genus of a sum is the sum of the genera, so a connected sum is trivial only if all of its
+    # summands are.
     return all(_is_trivial(summand) for summand in summands(without_bigons(with_chirality(code))))
 
 
@@ -112,6 +114,7 @@ def shows(code: GaussCode, knot: str) -> bool:
     """
     if type_of(knot) == UNKNOT:
         return is_unknot(code)
+    # the type first: it is cached by code, and a Jones polynomial is dear
     if knot_type(code) != type_of(knot):
         return False
     return code.chirality is None or jones_polynomial(code) == jones_polynomial(diagram_of(knot))
@@ -127,28 +130,33 @@ def codes_of(knot: str, nx: int) -> tuple[GaussCode, ...]:
 
 
 def _is_trivial(summand: GaussCode) -> bool:
+    # from cheap to dear: the Alexander polynomial tells most knots from the unknot
     if alexander_polynomial(summand) != (1,):
         return False
     if summand.nx <= ALEXANDER_DECIDES:
         return True
-    if summand.nx <= JONES_DECIDES:
-        return jones_polynomial(summand) == ((0, 1),)
-    smaller = simplify(summand)
-    if smaller.nx < summand.nx:
+    # Beyond the proof's reach fewer crossings may bring it back within, so the diagram is
+    # simplified and asked about again.
+    if summand.nx > JONES_DECIDES and (smaller := simplify(summand)).nx < summand.nx:
         return is_unknot(smaller)
-    if jones_polynomial(smaller) != ((0, 1),):
+    if jones_polynomial(summand) != ((0, 1),):
         return False
+    if summand.nx <= JONES_DECIDES:
+        return True
     raise Failed(
-        f"can't decide whether a diagram of {smaller.nx} crossings is the unknot: its Alexander and"
+        f"can't decide whether a diagram of {summand.nx} crossings is the unknot: its Alexander and"
         f" Jones polynomials are 1, which is a proof up to {JONES_DECIDES} crossings only:"
-        f" {smaller.chiral}"
+        f" {summand.chiral}"
     )
 
 
 def _name(summand: GaussCode) -> str:
+    # No search for a minimal diagram: up to seven crossings the Alexander polynomials of all types
+    # differ.
     if summand.nx <= _SMALL:
         return small_types(_SMALL)[alexander_polynomial(summand)]
     try:
+        # The table's polynomials can't tell the unknot from knots beyond the table; the proof can.
         types = [UNKNOT] if _is_trivial(summand) else types_from_polynomials(summand)
     except Failed:
         return UNKNOWN

@@ -23,6 +23,9 @@ their DT codes.
 
 The plain loop is written [] in both, as by spherogram; KnotInfo leaves it blank, and KnotTheory's
 PD[Loop[1]] can be read too.
+
+After a change run `pytest tests/topology/test_notation.py`: every code of up to four crossings must
+come back, and spherogram and SnapPy read the same knot.
 """
 
 import json
@@ -62,6 +65,8 @@ def pd_code(code: GaussCode) -> list[list[int]]:
         (upper if visit > 0 else lower)[abs(visit) - 1] = edge
     crossings = []
     for below, above, sign in zip(lower, upper, code.signs, strict=True):
+        # The upper strand comes in along `above` and leaves along the next edge. At a positive
+        # crossing it runs from d to b, seen from the lower strand from left to right.
         ends = [above % edges + 1, above]  # of the upper strand at b and d, if positive
         b, d = ends if sign > 0 else ends[::-1]
         crossings.append([below, b, below % edges + 1, d])
@@ -82,6 +87,8 @@ def dt_code(code: GaussCode) -> list[int]:
     for number, visit in enumerate(code.visits, 1):
         numbers[abs(visit) - 1].append(number)
     for one, other in numbers:
+        # In a planar diagram the two visits of a crossing have an even number of visits between
+        # them, see `diagrams._words`, so one is odd and one even.
         odd, even = (one, other) if one % 2 else (other, one)
         partners[odd // 2] = even if code.visits[odd - 1] > 0 else -even
     return partners
@@ -130,6 +137,8 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
     letters: dict[int, str] = {}
     crossing, corner = 0, 0  # where the walk arrives: below, at a
     while len(walk) < 2 * len(crossings) and (not walk or (crossing, corner) != (0, 0)):
+        # Corners are a 0, b 1, c 2, d 3. The walk arrives at one and leaves at the opposite one;
+        # the lower strand may only be walked from a to c.
         if corner == 2:
             raise _invalid(
                 f"the lower strand of crossing {crossing + 1} is walked backwards",
@@ -139,8 +148,11 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
             )
         walk.append((crossings[crossing][corner], (crossing + 1) * (1 if corner else -1)))
         if corner:
+            # an upper strand that comes in at d runs to b, as the drawing of a positive crossing
+            # has it
             letters[crossing + 1] = POSITIVE if corner == 3 else NEGATIVE
         corner = (corner + 2) % 4
+        # the edge's other end is where the walk arrives next
         one, other = ends[crossings[crossing][corner]]
         crossing, corner = other if one == (crossing, corner) else one
     if len(walk) < 2 * len(crossings):
@@ -150,11 +162,10 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
             "PD",
             "expected a knot, not a link of several components",
         )
+    # the base point is on the edge of the lowest number, whatever the numbers are
     start = walk.index(min(walk)) if walk else 0
-    code = GaussCode.relabelled([visit for _, visit in walk[start:] + walk[:start]], letters)
-    if not is_planar(code):
-        raise _invalid("no planar diagram has it", crossings, "PD", _PLANAR)
-    return code
+    visits = [visit for _, visit in walk[start:] + walk[:start]]
+    return _planar(GaussCode.relabelled(visits, letters), crossings, "PD")
 
 
 def from_dt(partners: Sequence[int]) -> GaussCode:
@@ -177,13 +188,11 @@ def from_dt(partners: Sequence[int]) -> GaussCode:
         )
     visits = [0] * (2 * len(partners))
     for label, partner in enumerate(partners, 1):
+        # a negative partner is the upper one, so the odd visit is under there
         odd_over = partner > 0
         visits[2 * label - 2] = label if odd_over else -label
         visits[abs(partner) - 1] = -label if odd_over else label
-    code = GaussCode.relabelled(visits)
-    if not is_planar(code):
-        raise _invalid("no planar diagram has it", partners, "DT", _PLANAR)
-    return code
+    return _planar(GaussCode.relabelled(visits), partners, "DT")
 
 
 def parse_code(text: str) -> GaussCode:
@@ -211,6 +220,7 @@ def parse_code(text: str) -> GaussCode:
     if len(rows) > 1 and all(_ROW.fullmatch(row) for row in rows):  # as Knoto-ID writes PD codes
         tight = ",".join(f"[{','.join(re.findall(_DIGITS, row))}]" for row in rows)
         return from_pd([[*map(int, corners)] for corners in _CROSSING.findall(tight)])
+    # Spaces beside punctuation mean nothing; those that are left part numbers, as commas do.
     tight = re.sub(r"\s*([\[\](),:])\s*", r"\1", tight)
     tight = re.sub(r"\s+", ",", tight)
     if tight in _LOOPS:
@@ -266,6 +276,7 @@ def code_texts(lines: Iterable[str]) -> Iterator[str]:
             held = []
         if text:
             held.append(text)
+            # brackets that are closed too often open nothing in the next line
             opened = max(0, opened + text.count("[") - text.count("]"))
         if held and not opened and not is_row or len(held) > MOST_CROSSINGS + 2:
             yield "\n".join(held)
@@ -277,6 +288,7 @@ def code_texts(lines: Iterable[str]) -> Iterator[str]:
 def _from_signed(numbers: list[int], signs: str = "") -> GaussCode:
     """Return the Gauss code of signed numbers, + over, and of the signs of crossings in order."""
     _require_size(len(numbers) // 2)
+    # signs at the end are those of crossings 1, 2, 3, ... in order of their labels, not of the walk
     labels = sorted({abs(number) for number in numbers})
     if signs and len(signs) != len(labels):
         raise _invalid(
@@ -287,9 +299,7 @@ def _from_signed(numbers: list[int], signs: str = "") -> GaussCode:
         )
     letters = [POSITIVE if sign == "+" else NEGATIVE for sign in signs]
     code = GaussCode.relabelled(numbers, dict(zip(labels, letters, strict=True)) if signs else None)
-    if not is_planar(code):
-        raise _invalid("no planar diagram has it", numbers, "Gauss", _PLANAR)
-    return code
+    return _planar(code, numbers, "Gauss")
 
 
 def _from_over_under(text: str) -> GaussCode:
@@ -316,19 +326,24 @@ def _from_over_under(text: str) -> GaussCode:
         [int(number) if over in "Oo" else -int(number) for over, number, _ in visits],
         letters or None,
     )
-    if not is_planar(code):
-        raise _invalid("no planar diagram has it", text, "Gauss", _PLANAR)
-    return code
+    return _planar(code, text, "Gauss")
 
 
 _TWICE = "every edge joins two corners, so it occurs twice"
-_PLANAR = "expected the code of a curve drawn in the plane"
 _SIZE = f"codes of up to {MOST_CROSSINGS} crossings can be read"
 
 
 def _require_size(crossings: int) -> None:
     if crossings > MOST_CROSSINGS:
         raise _invalid("it is too large", f"{crossings} crossings", "Gauss, PD or DT", _SIZE)
+
+
+def _planar(code: GaussCode, given: object, kind: str) -> GaussCode:
+    """Return a code that was read, if some closed curve shows it."""
+    if is_planar(code):
+        return code
+    expected = "expected the code of a curve drawn in the plane"
+    raise _invalid("no planar diagram has it", given, kind, expected)
 
 
 def _invalid(problem: str, given: object, kind: str, expected: str) -> InvalidInput:

@@ -15,6 +15,7 @@ from functools import lru_cache
 
 from knotgym.topology.diagrams import with_chirality
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.notation import pd_code
 
 JonesPolynomial = tuple[tuple[int, int], ...]  # (power of t, coefficient), lowest power first
 
@@ -78,7 +79,8 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
     # A state is a matching of the edges that enter the part of the diagram already summed. States
     # with the same matching continue in the same way, so their weights are added up.
     states: dict[Matching, int] = {frozenset(): 1 << digits * lowest}
-    for corners in _sweep(_corners(code)):
+    # a PD code names the edges counterclockwise from the incoming lower one, which goes north
+    for corners in _sweep(pd_code(code)):
         new: dict[Matching, int] = {}
         for matching, weight in states.items():
             south, east, north, west = corners
@@ -150,6 +152,7 @@ def _alexander_matrix(code: GaussCode, t: int) -> list[list[int]]:
     matrix = []
     for label, sign in enumerate(code.signs[:-1]):
         row = [0] * code.nx
+        # added, as an arc may meet itself at a crossing
         row[over[label]] += 1 - t
         after = (before[label] + 1) % code.nx
         row[before[label]] += t if sign > 0 else -1
@@ -166,9 +169,8 @@ def _determinant(matrix: list[list[int]]) -> int:
     """
     size, sign, previous = len(matrix), 1, 1
     for k in range(size - 1):
-        pivot_row = next((row for row in range(k, size) if matrix[row][k]), None)
-        if pivot_row is None:
-            return 0
+        # there is one, because the Alexander polynomial of a knot is never 0 (it is 1 at t = 1)
+        pivot_row = next(row for row in range(k, size) if matrix[row][k])
         if pivot_row != k:
             matrix[k], matrix[pivot_row], sign = matrix[pivot_row], matrix[k], -sign
         top = matrix[k]
@@ -181,26 +183,7 @@ def _determinant(matrix: list[list[int]]) -> int:
     return sign * matrix[-1][-1]
 
 
-def _corners(code: GaussCode) -> list[tuple[int, int, int, int]]:
-    """Return the four edges at each crossing, counterclockwise from the incoming lower one.
-
-    Edge k ends at visit k. The lower strand goes north; at a positive crossing the upper one goes
-    east, at a negative one west.
-    """
-    count = len(code.visits)
-    lower: dict[int, int] = {}
-    upper: dict[int, int] = {}
-    for k, visit in enumerate(code.visits):
-        (upper if visit > 0 else lower)[abs(visit)] = k
-    corners = []
-    for label, sign in enumerate(code.signs, 1):
-        south, north = lower[label], (lower[label] + 1) % count
-        west, east = upper[label], (upper[label] + 1) % count
-        corners.append((south, east, north, west) if sign > 0 else (south, west, north, east))
-    return corners
-
-
-def _sweep(corners: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int, int]]:
+def _sweep(corners: list[list[int]]) -> list[list[int]]:
     """Order the crossings greedily so that the frontier stays small.
 
     The frontier is the set of edges between crossings that come earlier and later. The next

@@ -40,6 +40,7 @@ def pyknotid_code(points: ArrayLike) -> GaussCode:
     rope = np.asarray(points, dtype=np.float64)
     if rope.ndim != 2 or rope.shape[1] != 3 or len(rope) < 3:
         raise InvalidInput(f"no closed rope: the array has shape {rope.shape}; {_EXPECTED}")
+    # the mean bead as the unit of length: pyknotid's thresholds are absolute
     bead = float(np.linalg.norm(np.roll(rope, -1, axis=0) - rope, axis=1).mean())
     if not np.isfinite(bead) or bead == 0.0:
         raise InvalidInput(f"no closed rope: the mean distance of beads is {bead}; {_EXPECTED}")
@@ -54,6 +55,7 @@ def _space_curve() -> Any:
     """Return pyknotid's class, whose functions that find crossings are compiled."""
     from pyknotid.spacecurves import SpaceCurve, helpers
 
+    # in the order in which they call each other, so that each finds compiled what it calls
     for name in ("cross_product", "sign", "do_vectors_intersect", "find_crossings"):
         setattr(helpers, name, numba.njit(cache=True)(getattr(helpers, name)))
     return SpaceCurve
@@ -62,6 +64,7 @@ def _space_curve() -> Any:
 @contextlib.contextmanager
 def _lent_aliases() -> Iterator[None]:
     """Define the removed NumPy aliases that pyknotid uses, and delete them again at the end."""
+    # looked up in the module's own names, as NumPy warns of, or refuses, one that it removed
     missing = [name for name in _ALIASES if name not in vars(np)]
     for name in missing:
         setattr(np, name, _ALIASES[name])

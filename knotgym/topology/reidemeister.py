@@ -21,13 +21,14 @@ from knotgym.topology.diagrams import face_permutation, summands, with_chirality
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
 from knotgym.topology.single_moves import removals
 
-# Neither this nor `effort` was measured against others: what must hold is that the hard unknots of
+# Neither was measured against others: what must hold is that the hard unknots of
 # data/hard-unknots.txt are found trivial, and the table's knots named
 # (tests/topology/test_knots.py).
 _MAX_PATHS = 4  # equally short paths tried per lift
+_EFFORT = 64  # diagrams of a summand that are expanded without finding one with fewer crossings
 
 
-def simplify(code: GaussCode, effort: int = 64) -> GaussCode:
+def simplify(code: GaussCode) -> GaussCode:
     """Return a code with chirality of the same knot, with at most as many crossings.
 
     The summands of the diagram are simplified one by one and their connected sum is returned, so
@@ -36,8 +37,6 @@ def simplify(code: GaussCode, effort: int = 64) -> GaussCode:
     Args:
         code: a planar code; without chirality it gets one from `diagrams.with_chirality`, so the
             knot is known up to mirrored summands.
-        effort: number of diagrams that the search of a summand may expand without finding one with
-            fewer crossings.
 
     Raises:
         InvalidInput: no closed curve shows the code.
@@ -46,10 +45,7 @@ def simplify(code: GaussCode, effort: int = 64) -> GaussCode:
     0
     """
     return connected_sum(
-        [
-            _fewest_crossings(summand, effort)
-            for summand in summands(without_bigons(with_chirality(code)))
-        ]
+        [_fewest_crossings(one) for one in summands(without_bigons(with_chirality(code)))]
     )
 
 
@@ -88,7 +84,7 @@ def connected_sum(codes: list[GaussCode]) -> GaussCode:
     return GaussCode(tuple(visits), "".join(letters))
 
 
-def _fewest_crossings(code: GaussCode, effort: int) -> GaussCode:
+def _fewest_crossings(code: GaussCode) -> GaussCode:
     """Return the diagram with the fewest crossings that the search finds.
 
     Lifts that remove crossings are applied greedily. Then a breadth-first search follows lifts that
@@ -96,21 +92,21 @@ def _fewest_crossings(code: GaussCode, effort: int) -> GaussCode:
     """
     code = _without_liftable(code)
     if len(summands(code)) > 1:  # a lift may split the diagram
-        return connected_sum([_fewest_crossings(summand, effort) for summand in summands(code)])
+        return connected_sum([_fewest_crossings(summand) for summand in summands(code)])
     # a reduced alternating diagram is minimal (Kauffman, Murasugi, Thistlethwaite, 1987)
     if is_alternating(code):
         return code
     # Each diagram reached is reduced at once; `level` holds those with as many crossings, up to the
-    # base point, whose lifts have not been tried.
+    # base point and reflection, whose lifts have not been tried.
     seen = {_canonical(code)}
     level = deque([code])
-    for _ in range(effort):
+    for _ in range(_EFFORT):
         if not level or code.nx < 3:  # every knot with fewer than 3 crossings is trivial
             break
         for neighbour in _lifts(level.popleft(), 0):
             lower = _without_liftable(neighbour)
             if lower.nx < code.nx:
-                return _fewest_crossings(lower, effort)
+                return _fewest_crossings(lower)
             key = _canonical(lower)
             if key not in seen:
                 seen.add(key)
@@ -270,7 +266,6 @@ def _with_overstrand(rest: GaussCode, path: list[int]) -> GaussCode:
     return GaussCode.relabelled(visits, letters)
 
 
-def _canonical(code: GaussCode) -> tuple[tuple[int, ...], str]:
-    """Return a key that doesn't depend on the base point."""
-    bases = [code.rebased(k) for k in range(len(code.visits))] or [code]
-    return min((base.visits, base.chirality or "") for base in bases)
+def _canonical(code: GaussCode) -> tuple[int, ...]:
+    """Return a key that doesn't depend on the base point, nor on the reflection of summands."""
+    return min((code.rebased(k).visits for k in range(len(code.visits))), default=())

@@ -42,10 +42,12 @@ def removals(code: GaussCode) -> Iterator[Removal]:
     """
     visits, signs = code.visits, code.signs
     count = len(visits)
+    # where each visit stands; `-first` is the other visit of the same crossing
     index = {visit: k for k, visit in enumerate(visits)}
     # k and k - 1 are neighbouring visits; with one crossing both pairs are the same kink
     for k in range(1, 2) if count == 2 else range(count):
         first, second = visits[k - 1], visits[k]
+        # Two visits of one crossing in a row: the edge between them is a loop.
         if first == -second:
             arc = k - 1 if k else 0
             yield Removal(_without(code, {abs(first)}), True, arc, arc)
@@ -53,9 +55,13 @@ def removals(code: GaussCode) -> Iterator[Removal]:
             first > 0
             and second > 0
             and signs[first - 1] != signs[second - 1]
+            # Both strands meet the same two crossings one after the other, one strand over at both.
+            # With signs that differ they cross there and back, and bound a bigon.
             and (index[-first] - index[-second]) % count in (1, count - 1)
         ):
             taken = {first, second}
+            # Arcs are counted in the code without the two crossings, so those that stay before each
+            # strand are what numbers it.
             over, under = [
                 sum(abs(visit) not in taken for visit in visits[:start])
                 for start in (k, _edge_end(index[-first], index[-second]))
@@ -70,10 +76,12 @@ def sideways(code: GaussCode) -> Iterator[GaussCode]:
     2
     """
     if code.nx:
+        # the base point slides over the first crossing, or back over the last
         yield code.rebased(1)
         yield code.rebased(-1)
     visits, count = code.visits, len(code.visits)
     for face in faces(code) if code.nx >= 3 else ():
+        # dart 2 k and 2 k + 1 are the two sides of edge k, which leads from visit k to the next
         edges = [dart // 2 for dart in face]
         ends = [(visits[edge], visits[(edge + 1) % count]) for edge in edges]
         labels = {abs(visit) for pair in ends for visit in pair}
@@ -82,6 +90,7 @@ def sideways(code: GaussCode) -> Iterator[GaussCode]:
         heights = sorted((a > 0) + (b > 0) for a, b in ends)
         if len(face) == len(labels) == 3 and heights == [0, 1, 2]:
             moved = list(visits)
+            # each strand passes its two crossings in the other order
             for edge in edges:
                 after = (edge + 1) % count
                 moved[edge], moved[after] = moved[after], moved[edge]

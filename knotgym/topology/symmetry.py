@@ -46,6 +46,7 @@ class Symmetry(NamedTuple):
         v = np.asarray(vectors)
         turn, mirror, switch = (_wide(field, v.ndim - 1) for field in self[:3])
         x, y, z = v[..., 0], v[..., 1], v[..., 2]
+        # the mirror image first, then the turn: the two don't commute
         x, z = np.where(mirror, -x, x), np.where(switch, -z, z)
         c, s = np.cos(turn), np.sin(turn)
         return np.stack([c * x - s * y, s * x + c * y, z], axis=-1).astype(v.dtype)
@@ -53,6 +54,7 @@ class Symmetry(NamedTuple):
     def vertices(self, points: ArrayLike) -> NDArray[Any]:
         """Transform ropes, (..., beads, 3) or (n, ..., beads, 3), and renumber their vertices."""
         moved = self.vectors(points)
+        # new vertex j is old vertex j + base_shift, and of a reversed walk -(j + base_shift)
         index = np.arange(moved.shape[-2]) + _wide(self.base_shift, moved.ndim - 1)
         old = np.where(_wide(self.reverse, moved.ndim - 1), -index, index) % moved.shape[-2]
         return np.take_along_axis(moved, old.reshape(*old.shape, 1), axis=-2)
@@ -60,6 +62,8 @@ class Symmetry(NamedTuple):
     def beads(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
         """Renumber beads, of `count` a rope; bead b lies between the vertices b and b + 1."""
         old = np.asarray(beads, dtype=np.int64)
+        # Bead b lies between vertices b and b + 1, which a reversed walk calls -b and -b - 1: so it
+        # begins at -b - 1.
         new = np.where(_wide(self.reverse, old.ndim), -old - 1, old)
         return np.asarray(new - _wide(self.base_shift, old.ndim)) % count
 
@@ -77,6 +81,7 @@ def images(code: GaussCode) -> tuple[GaussCode, ...]:
     so image i of image k is image i ^ k.
     """
     members = []
+    # bit 2 of the index is the walk, bit 1 the heights, bit 0 the reflection
     for walked in (code, code.reversed()):
         switched = walked.mirrored()
         members += [walked, walked.reflected(), switched, switched.reflected()]
@@ -103,6 +108,7 @@ def diagram_form(code: GaussCode) -> GaussCode:
     >>> diagram_form(GaussCode.parse("1-,2+,2-,1+")) == diagram_form(GaussCode.parse("1+,1-,2+,2-"))
     True
     """
+    # reflection isn't among them: it changes letters alone, and these codes have none
     based = [code.plain.rebased(visit) for visit in range(max(1, 2 * code.nx))]
     walked = [*based, *(one.reversed() for one in based)]
     return min((*walked, *(one.mirrored() for one in walked)), key=lambda one: one.visits)

@@ -137,11 +137,6 @@ def test_torch_reads_a_hand_played_dataset_that_replays_bit_for_bit(played_room:
 
 
 @pytest.mark.clients
-def test_every_loaders_rows_are_those_of_a_replay(room: Path) -> None:
-    assert knotgym.verify(room / "minari" / ID) == []
-
-
-@pytest.mark.clients
 @pytest.mark.parametrize("numeric", [True, False])
 def test_torchrl_steps_as_the_environment_does(numeric: bool) -> None:
     envs = pytest.importorskip("torchrl.envs")
@@ -198,14 +193,3 @@ def test_tianshou_steps_as_the_environment_does() -> None:
         assert np.array_equal(seen[0], right) and seen[0].shape == (16, 16, 6)
         actions = rng.uniform(-1, 1, (2, 6)).astype(np.float32)
         seen, right = envs.step(actions)[0], env.step(actions[0])[0]
-
-
-@pytest.mark.clients
-def test_d3rlpy_buffers_of_pictures_are_those_of_the_arrays(room: Path) -> None:
-    pytest.importorskip("d3rlpy")
-    from knotgym.loaders import to_d3rlpy
-
-    buffer = to_d3rlpy(room / "minari" / ID, observation="pixels")
-    right = arrays(room / "minari" / ID, observation="pixels")
-    seen = np.concatenate([one.observations[: one.transition_count] for one in buffer.episodes])
-    assert np.array_equal(np.moveaxis(seen, 1, -1), right["observations"])

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
 
 from knotgym.adapters import goal_env, sb3_vec_env
-from knotgym.common.errors import InvalidInput, MissingExtra
+from knotgym.common.errors import InvalidInput
 from knotgym.envs.environment import KnotEnv
 
 from ..envs.test_env import same as equal
 
 SMALL: dict[str, Any] = {"nx": 1, "horizon": 4, "image_size": 36}
-
-
-def test_a_missing_library_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    monkeypatch.delitem(sys.modules, "knotgym.adapters.batched_vec_env", raising=False)
-    with pytest.raises(MissingExtra, match="isn't installed; install it: pip install stable-base"):
-        sb3_vec_env("tie")
 
 
 @pytest.mark.clients

@@ -18,13 +18,11 @@ import numpy as np
 import pytest
 
 import knotgym as package
-from knotgym.cli import main as cli
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidFile
 from knotgym.loaders import arrays
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rope.model import Rope
-from knotgym.states.near_duplicates import NEAR, distances
 from knotgym.states.state_file import States, read_states
 
 from ..small_job import SECONDS, WANTED, knotgym, typed, wait_for_file
@@ -90,12 +88,6 @@ def test_both_splits_have_as_many_states_as_asked_for_of_as_many_codes_as_there_
     assert sorted(states.gauss_code.tolist()) == [""] * 4 + ["1+,1-"] * 2 + ["1-,1+"] * 2
     for nx in (0, 1):
         assert sorted(states.split[states.nx == nx].tolist()) == ["test"] * 2 + ["train"] * 2
-
-
-def test_no_two_states_are_near_duplicates(states: States) -> None:
-    for nx in (0, 1):
-        points = states.points[states.nx == nx]
-        assert all((distances(points[k], points[k + 1 :]) >= NEAR).all() for k in range(3))
 
 
 def test_the_gallery_shows_every_state_as_a_diagram(curated: Path, states: States) -> None:
@@ -176,20 +168,6 @@ def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
         arrays(curated)
 
 
-@pytest.mark.slow
-def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("signal.signal", lambda *_: None)
-    words = "generate --nx 0 --count 1 --no-demonstrations --workers 1 --quiet --seed 3"
-    with pytest.raises(SystemExit) as ended:
-        cli.main(words.split())
-    assert ended.value.code == 0
-    assert (tmp_path / "knotgym-data" / "nx0" / "states.h5").is_file()
-    assert capfd.readouterr() == ("", "")
-
-
 @pytest.mark.thorough
 def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     words = typed("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a")
@@ -204,33 +182,6 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> 
 
 
 # What is refused.
-
-
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
-        ("--nx -1", "--nx takes whole numbers such as 3, 2,3 or 0-4, got '-1'"),
-        ("--nx 12", "from 0 to 11, got"),
-        ("--set beads=40 --no-demonstrations", "beads must be at least 50"),
-        ("--set beads=200", "demonstrations are for a rope of 100 beads, got 200; leave them out"),
-        ("--set beads=200 --source random-walk --no-demonstrations", "--beads needs --source"),
-        ("--codes hard-unknots --nx 4", "hard-unknots.txt contains no code with nx 4"),
-        ("--nx 7", "limited to 6 crossings, got nx 7; --no-demonstrations makes states without"),
-        ("--count 0", "count must be at least 1"),
-        ("--every-code -2", "every_code must be at least 0"),
-        ("--source play --knot 3_1", "--knot needs --source drawing, not play"),
-        ("--knot 9_50", "no knot '9_50'; there are 0_1, the prime knots"),
-        ("--knot 3_1 --nx 2", "no diagram of 3_1 has 2 crossings"),
-    ],
-)
-def test_a_mistake_is_one_line_and_writes_nothing(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], options: str, problem: str
-) -> None:
-    words = ["--out", str(tmp_path / "made" / "a"), "--workers", "1", *options.split()]
-    assert knotgym("generate", *words) == 2
-    (line,) = said(capfd)
-    assert line.startswith("knotgym: ") and problem in line
-    assert [*tmp_path.iterdir()] == []
 
 
 def test_too_few_attempts_are_a_failure_that_can_be_resumed(

@@ -60,6 +60,7 @@ COMMANDS = {
     "compact": Command("dataset export {episodes} --out {out}/a.h5", "a.h5"),
     "minari": Command("dataset export {episodes} --to minari --out {out}/a", "a"),
     "huggingface": Command("dataset export {episodes} --to huggingface --out {out}/a", "a"),
+    "select": Command("dataset select {states} --sample 1 --out {out}/a.h5", "a.h5"),
     "ogbench": Command(
         "dataset export {episodes} --to ogbench --out {out}/a", "a/tie-nx2-random-v0-train.npz"
     ),

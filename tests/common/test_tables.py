@@ -264,7 +264,7 @@ def test_a_pipe_is_not_opened(tmp_path: Path) -> None:
 def test_a_file_that_a_writer_holds_is_read(path: Path) -> None:
     with path.open("rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)  # what HDF5 does
-        assert read_back(path).rows == 5
+        assert read_back(path).rows == 5 and format_of(path) == "ours"
 
 
 def test_a_size_is_the_same_in_the_whole_file(tmp_path: Path) -> None:

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
-from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
+from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.control.verification import replay, verify
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.datasets.cards.citation import citation_file
 from knotgym.datasets.episodes import differences, gauss_codes
-from knotgym.datasets.exports.exporters import EXPORTERS, export
+from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located, locate_own
 from knotgym.datasets.merging import merge
@@ -45,6 +45,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def huggingface(states_path: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """States and episodes exported for Hugging Face."""
     out = tmp_path_factory.mktemp("upload") / "hub"
+    out.mkdir()
     to_huggingface(Located(Path("tiny"), Path(states_path), tuple(TINY.values())), out)
     return out
 
@@ -205,25 +206,12 @@ def test_minaris_form_is_written_where_a_dataset_lacks_it(root: Path, tmp_path: 
     assert (tmp_path / "up" / ID / "data/main_data.hdf5").is_file()
 
 
-@pytest.mark.parametrize("form", EXPORTERS)
-def test_what_is_there_is_left_alone(tmp_path: Path, states_path: str, form: str) -> None:
-    out = tmp_path / "out.csv"
-    if form == "ogbench":
-        (out / "tie-nx2-expert_chain-v0.npz").mkdir(parents=True)
-    else:
-        out.write_text("mine")
-    source = states_path if form == "curves" else EXPERT
-    with pytest.raises(Occupied):
-        export(source, out, form, replay)
-    assert form == "ogbench" or out.read_text() == "mine"
-
-
 def test_what_has_no_place_in_a_form_is_refused(tmp_path: Path, states_path: str) -> None:
     one = str(written(tmp_path / "one.h5", episodes([2])))
     for source, form, says in (
         (one, "ogbench", "at least 2 episodes"),
         (one, "minari", "not a Minari dataset"),
-        (states_path, "compact", "no trajectories"),
+        (states_path, "compact", "contains no episodes"),
         (one, "coco", "contains no pictures"),
         (one, "poem", "formats are compact"),
     ):

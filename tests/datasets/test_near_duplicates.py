@@ -61,6 +61,8 @@ def test_no_distance_is_below_its_bound() -> None:
     for k in range(len(STATES)):
         exact = spectra.taken(np.full(len(STATES), k)).pair_distances(spectra)
         assert (bounds[k] <= exact + 1e-6).all()
+        apart = np.linalg.norm(spectra.invariants - spectra.invariants[k], axis=1)
+        assert (apart <= exact + 1e-6).all() and np.median(apart) > NEAR
 
 
 def test_pairs_are_found_once_and_families_are_kept_in_one_split() -> None:

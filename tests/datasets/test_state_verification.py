@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,6 @@ from knotgym.common.atomic_files import sha256
 from knotgym.control.verification import replay
 from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.states.state_file import States, read_states, shipped, write_states
-
-from ..small_job import knotgym
 
 ENDS_ELSEWHERE = "replay of its start and actions does not end in qpos bit for bit"
 
@@ -108,8 +106,8 @@ def test_a_missing_origin_is_named(pair: States) -> None:
     names = [name for name in pair.table if name not in ("source/actions", "source/seed")]
     few = States(pair.table.only(*names), pair.attributes)
     assert list(state_faults(few)) == [
-        "states.h5: source/seed is missing",
         "states.h5: source/actions is missing",
+        "states.h5: source/seed is missing",
     ]
 
 
@@ -169,28 +167,3 @@ def test_a_changed_file_and_a_missing_one_are_named(light: Path) -> None:
 def test_a_manifest_that_cannot_be_read_is_a_fault(light: Path, text: str) -> None:
     (light / "manifest.json").write_text(text)
     assert next(folder_faults(light, replay)).startswith("manifest.json can't be read: ")
-
-
-def _change(folder: Path) -> None:
-    states = read_states(folder / "states.h5")
-    write_states(folder / "states.h5", altered(states, "gauss_code", 1, "1+,1-,2+,2-"))
-
-
-def _truncate(folder: Path) -> None:
-    (folder / "states.h5").write_bytes((folder / "states.h5").read_bytes()[:5000])
-
-
-@pytest.mark.parametrize(("harm", "named"), [(_change, "row 1"), (_truncate, "states.h5")])
-def test_the_command_names_faults_and_exits_with_1(
-    light: Path, capfd: pytest.CaptureFixture[str], harm: Callable[[Path], None], named: str
-) -> None:
-    harm(light)
-    assert knotgym("dataset", "verify", light, "--quiet") == 1
-    lines = capfd.readouterr().out.splitlines()
-    assert lines and all(line.startswith("fault: ") for line in lines)
-    assert any(named in line for line in lines)
-
-
-def test_nothing_at_a_path_is_a_mistake(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert knotgym("dataset", "verify", tmp_path / "absent") == 2
-    assert len(capfd.readouterr().err.splitlines()) == 1

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -177,16 +176,3 @@ def test_an_environment_resets_to_states_made_of_the_points_that_another_showed(
     write_states(tmp_path / "own.h5", made)
     own = gym.make("knotgym/Tie-v0", nx=1, states=str(tmp_path / "own.h5"), engine="chain")
     assert own.reset(seed=0)[1]["goal_gauss_code"] == made.gauss_code[1]
-
-
-@pytest.mark.parametrize(
-    ("points", "split", "said"),
-    [
-        (np.zeros((100, 3)), "train", r"shape \(n, beads, 3\)"),
-        (np.zeros((1, 100, 3)), "train", "rope 0: a closed rope needs"),
-        (np.zeros((1, 100, 3)), "eval", "split must be train or test"),
-    ],
-)
-def test_points_that_are_no_states_are_refused(points: Any, split: str, said: str) -> None:
-    with pytest.raises(InvalidInput, match=said):
-        States.from_points(points, split)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
-from knotgym.common.errors import InvalidInput, MissingExtra, MissingFile, Occupied
+from knotgym.common.errors import InvalidInput, MissingFile, Occupied
 from knotgym.control.verification import replay
 from knotgym.datasets import delete, open_episodes, select, split
 from knotgym.datasets.conditions import matching_rows
@@ -73,12 +73,6 @@ def test_any_other_text_is_refused_in_one_line(text: str, says: str) -> None:
     with pytest.raises(InvalidInput) as caught:
         matching_rows(text, COLUMNS)
     assert says in str(caught.value) and str(caught.value).isprintable()
-
-
-def test_without_polars_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "polars", None)
-    with pytest.raises(MissingExtra, match=r"\.\[select\]"):
-        matching_rows("nx = 3", COLUMNS)
 
 
 def test_selected_episodes_are_those_of_the_source(tmp_path: Path) -> None:
@@ -199,13 +193,6 @@ def test_states_without_demonstrations_are_split(tmp_path: Path) -> None:
     assert [len(read_states(one)) for one in parts] == [4, 4]
 
 
-def test_an_output_that_is_there_is_kept(states_path: str, tmp_path: Path) -> None:
-    (tmp_path / "a.h5").write_text("mine")
-    with pytest.raises(Occupied):
-        select(states_path, where="nx = 0", out=tmp_path / "a.h5")
-    assert (tmp_path / "a.h5").read_text() == "mine"
-
-
 def test_an_id_is_for_episodes(states_path: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="an id is for episodes"):
         merge([states_path], tmp_path, "a/b-v0")
@@ -267,6 +254,8 @@ def test_an_output_in_the_way_of_its_source_is_refused(states_path: str, tmp_pat
     before = file.read_bytes()
     for write in (
         lambda: select(file, where="nx = 3", out=file, overwrite=True),
+        lambda: select(tmp_path, where="nx = 3", out=tmp_path / "part.h5", overwrite=True),
+        lambda: split(tmp_path, "a=0.5,b=0.5", out=tmp_path / "part.h5", overwrite=True),
         lambda: merge([str(file), states_path], file, overwrite=True),
         lambda: export(str(file), file, "huggingface", replay, overwrite=True),
     ):

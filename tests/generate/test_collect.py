@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import InvalidInput, Occupied
+from knotgym.common.errors import InvalidInput
 from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
 from knotgym.control.rollouts import episode_seed
 from knotgym.control.verification import verify
@@ -24,7 +24,6 @@ from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.collect import (
     collect,
     distinct_id,
-    require_collectable,
     run_facts,
 )
 from knotgym.generate.episodes.collect_config import CollectConfig
@@ -124,19 +123,6 @@ def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> N
     with pytest.raises(InvalidInput, match="none of 2 episodes reached the goal"):
         collect(config(policy="constant", episodes=2, keep_failed=False), tmp_path, QUIET)
     assert [path.parents[1] for path in tmp_path.rglob("episodes.h5")] == [folder]
-
-
-def test_a_finished_dataset_is_not_replaced_unasked(tmp_path: Path) -> None:
-    folder = collect(config(episodes=1), tmp_path, QUIET)
-    before = sha256(folder / "data/episodes.h5")
-    with pytest.raises(Occupied, match="exists"):
-        collect(config(episodes=1), tmp_path, QUIET)
-    assert collect(config(episodes=1), tmp_path, RESUMED) == folder
-    with pytest.raises(InvalidInput, match="belongs to a different run: config.episodes is 1"):
-        collect(config(episodes=2), tmp_path, RESUMED)
-    assert sha256(folder / "data/episodes.h5") == before
-    collect(config(episodes=2), tmp_path, replace(QUIET, overwrite=True))
-    assert sha256(folder / "data/episodes.h5") != before
 
 
 @pytest.fixture
@@ -239,13 +225,9 @@ def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
     assert open_episodes(chosen).episodes.episodes.rows == 9
 
 
-def test_functions_of_one_module_get_datasets_of_their_own(tmp_path: Path) -> None:
+def test_functions_of_one_module_get_datasets_of_their_own() -> None:
     names = [distinct_id(config(policy=f"mine:{one}")).split("/")[2] for one in ("act", "other")]
     assert [name[: name.index("-chain")] for name in names] == ["mine-act", "mine-other"]
-    (tmp_path / distinct_id(config())).mkdir(parents=True)
-    (tmp_path / distinct_id(config()) / "data").write_text("in the way")
-    with pytest.raises(Occupied, match="--overwrite replaces it, .* or another --id"):
-        require_collectable(config(dataset_id=distinct_id(config())), tmp_path, QUIET)
 
 
 def _keywords(task: TaskConfig) -> dict[str, Any]:

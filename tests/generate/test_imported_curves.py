@@ -29,14 +29,9 @@ from knotgym.topology.reference_labeller import pyknotid_code
 
 from ..conftest import trefoil
 from ..small_job import knotgym
+from ..topology.test_knots import figure_eight
 
 Points = NDArray[np.float64]
-
-
-def figure_eight() -> Points:
-    at = np.linspace(0, 2 * np.pi, 300, endpoint=False)
-    radius = 2 + np.cos(2 * at)
-    return np.stack([radius * np.cos(3 * at), radius * np.sin(3 * at), np.sin(4 * at)], axis=1)
 
 
 def hopf_link() -> tuple[Points, Points]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -90,13 +91,9 @@ def test_states_of_two_sources_are_in_order_and_none_is_near_another(
     assert list(folder_faults(folder, replay)) == []
     assert pairs_within(states.points[:2], states.points[2:]) == []
     card = (folder / "README.md").read_text()
-    assert "`source/policy` drawing" in card and "drawings and ropes were made" in card
-
-
-def test_every_code_is_drawn(drawn: Path) -> None:
-    states = states_in(drawn)
-    assert len(states) == len(set(states.gauss_code.tolist())) == 3
-    assert set(states.source["policy"]) == {"drawing"}
+    assert (
+        re.search("set: (drawing and play|play and drawing);", card) and "ropes were tried" in card
+    )
 
 
 @pytest.mark.parametrize("source", ["drawn", "played", "walked"])
@@ -104,12 +101,6 @@ def test_every_row_is_recomputed_and_replays_bit_for_bit(
     source: str, request: pytest.FixtureRequest
 ) -> None:
     assert list(folder_faults(request.getfixturevalue(source), replay)) == []
-
-
-def test_a_folder_holds_states_gallery_card_and_manifest(played: Path) -> None:
-    names = {path.name for path in played.iterdir()}
-    assert names == {"states.h5", "gallery.png", "README.md", "manifest.json"}
-    assert "random and scripted policies" in (played / "README.md").read_text()
 
 
 @pytest.mark.parametrize("source", ["played", "walked"])

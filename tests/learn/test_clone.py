@@ -77,15 +77,13 @@ def test_decisions_of_failed_episodes_are_judged_but_not_imitated(played: Episod
     import torch
 
     from knotgym.learn.clone_network import CloneNetwork, inputs
-    from knotgym.learn.decisions import examples
     from knotgym.learn.training_data import decisions_of
 
     own = decisions_of(played, first=7)
     assert {*own.episodes[own.worked].tolist()} == {7, 8}
     assert {*own.episodes[~own.worked].tolist()} == {9}
-    data = examples(own)
     losses = CloneNetwork(16, 1).loss(
-        inputs(data[:4]), torch.from_numpy(data.macros).long(), torch.from_numpy(data.worked)
+        inputs(own[:4]), torch.from_numpy(own.macros).long(), torch.from_numpy(own.worked)
     )
     assert (losses[own.worked] > 0).all()
     assert not losses[~own.worked][:, :3].any() and (losses[:, 3] > 0).all()

@@ -12,7 +12,8 @@ pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
 
 from knotgym.learn.agent import Agent  # noqa: E402
-from knotgym.learn.imagination import BEADS, imagine  # noqa: E402
+from knotgym.learn.colour_reading import BEADS  # noqa: E402
+from knotgym.learn.imagination import imagine  # noqa: E402
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses  # noqa: E402
 from knotgym.rope.chain.chain_simulation import ChainSimulation  # noqa: E402
 from knotgym.topology.gauss import GaussCode  # noqa: E402

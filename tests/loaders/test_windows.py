@@ -283,29 +283,3 @@ def test_the_same_generator_gives_the_same_batch() -> None:
         np.testing.assert_array_equal(one[name], two[name])
     with pytest.raises(InvalidInput, match="hand a generator in"):
         opened.batch([3])
-
-
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: Window(n_step=0), "n_step"),
-        (lambda: Window(chunk=0), "chunk"),
-        (lambda: Window(discount=0), "discount"),
-        (lambda: Window(discount=1.5), "discount"),
-        (lambda: Window(discount=1, goals=GoalSampling()), "geometrically"),
-        (lambda: GoalSampling(p_currgoal=0.9), "sum to 1"),
-        (lambda: GoalSampling(p_currgoal=-0.2), "p_currgoal"),
-        (lambda: GoalSampling(negatives=-1), "negatives"),
-    ],
-)
-def test_a_window_refuses_nonsense(make: Any, says: str) -> None:
-    with pytest.raises(InvalidInput, match=says):
-        make()
-
-
-def test_windows_that_a_dataset_cannot_give_are_refused() -> None:
-    goals = Window(goals=GoalSampling())
-    with pytest.raises(InvalidInput, match="leave out relabel"):
-        Transitions(TINY["random"], relabel="all", window=goals)
-    with pytest.raises(InvalidInput, match="no goals to sample"):
-        Transitions(TINY["random"]).sample_goals([0], np.random.default_rng(0))

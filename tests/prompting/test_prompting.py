@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from base64 import b64encode
 from collections.abc import Callable
@@ -9,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
+from knotgym.cli.summaries import print_transcripts
 from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
 from knotgym.datasets.image_table import decode, encode
 from knotgym.envs.tasks import TaskConfig
@@ -185,6 +188,9 @@ def test_a_picture_s_code_is_asked_for_and_scored(tmp_path: Path) -> None:
         {"pictures": 3, "exact": 1 / 3, "crossings": 1 / 3, "edits": 2}
     )
     assert scores["accepted"] == {"pictures": 1, "exact": 1, "crossings": 1, "edits": 0}
+    text = io.StringIO()
+    print_transcripts(tmp_path / "run", Console(file=text))
+    assert "mode                 read" in text.getvalue() and "accepted" in text.getvalue()
 
 
 def test_the_first_request_is_shown_without_sending_it() -> None:

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
 from knotgym.rendering.camera import PictureConfig, bead_colours, project
 from knotgym.rendering.picture import crossing_pixels, draw, draw_many
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings
 
 from ..scripts import ROOT
@@ -47,39 +47,12 @@ def gl(test: Callable[..., None]) -> Any:
     return pytest.mark.gl(pytest.mark.usefixtures("opengl")(test))
 
 
-def random_curve(
-    rng: np.random.Generator, beads: int = 100, length: float = 1.33, gap: float = 0.009
-) -> Points:
-    """Return a random smooth closed curve of equal chords, whose strands stay `gap` apart."""
-    phase = np.linspace(0.0, 2.0 * np.pi, 2001)
-
-    def wave(modes: int, decay: float) -> Points:
-        order = np.arange(1, modes + 1)[:, None]
-        cos, sin = rng.normal(size=(2, modes, 1)) / order**decay
-        return np.asarray((cos * np.cos(order * phase) + sin * np.sin(order * phase)).sum(axis=0))
-
-    while True:
-        fine = np.stack([wave(4, 1.2), wave(4, 1.2), wave(7, 0.0)], axis=1)
-        fine[:, :2] *= length / np.linalg.norm(np.diff(fine[:, :2], axis=0), axis=1).sum()
-        fine[:, 2] *= 0.02 / fine[:, 2].std()
-        fine *= length / np.linalg.norm(np.diff(fine, axis=0), axis=1).sum()
-        place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
-        at = np.arange(beads) / beads * place[-1]
-        points = np.stack([np.interp(at, place, axis) for axis in fine.T], axis=1)
-        dense = (
-            points[:, None]
-            + np.arange(3)[:, None] / 3 * (np.roll(points, -1, axis=0) - points)[:, None]
-        ).reshape(-1, 3)
-        apart = np.linalg.norm(dense[:, None] - dense[None], axis=2)
-        along = np.abs(np.subtract.outer(np.arange(3 * beads), np.arange(3 * beads)))
-        if apart[np.minimum(along, 3 * beads - along) > 9].min() >= gap:
-            return points
-
-
 @functools.cache
-def curves(count: int = 40) -> Points:
-    rng = np.random.default_rng(20250528)
-    made = np.stack([random_curve(rng) for _ in range(count)])
+def curves() -> Points:
+    """Forty legible ropes, ten of each number of crossings from 1 to 4."""
+    states = read_states(shipped(), images=False)
+    rows = [np.flatnonzero(states.nx == nx)[:10] for nx in (4, 3, 2, 1)]
+    made: Points = states.points[np.stack(rows, axis=1).ravel()]
     made.setflags(write=False)
     return made
 
@@ -343,21 +316,6 @@ def test_crossing_pixels_lie_on_both_strands() -> None:
 
 
 # Settings and errors
-
-
-def test_points_that_are_no_rope_are_refused() -> None:
-    for points in (
-        np.zeros((2, 3)),
-        np.zeros((10, 2)),
-        np.zeros((1, 10, 3)),
-        np.full((10, 3), np.nan),
-    ):
-        with pytest.raises(InvalidInput):
-            draw(points)
-    with pytest.raises(InvalidInput):
-        draw_many(np.zeros((10, 3)))
-    with pytest.raises(InvalidInput):
-        draw(ring(), colours=np.zeros((99, 3), dtype=np.uint8))
 
 
 def test_no_opengl_is_one_clear_line() -> None:

@@ -26,66 +26,28 @@ def chords(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize(
-    ("nonsense", "named"),
-    [
-        ({"beads": 5}, "beads"),
-        ({"beads": 100.0}, "beads"),
-        ({"sub_chains": 1}, "sub-chains"),
-        ({"sub_chains": 50}, "sub-chains"),
-        ({"radius": 0.02}, "bead"),
-        ({"rooted": "end"}, "rooted"),
-        ({"closure_solref": (0.02,)}, "closure_solref"),
-        ({"closure_solimp": (0.9, 0.95, 0.001, 0.5, float("nan"))}, "closure_solimp"),
-        *(
-            ({name: 0}, name)
-            for name in ("length", "medium_density", "timestep", "frame_skip", "reach")
-        ),
-        *(({name: -1.0}, name) for name in ("radius", "joint_damping", "max_force")),
-    ],
-    ids=str,
-)
-def test_config_refuses_nonsense(nonsense: dict[str, Any], named: str) -> None:
-    with pytest.raises(InvalidInput, match=named):
-        RopeConfig(**nonsense)
-
-
-@pytest.mark.parametrize(
     "name", ["length", "radius", "joint_damping", "timestep", "frame_skip", "rooted"]
 )
 def test_fingerprint_changes_with_every_number(name: str) -> None:
-    value: Any = (
-        "start"
-        if name == "rooted"
-        else 2 * getattr(RopeConfig(), name)
-        if name != "radius"
-        else 0.004
-    )
-    assert RopeConfig(**{name: value}).fingerprint != RopeConfig().fingerprint
+    other: Any = {"rooted": "start", "radius": 0.004}.get(name) or 2 * getattr(RopeConfig(), name)
+    assert RopeConfig(**{name: other}).fingerprint != RopeConfig().fingerprint
 
 
 def test_model_has_the_published_sizes(rope: Rope) -> None:
-    assert (rope.model.nq, rope.model.nv, rope.model.nbody - 1, rope.model.neq) == (
-        421,
-        321,
-        100,
-        7,
-    )
+    sizes = rope.model.nq, rope.model.nv, rope.model.nbody - 1, rope.model.neq
+    assert sizes == (421, 321, 100, 7)
 
 
 def test_model_has_the_published_physics(rope: Rope) -> None:
     option = rope.model.opt
-    assert (
-        option.integrator == mujoco.mjtIntegrator.mjINT_EULER
-        and option.solver == mujoco.mjtSolver.mjSOL_PGS
-    )
+    assert option.integrator == mujoco.mjtIntegrator.mjINT_EULER
+    assert option.solver == mujoco.mjtSolver.mjSOL_PGS
     assert not option.gravity.any() and option.density == 10000 and option.timestep == 0.008
-    assert (rope.model.geom_condim == 1).all() and (
-        rope.model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE
-    ).all()
+    assert (rope.model.geom_condim == 1).all()
+    assert (rope.model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).all()
     assert np.allclose(rope.model.geom_size[:, :2], [0.005, BEAD / 2])
-    assert (
-        set(rope.model.dof_damping) == {0.0, 0.01} and (rope.model.dof_damping == 0).sum() == 7 * 6
-    )
+    damping = rope.model.dof_damping
+    assert set(damping) == {0.0, 0.01} and (damping == 0).sum() == 7 * 6
     assert (rope.model.eq_type == mujoco.mjtEq.mjEQ_CONNECT).all() and rope.model.nexclude == 7
 
 
@@ -134,10 +96,7 @@ def test_qpos_holds_unit_quaternions(rope: Rope, tangled: NDArray[np.float64]) -
 
 def test_qpos_bears_a_rope_folded_back_on_itself(rope: Rope) -> None:
     flat = rope.loop()
-    # beads there and back
-    flat[50:] = flat[49] + np.cumsum(
-        np.where(np.arange(50)[:, None] % 2 == 0, 1, -1) * [[BEAD, 0.0, 0.0]], axis=0
-    )
+    flat[50:] = flat[49] + np.arange(1, 51)[:, None] % 2 * [BEAD, 0.0, 0.0]  # there and back
     assert np.isfinite(rope.qpos(flat)).all()
 
 
@@ -176,9 +135,8 @@ def test_a_curve_starts_at_its_first_point_and_keeps_its_direction(rope: Rope) -
 
 def test_repeating_the_first_point_changes_nothing(rope: Rope) -> None:
     curve = trefoil()
-    assert np.array_equal(
-        rope.from_curve(np.concatenate([curve, curve[:1]])), rope.from_curve(curve)
-    )
+    repeated = np.concatenate([curve, curve[:1]])
+    assert np.array_equal(rope.from_curve(repeated), rope.from_curve(curve))
 
 
 def test_own_points_come_back_as_they_are(rope: Rope, tangled: NDArray[np.float64]) -> None:
@@ -208,10 +166,7 @@ def test_every_smooth_curve_becomes_equal_beads(seed: int, modes: int) -> None:
         (np.where(np.arange(300)[:, None] == 7, np.nan, trefoil()), "finite coordinates"),
         (np.where(np.arange(300)[:, None] == 7, np.inf, trefoil()), "finite coordinates"),
         (trefoil() * [1, 1, 0], "beads would overlap by 10.0 mm"),
-        (
-            np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [0, 0, 0]]),
-            "beads would overlap",
-        ),
+        (np.array([[k % 4, 0.0, 0] for k in range(5)]), "beads would overlap"),
     ],
 )
 def test_what_is_no_rope_is_refused_in_one_line(

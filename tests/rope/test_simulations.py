@@ -139,6 +139,8 @@ def test_actions_and_read_actions_are_inverse(engine: str) -> None:
         assert actions.dtype == np.float32 and np.abs(actions).max() <= 1
         read, pulled = ropes.read_actions(actions)
         assert np.array_equal(read, beads) and np.abs(pulled - forces).max() < 1e-7
+    strong = ropes.actions(np.full(8, 3), np.tile([9.0, -9.0, 0.1], (8, 1)))
+    assert np.allclose(strong[:, 3:], [1.0, -1.0, 0.5])
 
 
 def test_an_action_pulls_the_nearest_bead_where_it_says(engine: str) -> None:

@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.basic_policies import ConstantPolicy, RandomPolicy
+from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.planning import PassPlanner
-from knotgym.control.rollouts import rollouts
+from knotgym.control.policies import make_policy
+from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.rollouts import Policy, rollouts
 from knotgym.control.verification import verify
 from knotgym.datasets.episode_dataset import write_episodes
 from knotgym.datasets.episodes import Episodes, merged
@@ -28,10 +30,14 @@ def bounded(states_path: str, **settings: Any) -> TaskConfig:
     return TaskConfig(**{**fields, "observation": "state", "tow_limit": LIMIT, **settings})
 
 
+def constant() -> Policy:
+    return make_policy(PolicyConfig(policy="constant"))
+
+
 @pytest.fixture(scope="module")
 def towed(states_path: str) -> Episodes:
     """Two episodes of the constant action, both towed beyond the limit."""
-    return rollouts(ConstantPolicy(), bounded(states_path), range(2))
+    return rollouts(constant(), bounded(states_path), range(2))
 
 
 def test_a_rope_is_as_far_as_its_centre() -> None:
@@ -80,7 +86,7 @@ def test_the_expert_s_plans_keep_to_the_bound(states_path: str) -> None:
 
 def test_a_dataset_with_a_bound_is_verified(states_path: str, tmp_path: Path) -> None:
     task = bounded(states_path, horizon=12)
-    both = [rollouts(policy, task, range(2)) for policy in (RandomPolicy(), ConstantPolicy())]
+    both = [rollouts(policy, task, range(2)) for policy in (RandomPolicy(), constant())]
     write_episodes(tmp_path / "own.h5", [merged(both)], task)
     assert verify(tmp_path / "own.h5") == []
 

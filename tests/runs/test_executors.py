@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.errors import Failed, InvalidInput, MissingExtra
+from knotgym.common.errors import Failed, InvalidInput
 from knotgym.runs.executors import executor
 from knotgym.runs.journal import Journal
 from knotgym.runs.run_options import RunOptions
@@ -52,15 +52,6 @@ def test_a_cluster_has_its_own_workers() -> None:
 
 def on(scheduler: str) -> RunOptions:
     return RunOptions(scheduler=scheduler, quiet=True)
-
-
-def test_without_dask_one_line_names_the_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingExtra, match=r"pip install '\.\[dask\]'"):
-        RECIPES["toy"](tmp_path / "a", on("tcp://127.0.0.1:9"))
-    assert list(tmp_path.iterdir()) == []
 
 
 @with_dask

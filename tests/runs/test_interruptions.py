@@ -13,9 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.runs.journal import Journal
-from knotgym.runs.run import staging_folder
-
 from ..cli.test_generate_command import said
 from ..small_job import SECONDS, knotgym, typed, wait_for_file
 
@@ -54,15 +51,6 @@ def test_a_read_only_target_is_one_line(tmp_path: Path, capfd: pytest.CaptureFix
         assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path / "disk" / "b") == 2
     (line,) = said(capfd)
     assert "can't be written: Read-only file system" in line
-
-
-def test_a_second_run_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    folder = staging_folder(tmp_path / "a-v0")
-    folder.mkdir()
-    with Journal(folder / "journal", {}):
-        assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path) == 2
-    (line,) = said(capfd)
-    assert line.startswith("knotgym: another run is writing to ")
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """A journal: what is kept is there after any kill, and nothing but a journal of the run is read."""
 
+import errno
 import os
 import random
 from pathlib import Path
@@ -83,6 +84,33 @@ def test_the_journal_of_another_run_is_refused_and_left(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="seed is 0 there and 1 here"):
         Journal(tmp_path / "new", other, [tmp_path / "j"])
     assert (tmp_path / "j").read_bytes() == before
+
+
+@pytest.mark.parametrize("more", [-129, -128, -127, -1, 0, 1, 127, 128])
+def test_a_result_with_too_long_names_is_refused_or_comes_back(more: int, tmp_path: Path) -> None:
+    line = '[{"columns": [["", "|u1", []]], "key": "a"}, 64]'
+    name = "x" * (2**20 + more - len(line))
+    with Journal(tmp_path / "j", RUN) as journal:
+        try:
+            journal["a"] = {name: np.array(3, np.uint8)}
+        except InvalidInput:
+            assert more > -128
+        is_kept = "a" in journal
+    with Journal(tmp_path / "j", RUN) as journal:
+        assert ("a" in journal) == is_kept
+
+
+def test_a_result_that_never_reaches_the_disk_is_not_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")  # which network disks say only here
+
+    with Journal(tmp_path / "j", RUN) as journal, monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="quota"):
+            journal["a"] = RESULT
+        assert "a" not in journal
 
 
 def test_objects_are_not_kept(tmp_path: Path) -> None:

@@ -102,21 +102,6 @@ def test_three_shards_merge_to_the_same_bytes(
     assert content(make(out, QUIET)) == unbroken(name)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted({*RECIPES} - {"toy"}))
-def test_a_finished_run_is_resumed_to_itself_and_never_replaced_unasked(
-    name: str, tmp_path: Path
-) -> None:
-    out, make = tmp_path / name, RECIPES[name]
-    before = content(make(out, QUIET))
-    make(out, RESUMED)
-    with pytest.raises(Occupied, match="exists already; --overwrite replaces it"):
-        make(out, QUIET)
-    make(out, replace(QUIET, overwrite=True))
-    assert content(out) == before
-    assert list(tmp_path.iterdir()) == [out]
-
-
 def test_a_shard_computes_its_share_alone_and_names_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -175,6 +160,18 @@ def test_an_interrupted_run_is_continued_or_deleted_only_on_request(tmp_path: Pa
     with pytest.raises(Occupied):
         made_toy(out, QUIET)
     assert made_toy(out, replace(QUIET, overwrite=True)) == out
+
+
+def test_what_is_finished_is_found_before_anything_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = made_toy(tmp_path / "a", QUIET)
+    monkeypatch.setattr("tests.runs.recipes.drawn", None)
+    with pytest.raises(Occupied, match="exists already; --overwrite replaces it"):
+        made_toy(out, QUIET)
+    staging_folder(out).mkdir()  # as if killed after its output was in place
+    assert made_toy(out, RESUMED) == out
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:

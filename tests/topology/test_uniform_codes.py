@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from knotgym.topology.diagrams import planar_codes, uniform_code
-from knotgym.topology.knots import is_unknot
 
 
 def chi_square(counts: Counter[str], kinds: int) -> float:
@@ -24,18 +23,6 @@ def test_every_planar_code_is_as_likely_as_any_other(nx: int, draws: int) -> Non
     codes = {str(code) for code in planar_codes(nx)}
     assert set(counts) == codes
     assert chi_square(counts, len(codes)) < 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("nx", "draws"), [(4, 10_000), (5, 40_000)])
-def test_unknots_among_them_are_uniform_over_the_exact_list(nx: int, draws: int) -> None:
-    rng = np.random.default_rng(nx)
-    unknots = {str(code) for code in planar_codes(nx) if is_unknot(code)}
-    drawn = (uniform_code(nx, rng) for _ in range(draws))
-    counts = Counter(str(code) for code in drawn if is_unknot(code))
-    assert set(counts) <= unknots
-    degrees = len(unknots) - 1  # chi-square / degrees is about normal with variance 2 / degrees
-    assert abs(chi_square(counts, len(unknots)) - 1) < 4 * (2 / degrees) ** 0.5
 
 
 def test_the_same_generator_draws_the_same_code() -> None:

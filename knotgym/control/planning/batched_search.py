@@ -5,6 +5,9 @@ after another can't use that alone, so searches share the ropes. A search is a g
 many *slots*, each a rope of its own. It yields `Orders`: what to try in which slots; slots without
 an order go on with theirs. It is sent what became of its trials, in the order of its slots. What a
 search finds doesn't depend on its company.
+
+After a change run `pytest tests/control/planning/test_batched_search.py`: what a search finds must
+not depend on its company.
 """
 
 from collections import deque
@@ -131,6 +134,8 @@ class BatchedSearch:
         """Run searches to their ends; yield the number and result of each as it ends."""
         waiting = enumerate(searches)
         while True:
+            # No more are drawn from the iterable than could begin at once: each holds the state
+            # that it starts from.
             while len(self._waiting) < self.ropes.count and (item := next(waiting, None)):
                 self.add(*item, slots)
             if not self._waiting and not self._seats:
@@ -140,6 +145,8 @@ class BatchedSearch:
     def tick(self) -> list[tuple[Any, Any]]:
         """Begin searches that have room, take a pull in every slot; return keys and results."""
         new = list[tuple[_Seat, Reports | None]]()
+        # In the order in which they came, even if a later one would fit: which runs when changes
+        # only the time, never a result.
         while self._waiting and len(self._free) >= self._waiting[0][1]:
             key, slots, search = self._waiting.popleft()
             seat = _Seat(key, search, [self._free.pop() for _ in range(slots)])
@@ -170,6 +177,8 @@ class BatchedSearch:
             begun = dict[int, Trial]()
             for seat, reports in woken:
                 try:
+                    # The first thing sent to a generator must be None; after that, what became of
+                    # its trials.
                     orders = seat.search.send(reports)  # type: ignore[arg-type]
                 except StopIteration as end:
                     self._leave(seat)
@@ -177,6 +186,8 @@ class BatchedSearch:
                 else:
                     seat.wake, seat.pulls = orders.wake, 0
                     begun |= {seat.ropes[slot]: trial for slot, trial in orders.trials.items()}
+            # Trials that are over without a pull are reported at once, so that no search waits a
+            # tick for nothing.
             woken = self._reports(self._begin(begun), []) if begun else []
         return ended
 
@@ -191,6 +202,7 @@ class BatchedSearch:
         ropes, follower = self.ropes, self._follower
         ids = np.array(sorted(begun))
         trials = [begun[rope] for rope in ids.tolist()]
+        # all that begin together, as one rope alone takes nearly as long as many
         ropes.restore(np.array([trial.state for trial in trials]), ids)
         passes = {rope: one.move for rope, one in begun.items() if isinstance(one.move, Pass)}
         if passes:
@@ -209,6 +221,7 @@ class BatchedSearch:
         # a bead may be at all of its waypoints already
         follower.release(ids[self._hauled[ids]])
         over = follower.arrive(ropes.points, ids) | (self._limit[ids] < 1)
+        # a watched trial ends by a pull at the earliest, as its report holds the pulls
         over &= [not trial.watch for trial in trials]
         self._going[ids] = ~over
         return ids[over].tolist()
@@ -219,12 +232,14 @@ class BatchedSearch:
         beads, forces = follower.beads[ids], follower.forces(ropes.points, ids)
         hauled = self._hauled[ids]
         for row in np.flatnonzero(hauled).tolist():
+            # hauls pull two beads in turn, so no waypoint leads them
             haul: Any = self._lanes[int(ids[row])].trial.move
             beads[row], forces[row] = haul.pull(int(self._pulls[ids[row]]))
         stable = ropes.step(beads, forces.astype(np.float64) * ropes.max_force, ids)
         self._pulls[ids] += 1
         points = ropes.points[ids]
         self._lost[ids] = ~stable
+        # most tasks have no limit on towing, and centres of all ropes would be computed for nothing
         if np.isfinite(self._reach[ids]).any():
             self._lost[ids] |= distances_towed(points, self._origin[ids]) > self._reach[ids]
         over = (follower.arrive(ropes.points, ids) & ~hauled) | self._lost[ids]
@@ -236,6 +251,7 @@ class BatchedSearch:
                 lane.beads.append(int(beads[row]))
                 lane.forces.append(forces[row])
                 news[row] |= code != lane.code
+            # Not watched: only where the goal is shown does anybody want to know before the end.
             elif code.visits == lane.trial.goal.visits:
                 over[row] = news[row] = True
             lane.code = code
@@ -251,6 +267,7 @@ class BatchedSearch:
             forces = np.array(lane.forces, np.float32).reshape(-1, 3)
             beads = np.array(lane.beads, np.int64)
             found[rope] = Report(state, points, lane.code, *facts, beads, forces)
+        # each search once, however many of its ropes have news
         woken = [*dict.fromkeys(self._seats[rope] for rope in (*news, *due))]
         return [
             (seat, (seat.pulls, [(k, found[r]) for k, r in enumerate(seat.ropes) if r in found]))

@@ -11,6 +11,9 @@ over the mean rate at which macro-actions from codes of four crossings make such
 (three crossings for a finger), with the same doubt: 1.9 % for adding a kink (R1), 1.2 % for a
 finger laid over an arc (R2), 4.5 % and 5.1 % for undoing them, 2.1 % for a third move (R3) and
 2.2 % for a move of the base point.
+
+After a change run `pytest tests/control/planning/test_changes.py`: distances from the plain loop
+must be those that were counted; then as `planners` says.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import product
 from typing import NamedTuple
 
@@ -29,7 +32,6 @@ from knotgym.common.tables import Column, Schema
 from knotgym.control.planning.moves import MoveRow, Moves
 from knotgym.control.planning.passes import DATA
 from knotgym.control.planning.sights import REVERSE, SWITCH, Diagram, see
-from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.rope.macro_actions import (
     MacroAction,
     cumulative_shares,
@@ -60,6 +62,11 @@ EXAMPLES = Schema(
 DOUBT = 30.0
 # macro-actions that R1 and R2 take that add crossings, either of them undone, and other moves
 KINK_COST, FINGER_COST, DOWN_COST, SIDEWAYS_COST = 54.0, 83.0, 21.0, 47.0
+# Set by hand when the planner was written; no record says what others gave. What must hold after a
+# change is in `planners`.
+GUIDED = 0.8  # share of macro-actions that imitate counted ones, where there are any
+TEMPLATE_NOISE = 0.1  # standard deviation of an imitated macro-action's positions, in arcs
+STRANGE = 30.0  # macro-actions that a crossing too many or too few counts for, if no path is known
 _SPOTS = (0.2, 0.5, 0.8)  # fractions of an arc at which examples of single moves place their beads
 _COUNTED_NX = 4  # the table is complete up to here; codes with more crossings use single moves
 _MOST_MOVED = 1000  # most codes for a goal to which single moves lead, nearest first
@@ -110,13 +117,9 @@ Examples = dict[tuple[Diagram, int], list[Example]]  # by node and label
 class Guide:
     """Distances to any goal."""
 
-    def __init__(self, moves: Moves, examples: Examples, strange: float = 30.0) -> None:
-        """Take a table of changes, whose nodes are codes, with their examples.
-
-        `strange` are the macro-actions that each crossing too many or too few counts for where no
-        path is known.
-        """
-        self.moves, self.examples, self.strange = moves, examples, strange
+    def __init__(self, moves: Moves, examples: Examples) -> None:
+        """Take a table of changes, whose nodes are codes, with their examples."""
+        self.moves, self.examples = moves, examples
         self._known: dict[tuple[GaussCode, bool], Distances] = {}
 
     def to(self, goal: GaussCode, start: GaussCode) -> Distances:
@@ -127,6 +130,7 @@ class Guide:
             start: code of the rope. Single moves are used if it has more than five crossings, or
                 the goal more than four.
         """
+        # whether single moves are needed is part of the key, as they make other distances of a goal
         key = goal.plain, goal.nx > _COUNTED_NX or start.nx > _COUNTED_NX + 1
         if key not in self._known:
             if len(self._known) >= _GOALS_KEPT:  # drop the oldest
@@ -139,13 +143,14 @@ class Distances:
     """Distances from codes to one goal, in macro-actions."""
 
     def __init__(self, guide: Guide, goal: GaussCode, single_moves: bool) -> None:
-        self._goal, self._strange, self._single_moves = goal, guide.strange, single_moves
+        self._goal, self._single_moves = goal, single_moves
         self._moves, self._examples = guide.moves, guide.examples
         self._values = self._solve()
         done, moved = set[GaussCode](), 0  # codes to which single moves lead; how many were nearest
         while single_moves and (near := self._nearest(done)[: _MOST_MOVED - moved]):
             moved += len(near)
             # what leads to one of a code's images stands for what leads to all of them
+            # one of each class of images, in order of distance
             codes = [*dict.fromkeys(map(canonical_form, near))]
             done.update(image for code in codes for image in images(code))
             rows, examples = _single_moves(codes, _NEW + len(self._moves.rows))
@@ -231,7 +236,7 @@ class Distances:
         return self._down[code]
 
     def _far_away(self, nx: NDArray[np.int64]) -> Array:
-        return self._beyond + self._strange * np.maximum(1, np.abs(nx - self._goal.nx))
+        return self._beyond + STRANGE * np.maximum(1, np.abs(nx - self._goal.nx))
 
 
 class Proposals:
@@ -242,18 +247,16 @@ class Proposals:
         weights = np.array([change.promise for change in changes])
         self._shares = cumulative_shares(weights) if changes else weights
 
-    def draw(
-        self, points: Array, rng: np.random.Generator, config: PullPlannerConfig
-    ) -> MacroAction:
+    def draw(self, points: Array, rng: np.random.Generator) -> MacroAction:
         """Draw a change by its promise, and a macro-action like one that made it.
 
         Args:
             points: float64 (beads, 3), metres: where the rope lies.
             rng: source of all draws.
-            config: the share of macro-actions that are guided, and how closely they imitate.
         """
-        if not self._changes or rng.random() >= config.guided:
+        if not self._changes or rng.random() >= GUIDED:
             return propose(points, rng)
+        # a change by its promise, then any of the macro-actions that made it
         change = self._changes[int(self._shares.searchsorted(rng.random(), side="right"))]
         (sight,) = see(points[None])
         example = change.examples[int(rng.integers(len(change.examples)))]
@@ -261,7 +264,7 @@ class Proposals:
 
         def bead(position: float) -> int:
             # the noise keeps within the arc: another arc would be another change of the code
-            along = np.clip(position % 1.0 + rng.normal(0, config.template_noise), 0.0, 0.999)
+            along = np.clip(position % 1.0 + rng.normal(0, TEMPLATE_NOISE), 0.0, 0.999)
             return sight.bead(int(position) + float(along))
 
         led = bead(at)
@@ -270,15 +273,15 @@ class Proposals:
         return move_aside(points, "shift" if past == -1 else "spread", led, side, rng)
 
 
-@lru_cache(maxsize=4)
-def shipped_guide(strange: float = 30.0) -> Guide:
+@cache
+def shipped_guide() -> Guide:
     """Return the guide by the table that ships."""
     moves, (table,) = Moves.load(CHANGES, EXAMPLES)
     examples = defaultdict[tuple[Diagram, int], list[Example]](list)
     columns = (column.tolist() for column in table.values())
     for before, label, *example in zip(*columns, strict=True):
         examples[moves.nodes[before], label].append(Example(*example))
-    return Guide(moves, dict(examples), strange)
+    return Guide(moves, dict(examples))
 
 
 def _single_moves(codes: list[GaussCode], label: int) -> tuple[list[MoveRow], Examples]:

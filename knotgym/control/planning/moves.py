@@ -11,6 +11,9 @@ Values follow one equation, V(node) = max over its moves of (reward + sum of wei
 - distance: a change of code that is tried until it succeeds is a certain move that costs
   1 / chance macro-actions, so reward = -1 / chance, weight = 1, and V = 0 at the goal. This is the
   shortest path.
+
+After a change run `pytest tests/control/planning/test_moves.py`: chances must be those of brute
+force, and certain moves make shortest paths.
 """
 
 from __future__ import annotations
@@ -123,12 +126,17 @@ class Moves:
         values = shown
         for _ in range(sweeps if len(self.start) else 0):
             new = shown.copy()
+            # Image k of an outcome leads from before[k] to after[k] with the same chance. Only the
+            # images in `first` are summed; the loop below reads the others off.
             for k in first:
                 chance = weight if isinstance(weight, np.ndarray) else weight[k]
                 paid = reward[k] if isinstance(reward, list) else reward
                 sums = np.add.reduceat(chance * values[self.after[k]], self.start) + paid
                 np.maximum.at(new, self.before[k][self.start], sums)
+            # each class of images has one value: the largest that any of its members was given
             new = np.max([new[self._image[one]] for one in own], axis=0)
+            # Values only rise from sweep to sweep and depend on nothing else, so equal ones stay
+            # for good.
             if (new == values).all():
                 break
             values = new
@@ -136,6 +144,8 @@ class Moves:
 
     def of(self, node: Diagram) -> tuple[slice, slice]:
         """The moves of a node that is the first of its images, and their outcomes."""
+        # Moves are stored with the first image alone, so another image, like a node that isn't
+        # known, has none here.
         begin, end = self._moves.get(self.index.get(node, -1), (0, 0))
         if begin == end:
             return slice(0, 0), slice(0, 0)
@@ -150,6 +160,7 @@ class Moves:
     def save(self, path: str | os.PathLike[str], *more: Table) -> None:
         """Write the table, and others that go with it."""
         codes = [node.code for node in self.nodes]
+        # rows are padded with 0, which is no visit, to the longest code
         visits = np.zeros((len(codes), 2 * max([code.nx for code in codes], default=0)), np.int8)
         for row, code in enumerate(codes):
             visits[row, : 2 * code.nx] = code.visits
@@ -185,11 +196,16 @@ class Moves:
     def _arrange(self, rows: Iterable[MoveRow]) -> None:
         new = [(self._add(row.before), row.label, self._add(row.after), *row[3:]) for row in rows]
         table = np.concatenate([self.rows, np.array(new, np.int64).reshape(-1, 5)])
+        # sorted by before, label, after: the outcomes of a move lie together, as `reduceat` needs,
+        # and the file is the same however the rows came
         self.rows = table = table[np.lexsort((table[:, 2], table[:, 1], table[:, 0]))]
         self.seen, self.tried = table[:, 3].astype(float), table[:, 4].astype(float)
+        # a move is (before, label), packed into one number of 64 bits; labels are below 2^32
         _, self.start = np.unique(table[:, 0] << 32 | table[:, 1], return_index=True)
         self.label, origins = table[self.start, 1], table[self.start, 0]
         first = np.array(self._first, np.int64)
+        # Blocks of eight: flipping the last three bits of an index by k is applying symmetry k. A
+        # node that is its own image has several indices, of which the first stands for all.
         self._image = [first[np.arange(len(first)) ^ k] for k in range(IMAGES)]
         self.before = [first[table[:, 0] ^ k] for k in range(IMAGES)]
         self.after = [first[table[:, 2] ^ k] for k in range(IMAGES)]
@@ -229,6 +245,7 @@ def pooled(
     for before, label, after, seen in counts:
         for k in range(IMAGES):
             if before.image(k) == before:
+                # a symmetry that leaves the node as it is may still exchange two of its moves
                 there = image(before.nx, k, label)
                 tried[before, there] += seen
                 if after is not None:

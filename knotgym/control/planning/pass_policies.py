@@ -57,6 +57,7 @@ class ScriptedPlayer(Player):
     def act(self, ids: Ids) -> Pulls:
         points, follower = self._batch.simulation.points, self._follower
         idle = ids[follower.arrive(points, ids)]
+        # drawn lane by lane, each from its own generator: who else is idle changes nothing
         new = {k: propose(points[k], self._rngs[k]) for k in idle.tolist()}
         if new:
             follower.begin(idle, [*new.values()])
@@ -101,6 +102,7 @@ class _NoisyPlayer(Player):
         beads = self._batch.simulation.points.shape[1]
         for index, rng in zip(ids.tolist(), own, strict=True):
             self._rngs[index] = rng
+            # The first draws of an episode: whether it wanders, and where to.
             self._wandering[index] = rng.random() < _WANDERING
             if self._wandering[index]:
                 self._inner.lead(index, random_pass(beads, rng))
@@ -111,6 +113,7 @@ class _NoisyPlayer(Player):
         self._drawn[new] = self._batch.steps[new]
         self._noisy[new] = [self._rngs[index].random() < self._noise for index in new.tolist()]
         noisy = ids[self._noisy[ids]]
+        # a random pull leaves the rope where no plan foresaw it
         self._inner.replan(noisy)
         count = self._batch.simulation.points.shape[1]
         beads, forces = np.zeros(len(noisy), np.int64), np.zeros((len(noisy), 3), np.float32)
@@ -194,12 +197,15 @@ class PlayPlayer(PassPlayer):
     def give_up(self, index: int) -> None:
         """Search for a random pass that leaves few crossings."""
         rng, beads = self._rngs[index], self.batch.simulation.points.shape[1]
+        # as many as a search has slots: all are simulated side by side, for the price of little
+        # more than one
         passes = [random_pass(beads, rng) for _ in range(SLOTS)]
         (state,), _ = self.desk.in_chain(self.batch.simulation, np.array([index]))
         self.desk.ask(self, index, _simplest(state, passes, self.goals[index]), SLOTS)
 
     def _draw_goal(self, index: int) -> None:
         rng, (code,) = self._rngs[index], self.batch.codes_of(np.array([index]))
+        # what is shown already would be reached without a pull
         sides = [[goal for goal in side if not code.matches(goal)] for side in self._sides]
         # a side whose only code is shown, such as the plain loop, has none left
         goals = [side for side in sides if side]
@@ -216,6 +222,7 @@ def _simplest(state: Array, passes: list[Pass], goal: GaussCode) -> Search[_Simp
         left |= {slot: report.code.nx for slot, report in reports}
         spent += sum(report.pulls for _, report in reports)
         orders = Orders({})
+    # of equals the first drawn
     return _Simplest(passes[min(left, key=lambda slot: (left[slot], slot))], spent)
 
 
@@ -257,6 +264,7 @@ class _MixedPlayer(Player):
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         for index, rng in zip(ids.tolist(), rngs, strict=True):
+            # the policy is drawn first, then the same generator is that policy's
             self._chosen[index] = rng.choice(len(self._players), p=self._shares)
             self.names[index] = self._policies[self._chosen[index]].name
         for number, player in enumerate(self._players):
@@ -276,6 +284,7 @@ def _together(parts: list[Pulls]) -> Pulls:
         np.zeros((len(one.ids), 4), np.int64) if one.macros is None else one.macros for one in parts
     ]
     ids = np.concatenate([one.ids for one in parts])
+    # lanes in increasing order, as `rollouts` checks
     order = np.argsort(ids)
     beads, forces = (np.concatenate([one[k] for one in parts])[order] for k in (1, 2))
     return Pulls(ids[order], beads, forces, np.concatenate(macros)[order])

@@ -5,6 +5,9 @@ lie. All diagrams of so many crossings have the same templates. Play counts to w
 leads (`moves`), and values turn the counts into an order: at the same diagram and goal always the
 same passes, the best first. The search goes through them depth first, in the chain engine. It draws
 nothing at random, so the passes that it finds are a function of the rope's state.
+
+After a change run `pytest tests/control/planning/test_passes.py`: images of a state and goal must
+have the same order, and the tables that ship say what was counted; then as `planners` says.
 """
 
 from __future__ import annotations
@@ -53,6 +56,7 @@ COUNTED_NX = 5  # most crossings of the diagrams in the tables
 _DOUBT, _DISCOUNT, _SWEEPS = 3.0, 0.97, 16
 _BOUNDED = 4  # times as many candidates where towing is limited: the order doesn't know what tows
 _CLOSE = 8  # fewest beads along the rope between the two of a random pass
+_STEPS = 50  # pulls of a path to the goal, at most: the horizon of the tasks
 
 
 class PassTemplate(NamedTuple):
@@ -74,6 +78,7 @@ class PassTemplate(NamedTuple):
         """Return the pass of a rope whose diagram is the image of the template's diagram."""
         flip = 2 * sight.diagram.nx + 1 if image & REVERSE else 0
         # Walked backwards, what lay at position p along the 2 nx + 1 arcs lies at 2 nx + 1 - p.
+        # `abs`: without a reversal flip is 0, and the position itself is meant
         bead = sight.bead(abs(flip - self.bead))
         if self.apart:
             target = (bead + (-self.apart if flip else self.apart)) % int(sight.cuts[-1])
@@ -136,6 +141,7 @@ class PassValues:
 
     def __init__(self, moves: Moves) -> None:
         self.moves = moves
+        # by outcome: seen of tried, as if _DOUBT more tries had failed
         self._chance = _DISCOUNT * moves.seen / (moves.tried + _DOUBT)
         self._values: dict[GaussCode, tuple[Array, Array]] = {}
         self._orders: dict[tuple[GaussCode, Diagram], list[tuple[int, float]]] = {}
@@ -272,7 +278,7 @@ class PassSearch:
     def run(self, state: Array, points: Array) -> Search[PassPlan]:
         """Search from a state of the chain engine, and its points (beads, 3)."""
         (sight,) = see(points[None])
-        passes = yield from self._passes(state, points, sight, self.config.steps, self.act_out)
+        passes = yield from self._passes(state, points, sight, _STEPS, self.act_out)
         return PassPlan(passes, self.spent, self.tried)
 
     def _passes(

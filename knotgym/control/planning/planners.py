@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.basic_policies import pull_task
+from knotgym.common.errors import InvalidPolicy
 from knotgym.control.planning.batched_search import BatchedSearch, Search
 from knotgym.control.planning.changes import shipped_guide
 from knotgym.control.planning.passes import (
@@ -46,6 +46,8 @@ from knotgym.topology.gauss import GaussCode
 
 Ids = NDArray[np.int64]
 SLOTS = 12  # most slots that a search of a policy of passes takes
+# The next two are about speed, and no result depends on them. Why these, no record says; the CPU
+# time of `knotgym collect --policy expert --engine chain` would tell.
 _FEW = 8  # lanes; fewer don't wait for each other
 _SPARE = 2  # ropes to search in, per rope of the batch
 # share of the limit on towing that passes go to, as engines differ a little; not measured
@@ -56,8 +58,16 @@ class ChoosesPulls:
     """Base of policies that choose pulls."""
 
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
-        """Return the task; its actions must be pulls."""
-        return pull_task(task)
+        """Return the task.
+
+        Raises:
+            InvalidPolicy: its actions are of another view than pulls.
+        """
+        if task.action != "pull":
+            raise InvalidPolicy(
+                f"this policy chooses pulls, so its action must be 'pull', got {task.action!r}"
+            )
+        return task
 
 
 @dataclass(frozen=True)
@@ -123,6 +133,8 @@ class Desk:
 
     def __init__(self, batch: EpisodeBatch, slots: int) -> None:
         """Make ropes for searches, each of which takes at most so many slots."""
+        # twice as many ropes as lanes: while some searches end, others begin, and none waits for
+        # room
         rope, count = batch.simulation.rope, batch.count
         self.search = BatchedSearch(max(_SPARE * count, slots), rope)
         self.check = simulation_of(1, rope.config, batch.simulation.engine)
@@ -138,6 +150,7 @@ class Desk:
 
     def forget(self, ids: Ids) -> None:
         """Drop the searches for some lanes."""
+        # only searches under way: another episode's result must not arrive in this one
         for index in ids[self.thinking[ids]].tolist():
             self.search.drop(index)
         self.thinking[ids] = False
@@ -164,6 +177,7 @@ class Desk:
         if self._laid is None:
             self._laid = ChainSimulation(len(self.thinking), simulation.rope)
         rows = np.arange(len(ids))
+        # laid at rest, as the velocities of another engine mean nothing here
         self._laid.lay(simulation.qpos(ids), rows)
         return self._laid.states(rows), self._laid.points[rows]
 
@@ -187,7 +201,7 @@ class PullPlayer(Player):
 
     def __init__(self, policy: PullPlanner, batch: EpisodeBatch, desk: Desk) -> None:
         self._config, self._batch, self._desk = policy.config, batch, desk
-        self._guide = shipped_guide(policy.config.strange)
+        self._guide = shipped_guide()
         self._rngs: dict[int, np.random.Generator] = {}
         self._plans: dict[int, PullPlan] = {}
         # pulls taken of the plan; pulls simulated for all plans of the episode
@@ -199,6 +213,7 @@ class PullPlayer(Player):
         self._rngs |= dict(zip(ids.tolist(), rngs, strict=True))
         for index in ids.tolist():
             self._plans.pop(index, None)
+        # budgets are an episode's own
         self._taken[ids] = self._spent[ids] = 0
 
     def act(self, ids: Ids) -> Pulls:
@@ -212,10 +227,12 @@ class PullPlayer(Player):
         batch, config = self._batch, self._config
         for index in ids[~self._desk.thinking[ids]].tolist():
             used_up = self._spent[index] + config.batch_size > config.budget
+            # a rope that shows its goal is left alone until it has held it
             if self._unfinished(index) or batch.shown[index] or used_up:
                 continue
             self._plans.pop(index, None)
             (goal,) = batch.goals_of(np.array([index]))
+            # the budget left is that of the episode, whatever its earlier plans spent
             search = PullSearch(
                 goal,
                 self._guide,
@@ -287,6 +304,7 @@ class PassPlayer(Player):
     def act(self, ids: Ids) -> Pulls:
         points, follower = self.batch.simulation.points, self._follower
         passing = ids[~self._by_pulls[ids] & ~self.desk.thinking[ids]]
+        # first, as a rope that shows its goal needs no further pass
         settled = self.settle(passing)
         # Waypoints that were reached are passed before anything is decided, so that a pass that is
         # over leads to a search in this very action.
@@ -321,6 +339,7 @@ class PassPlayer(Player):
         points, ids = self.batch.simulation.points, np.array([index])
         self._moves[index], self._taken[index] = move, 0
         self._follower.begin_passes(ids, [move], points)
+        # a bead may be at its first waypoint already, where a pull towards it would be lost
         self._follower.arrive(points, ids)
 
     def settle(self, ids: Ids) -> NDArray[np.bool_]:
@@ -350,6 +369,8 @@ class PassPlayer(Player):
         points, left = self.batch.simulation.points, list[int]()
         for index in ids.tolist():
             plan = self._plans.pop(index, [])
+            # to the bit: the chain engine lands exactly where its search did; another engine
+            # doesn't, and searches again
             if len(plan) > 1 and np.array_equal(plan[0].landing.points, points[index]):
                 self._follow(index, plan[1:])
             else:
@@ -361,6 +382,7 @@ class PassPlayer(Player):
         simulation = self.batch.simulation
         states, points = self.desk.in_chain(simulation, ids) if len(ids) else ((), ())
         own = simulation.states(ids) if len(ids) else ()
+        # where the chain engine counts, acting a pass out would repeat what the search did
         is_chain = isinstance(simulation, ChainSimulation)
         for index, state, rope, real in zip(ids.tolist(), states, points, own, strict=True):
             goal, bound = self.goals[index], self.batch.tow_bound(index, _TOWING)

@@ -7,6 +7,9 @@ pass on the same code has other outcomes. So a `Diagram` is a code and its outer
 Arcs are the stretches between consecutive visits of crossings. Arc 0 runs from the base bead to the
 first visit, the last arc from the last visit back to the base bead, so a code of nx crossings has
 2 nx + 1 arcs. A *position* is an arc plus a fraction: 2.25 is a quarter of the way along arc 2.
+
+After a change run `pytest tests/control/planning/test_sights.py`: a symmetry of the rope must be
+the same symmetry of its diagram.
 """
 
 from __future__ import annotations
@@ -70,6 +73,7 @@ class Sight(NamedTuple):
         """The bead at a position, which is clipped to the arcs there are."""
         arc = min(max(int(position), 0), len(self.cuts) - 2)
         start, end = self.cuts[arc], self.cuts[arc + 1]
+        # The place is inside the arc, and the bead is the one that it lies on: rounded down.
         return int(start + min(max(position - arc, 0.0), 1.0) * (end - start)) % int(self.cuts[-1])
 
     def position(self, bead: int) -> float:
@@ -112,6 +116,7 @@ def first_goal(goal: GaussCode) -> tuple[GaussCode, int]:
 @lru_cache(maxsize=100_000)
 def _seen(code: GaussCode, dart: int) -> Diagram:
     """The diagram of a code whose outer face has a dart."""
+    # a dart has exactly one face on its left, so one face has it
     outer = next(face for face in faces(code) if dart in face) if code.nx else [dart]
     return Diagram(code, tuple(sorted(outer)))
 
@@ -126,6 +131,7 @@ def _images(diagram: Diagram) -> tuple[Diagram, ...]:
             outer = [2 * ((edges - 2 - dart // 2) % edges) + 1 - dart % 2 for dart in outer]
         if number & REFLECT:
             outer = [dart ^ 1 for dart in outer]
+        # sorted, as a face is a cycle that may begin anywhere
         found.append(Diagram(code, tuple(sorted(outer))))
     return tuple(found)
 
@@ -144,6 +150,7 @@ def _sights(points, most):  # type: ignore[no-untyped-def]
     ropes, beads = points.shape[0], points.shape[1]
     cuts, darts = np.zeros((ropes, most)), np.empty(ropes, np.int64)
     for rope in range(ropes):
+        # the crossings again: `label_many` keeps codes only, and places are needed of few ropes
         _, _, table = scan(points[rope])
         found = 0
         for k in range(len(table)):
@@ -161,6 +168,7 @@ def _sights(points, most):  # type: ignore[no-untyped-def]
         for k in range(beads):
             if points[rope, k, 0] > points[rope, vertex, 0]:
                 vertex = k
+        # how many visits come before the vertex, so that the edge that it lies on is known
         while visited < found and cuts[rope, visited] < vertex:
             visited += 1
         before, after = (vertex - 1) % beads, (vertex + 1) % beads
@@ -168,6 +176,7 @@ def _sights(points, most):  # type: ignore[no-untyped-def]
         ay = points[rope, vertex, 1] - points[rope, before, 1]
         bx = points[rope, after, 0] - points[rope, vertex, 0]
         by = points[rope, after, 1] - points[rope, vertex, 1]
+        # edge k runs from visit k to the next, and the last one over the base bead
         edge = (visited - 1) % found if found else 0
         darts[rope] = 2 * edge + (1 if ax * by - ay * bx > 0 else 0)
     return cuts, darts

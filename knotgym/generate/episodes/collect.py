@@ -106,7 +106,7 @@ def collect(
 
     def read() -> dict[str, Any]:
         files = {RECORDINGS.name: sha256(RECORDINGS)} if recorded else {}
-        return {**sources_of(config), **files}
+        return {**_sources_of(config), **files}
 
     source = read()
     return run(
@@ -152,7 +152,7 @@ def require_collectable(config: CollectConfig, out: Path | None, options: RunOpt
     require_no_interrupted_run(folder, options, options.shard)
 
 
-def sources_of(config: CollectConfig) -> dict[str, Any]:
+def _sources_of(config: CollectConfig) -> dict[str, Any]:
     """Return the digests of a collection's policies, including a labelling expert, and states."""
     adviser = [replace(config.policy, policy="expert")] if config.labels else []
     return sources([config.policy, *adviser], [config.task])

@@ -52,7 +52,7 @@ def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, film
 Evaluation = tuple[list[Result], list[Episodes]]  # a result and a film of each setup
 
 
-def evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
+def _evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
     """Play every setup, in the order of `config.setups`, and its first episodes for a film."""
     setups = list(config.setups())
     numbers = blocks(config.episodes, config.task)
@@ -78,7 +78,7 @@ def evaluate(config: EvaluateConfig, workers: int = 1) -> list[Result]:
     """Play every setup and write nothing; return the results in the order of `config.setups`."""
     _require_playable(config)
     with executor(workers) as pool:
-        return compute(evaluation(config), pool=pool)[0]
+        return compute(_evaluation(config), pool=pool)[0]
 
 
 def _require_playable(config: EvaluateConfig) -> None:
@@ -141,7 +141,7 @@ def run(
         if video is not None:
             require_output(video, folder=False, overwrite=options.overwrite)
         filmed = 0 if video is None else config.filmed
-        results, films = yield from evaluation(config, filmed)
+        results, films = yield from _evaluation(config, filmed)
         if video is not None:  # before the output, which says that all is done
             _write_film(config, films, video, options.overwrite)
         if place is not None:
@@ -193,14 +193,14 @@ def report(
         if (card := training_card(one.policy)) is not None
     }
     return {
-        **totals(results),
+        **_totals(results),
         **identity(config, source),
         "learners": learners,
         "results": [asdict(one) for one in results],
     }
 
 
-def totals(results: Sequence[Result]) -> dict[str, Any]:
+def _totals(results: Sequence[Result]) -> dict[str, Any]:
     """Return the success rate over all setups, its 95 % interval and the number of episodes."""
     columns: dict[str, list[Any]] = {"success": [], "start": [], "goal": []}
     for one in results:

@@ -120,14 +120,12 @@ class Chooser:
             for new, old in zip(room, known or (), strict=False):
                 new[:n] = old
             known = self._known = Spectra(*room)
-        # by the triangle inequality, root mean square sizes of near-duplicates differ by < NEAR
-        larger = np.abs(np.sqrt(known.square[:n]) - np.sqrt(own.square))
-        like = np.flatnonzero(larger < NEAR * np.sqrt(len(points)))
+        like = np.flatnonzero(np.linalg.norm(known.invariants[:n] - own.invariants, axis=1) < NEAR)
         if (own.turned_distances(known.taken(like)) < NEAR).any():
             return False
-        others = known.taken(like[[self.chosen[row].split != split for row in like.tolist()]])
-        close = others.taken(np.flatnonzero(own.least_distances(others)[0] < NEAR))
-        if (own.taken(np.zeros(len(close.flat), np.int64)).pair_distances(close) < NEAR).any():
+        others = like[[self.chosen[row].split != split for row in like.tolist()]]
+        same = own.taken(np.zeros(len(others), np.int64))
+        if (same.pair_distances(known.taken(others)) < NEAR).any():
             return False
         for column, new in zip(known, own, strict=True):
             column[n] = new[0]

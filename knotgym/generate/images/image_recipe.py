@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.common.streams import Stream, generator
-from knotgym.datasets.finished_folders import finish_images
+from knotgym.datasets.cards import image_card
 from knotgym.datasets.image_rows import PictureRow, drawn
 from knotgym.datasets.image_table import arrow, shard_name
 from knotgym.generate.images.choice import Chooser, Quota
@@ -30,7 +30,7 @@ from knotgym.runs.run import Call, Recipe, run
 from knotgym.runs.run_options import RunOptions
 from knotgym.states.near_duplicates import families
 from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.states.state_file import States, read_states, shipped, states_at
+from knotgym.states.state_file import States, read_states, states_file
 from knotgym.topology.knots import codes_of
 
 
@@ -39,7 +39,7 @@ def make_images(
     out: Path,
     options: RunOptions,
     *,
-    states: Path | None = None,
+    states: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Make labelled pictures and return the new folder; a shard returns its journal.
@@ -48,7 +48,7 @@ def make_images(
         config: which pictures.
         out: the folder.
         options: how the run is executed.
-        states: state file, or folder of one, that ropes start from; by default the set "readable".
+        states: that ropes start from, as `states_file` takes them.
         progress: shows what is done.
 
     Raises:
@@ -57,7 +57,7 @@ def make_images(
         MissingExtra: pyarrow isn't installed.
     """
     arrow()
-    path = shipped() if states is None else states_at(states)
+    path = states_file(None if states is None else str(states))
     plan = _Plan.of(config, read_states(path, images=False))
 
     def source() -> dict[str, str]:
@@ -146,7 +146,7 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     for path, result in zip(files, results, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
-    finish_images(place, waves.report(), made)
+    image_card.finish(place, waves.report(), made)
     return f"{len(waves.chooser.chosen)} pictures"
 
 

@@ -113,7 +113,7 @@ def demonstrated(
                     key = f"demonstrations, attempt {attempt}: {nx} {split} {part[0]}"
                     task = replace(_task_of(config, nx, split), states=str(path))
                     seed = config.seed
-                    calls.append(Call(key, demonstrate, (task, seed, part.tolist(), attempt)))
+                    calls.append(Call(key, _demonstrate, (task, seed, part.tolist(), attempt)))
         if not calls:
             break
         for result in (yield calls):
@@ -128,7 +128,7 @@ def demonstrated(
     ]
 
 
-def demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int) -> Rows:
+def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int) -> Rows:
     """Roll out a policy towards some goals; return the successful episodes as flat columns.
 
     Args:

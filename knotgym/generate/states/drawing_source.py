@@ -2,6 +2,9 @@
 
 A curve with the code is drawn (`drawing.drawn_curve`), laid in the simulator, stirred a little,
 left to rest and judged. Drawings are random, so this is repeated until enough are accepted.
+
+After a change run `python benchmarks/golden.py --compare tests/data/golden.json`: nothing
+may differ.
 """
 
 import json
@@ -104,6 +107,8 @@ def drawn_rows(
         for nx in config.nx:
             for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items():
                 for wanted in _parts(lacking, _COPIES):
+                    # Numbers of drawings are reserved before they are made, so the same drawing
+                    # never goes to two calls.
                     first, most = reserved[nx, index], _DRAWINGS * wanted
                     there = np.array(kept[nx, index])
                     orders.append(_Order(codes[nx][index], index, first, most, wanted, there))
@@ -115,6 +120,7 @@ def drawn_rows(
             for part, first in enumerate(range(0, len(orders), _CODES))
         ]
         number += len(calls)
+        # in the order of the calls, whichever worker was done first
         for result in (yield calls):
             rows, drawn = without_report(result)
             for nx, index, drawings, reasons in drawn:
@@ -198,6 +204,7 @@ def _drawn(
     seed = key(Stream.DRAWING, config.seed, code.nx, order.which, number)
     rng = generator_of(seed)
     try:
+        # all chance comes from the key of (seed, code, number): the same drawing on any machine
         curve = drawn_curve(code, rng, rope, config.drawing)
     except Failed:
         rejected["too tight"] += 1
@@ -214,6 +221,7 @@ def _drawn(
         rejected["simulation failed"] += 1
         return None
     qpos = simulation.qpos(_ONE)[0]
+    # where a reset lays the rope, not where the engine left it
     points = rope.points(qpos)
     judgement = judge(points, [config.limits], code=code)
     rejected.update(judgement.faults)

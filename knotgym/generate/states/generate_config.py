@@ -204,10 +204,10 @@ class GenerateConfig:
         """The engine that `engine` stands for."""
         if self.engine != "auto":
             return self.engine
-        return "chain" if self.played and self.source != "random-walk" else "mujoco"
+        return "chain" if self._played and self.source != "random-walk" else "mujoco"
 
     @property
-    def played(self) -> tuple[int, ...]:
+    def _played(self) -> tuple[int, ...]:
         """The numbers of crossings whose states are taken from ropes; the others are drawn."""
         if self.source != "auto":
             return () if self.source == "drawing" else self.nx
@@ -222,9 +222,9 @@ class GenerateConfig:
         """The configuration of each source: itself, or for auto those of play and drawing."""
         if self.source != "auto":
             return [self]
-        drawn = tuple(nx for nx in self.nx if nx not in self.played)
+        drawn = tuple(nx for nx in self.nx if nx not in self._played)
         sources: tuple[tuple[Literal["play", "drawing"], tuple[int, ...]], ...]
-        sources = ("play", self.played), ("drawing", drawn)
+        sources = ("play", self._played), ("drawing", drawn)
         return [
             replace(self, source=one, nx=nx, engine=self.engine_used) for one, nx in sources if nx
         ]

@@ -65,7 +65,7 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
                 " --set attempts=N"
             )
         calls = [
-            Call(f"pulling ropes {first}", play, (config, first, tuple(lacking)))
+            Call(f"pulling ropes {first}", _play, (config, first, tuple(lacking)))
             for first in range(lived, lived + _CALLS * ropes, ropes)
         ]
         lived += _CALLS * ropes
@@ -116,7 +116,7 @@ def _key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
     return key(stream, config.seed, rope)
 
 
-def play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ...]) -> Rows:
+def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ...]) -> Rows:
     """Take states from the lives of ropes `first` to `first + config.lives.ropes - 1`.
 
     Args:

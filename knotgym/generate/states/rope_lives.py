@@ -5,6 +5,9 @@
 
 Opening and spreading pull random beads out of a tangle, so that ropes become loose and readable,
 which random actions alone never leave them.
+
+After a change run `python benchmarks/golden.py --compare tests/data/golden.json`: nothing
+may differ.
 """
 
 from collections.abc import Callable, Sequence
@@ -90,6 +93,7 @@ class Lives(Policy):
 def coil(rope: Rope) -> Array:
     """Return a coil of two turns, one crossing, radius of gyration 0.11 m: float64 (beads, 3)."""
     at = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    # a torus curve (2, 1): twice round the hole, once through it
     radius = 1 + 0.25 * np.cos(at)
     curve = [radius * np.cos(2 * at), radius * np.sin(2 * at), 0.25 * np.sin(at)]
     return rope.from_curve(np.stack(curve, axis=1))
@@ -128,6 +132,7 @@ class _Living(Player):
         phases += [(config.random, self._random), (config.opening, self._open)]
         for _ in range(config.rounds):
             phases += [(config.scripted, self._script), (config.spreading, self._spread)]
+        # step after which each phase ends; `searchsorted` finds the phase of a step
         self._ends = np.cumsum([length for length, _ in phases])
         self._phases = [*(phase for _, phase in phases), _rest]
 
@@ -143,6 +148,7 @@ class _Living(Player):
         self._see(ids, steps)
         beads = np.zeros(len(ids), dtype=np.int64)
         forces = np.zeros((len(ids), 3), dtype=np.float32)
+        # lanes are in different steps, so in different phases: each phase pulls its own
         now = np.searchsorted(self._ends, steps, side="right")
         for phase in np.unique(now):
             own = now == phase
@@ -183,19 +189,23 @@ class _Living(Player):
         points = self._simulation.points[ids]
         count = points.shape[1]
         drawn = np.stack([self._rngs[index].integers(count, size=_DRAWN) for index in ids.tolist()])
+        # only the drawn beads against all others: _DRAWN times as many pairs as beads
         at = np.take_along_axis(points, drawn[..., None], axis=1)
         away = at[:, :, None, :2] - points[:, None, :, :2]
         distance = np.sqrt((away**2).sum(axis=-1))
+        # distance along the closed rope is the shorter way round
         along = np.abs(np.arange(count) - drawn[..., None])
         near = (np.minimum(along, count - along) >= _APART) & (distance < _REACH)
         # each near bead pushes along `away`; the nearer, the more
         push = np.where(near, (1 - distance / _REACH) ** 2 / np.maximum(distance, 1e-4), 0.0)
         total = (away * push[..., None]).sum(axis=2)
+        # of the drawn beads that with the largest push
         rows, most = np.arange(len(ids)), (total**2).sum(axis=-1).argmax(axis=1)
         return drawn[rows, most], self._level(total[rows, most], ids)
 
     def _level(self, away: Array, ids: Ids) -> NDArray[np.float32]:
         """Return full forces in the directions (n, 2), seen from above, with some slope."""
+        # a bead that nothing pushes has no direction: then the force is the slope alone
         size = np.maximum(np.sqrt((away**2).sum(axis=1, keepdims=True)), 1e-9)
         slopes = [self._rngs[index].uniform(-_SLOPE, _SLOPE) for index in ids.tolist()]
         return quantized(np.column_stack([away / size, slopes])).astype(np.float32)

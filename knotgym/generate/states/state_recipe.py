@@ -17,7 +17,7 @@ import knotgym
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.control.policies import compile_planning
-from knotgym.datasets.finished_folders import finish_states
+from knotgym.datasets.cards import state_card
 from knotgym.generate.states.demonstrations import (
     demonstrated,
     demonstrated_nx,
@@ -59,7 +59,7 @@ def make_states(
     made_by = identity(asked)
 
     return run(
-        lambda place: state_recipe(config, place, made_by),
+        lambda place: _state_recipe(config, place, made_by),
         Path(out),
         made_by,
         options,
@@ -74,7 +74,7 @@ def make_states(
     )
 
 
-def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]) -> Recipe[str]:
+def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]) -> Recipe[str]:
     """Make the folder `place`; return a summary.
 
     Args:
@@ -106,7 +106,7 @@ def state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any]
         report["undemonstrated"] = np.unique(rows["gauss_code"][lacking]).tolist()
     states = states_of(rows, split, engine, facts, **located)
     write_states(place / "states.h5", states)
-    finish_states(place, states, report, made_by)
+    state_card.finish(place, states, report, made_by)
     return _summary(states, report)
 
 

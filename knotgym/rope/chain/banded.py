@@ -41,21 +41,29 @@ def factor(system: System) -> None:
     diag, near, far, arrow, corner = system
     n = len(diag)
     for k in range(n):
+        # What column k takes from later blocks is subtracted at once, so every block is complete
+        # when its own turn comes, and nothing is kept but the blocks themselves.
         pivot = _pivot(diag, k)
         if k + 1 < n:
             for r in range(4):
                 y = _divide(near, k, r, pivot)
+                # N_k against itself changes D_(k + 1).
                 # only the lower triangle of the symmetric D_(k + 1): rows of z up to r are done
                 for c in range(r + 1):
                     _subtract(diag, (k + 1, r * (r + 1) // 2 + c), y, near, k, c)
         if k + 2 < n:
             for r in range(3):
+                # F_k has three rows, as the spin of bead k + 2 is coupled with nothing of block k.
+                # Against itself it changes D_(k + 2), against N_k the block N_(k + 1) between the
+                # two.
                 y = _divide(far, k, r, pivot)
                 for c in range(r + 1):
                     _subtract(diag, (k + 2, r * (r + 1) // 2 + c), y, far, k, c)
                 for c in range(4):
                     _subtract(near, (k + 1, 4 * r + c), y, near, k, c)
         for r in range(3):
+            # The arrow's rows are the corner's: against themselves they change the corner, against
+            # N_k and F_k the arrow of the next two columns. This is all the fill-in there is.
             y = _divide(arrow, k, r, pivot)
             for c in range(r + 1):
                 _subtract(corner, (r * (r + 1) // 2 + c,), y, arrow, k, c)
@@ -86,6 +94,9 @@ def factor(system: System) -> None:
 @njit(nogil=True)
 def _pivot(diag: Array, k: int) -> Pivot:
     """Factor block k in place: l_ij below the diagonal, inverse pivots d on it; return it."""
+    # Written out row by row. Once column j is done, a_ij = l_ij p_j stands in the block, p_j being
+    # its pivot, and p_i = a_ii - sum of a_ij l_ij over the columns j before i. The names d are
+    # inverse pivots, 1 / p.
     d0 = 1.0 / load(diag, (k, 0))
     a10, a20, a30 = load(diag, (k, 1)), load(diag, (k, 3)), load(diag, (k, 6))
     l10, l20, l30 = a10 * d0, a20 * d0, a30 * d0
@@ -107,6 +118,7 @@ def _pivot(diag: Array, k: int) -> Pivot:
 def _divide(block: Array, k: int, r: int, pivot: Pivot) -> Row:
     """Replace row r of a block below pivot k by its row of L, z = y d^-1; return y."""
     d0, l10, d1, l20, l21, d2, l30, l31, l32, d3 = pivot
+    # Forward substitution along the row, y l^T = m; each y_i takes the earlier ones in their order.
     y0 = load(block, (k, 4 * r))
     y1 = fma(-l10, y0, load(block, (k, 4 * r + 1)))
     y2 = fma(-l21, y1, fma(-l20, y0, load(block, (k, 4 * r + 2))))
@@ -123,6 +135,7 @@ def _subtract(
     target: Array, position: tuple[int, ...], y: Row, block: Array, k: int, c: int
 ) -> None:
     """Subtract y . z from an element, z being row c of a block of L in column k."""
+    # Always in this order, from component 0 to 3: another one would round otherwise.
     s = load(target, position)
     s = fma(-y[0], load(block, (k, 4 * c)), s)
     s = fma(-y[1], load(block, (k, 4 * c + 1)), s)
@@ -167,11 +180,13 @@ def forward(system: System, right: Array, first: int) -> None:
         c1 = fma(-load(arrow, (k, 6)), y2, fma(-load(arrow, (k, 7)), y3, c1))
         c2 = fma(-load(arrow, (k, 8)), y0, fma(-load(arrow, (k, 9)), y1, c2))
         c2 = fma(-load(arrow, (k, 10)), y2, fma(-load(arrow, (k, 11)), y3, c2))
+    # the corner's own unit triangle, once all columns have had their part
     c1 = fma(-load(corner, (1,)), c0, c1)
     c2 = fma(-load(corner, (3,)), c0, fma(-load(corner, (4,)), c1, c2))
     put(right, (n, 0), c0)
     put(right, (n, 1), c1)
     put(right, (n, 2), c2)
+    # the corner has no spin: what stands there is read with the others, so it must be a number
     put(right, (n, 3), 0.0)
 
 

@@ -8,19 +8,18 @@ After a change run `pytest tests/rope/chain/test_chain_simulation.py`: beads end
 MuJoCo's after an action, and the same states lead to the same bytes.
 """
 
-from typing import Any
-
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
+from knotgym.common.threads import Meanwhile
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.dynamics import set_all_lengths
 from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import SCHEDULE, TICKS, advance
-from knotgym.rope.model import Array, Rope, RopeConfig, sub_chains
+from knotgym.rope.model import Array, Rope, sub_chains
 from knotgym.rope.simulation import Ids, Simulation
 
 POSITION, VELOCITY = slice(layout.X, layout.V), slice(layout.V, layout.SIDE)
@@ -41,19 +40,8 @@ class ChainSimulation(Simulation):
     """
 
     engine = "chain"
-    shares = tuple((np.arange(_TICKS, -1, -1) / _TICKS).tolist())  # with SCHEDULE
 
-    def __init__(
-        self,
-        count: int = 1,
-        rope: Rope | None = None,
-        threads: int = 1,
-        schedule: tuple[int, ...] = SCHEDULE,
-    ) -> None:
-        """Start with `count` plain loops; `threads` 0 uses every core.
-
-        `schedule` are the relative lengths of an action's substeps.
-        """
+    def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         super().__init__(count, rope, threads)
         # The proof that no strand passes another holds for edges up to this length, see
         # `passage`.
@@ -63,33 +51,17 @@ class ChainSimulation(Simulation):
                 "the chain engine takes ropes whose beads are at most"
                 f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
             )
-        for name in ("closure_solref", "closure_solimp"):
-            given, usual = getattr(self.rope.config, name), getattr(RopeConfig(), name)
-            if given != usual:
-                raise InvalidInput(
-                    f"the chain engine closes the rope exactly and has no {name}; leave it at"
-                    f" {usual}, got {given}"
-                )
-        self._schedule = np.array(schedule, dtype=np.int64)
         # The rope's numbers are read from MuJoCo's compiled model, so both engines have the same.
         self._physics = physics_of(self.rope)
         self._states: Array = np.empty((count, self.rope.config.beads, layout.STATE))
         self.points = np.empty((count, self.rope.config.beads, 3))
         self.lay(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "schedule": tuple(self._schedule.tolist())}
-
-    def __setstate__(self, saved: dict[str, Any]) -> None:
-        ChainSimulation.__init__(
-            self, saved["count"], Rope(saved["config"]), saved["threads"], saved["schedule"]
-        )
-        self.restore(saved["states"])
-
     def qpos(self, ids: Ids = None) -> Array:
         states = self._states[self._all(ids)]
         points, sides = states[:, :, POSITION], states[:, :, SIDE]
         along = _along(points)
+        # MuJoCo's frame of a bead: x along it, y its side, z what is left of a right-handed frame.
         axes = np.stack([along, sides, np.cross(along, sides)], axis=-1)
         return self.rope.turned_qpos(points, _quaternions(axes))
 
@@ -143,32 +115,23 @@ class ChainSimulation(Simulation):
         set_all_lengths(moved, self.rope.config.bead_length, 6)
         return moved
 
-    def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
+    def step(
+        self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None, meanwhile: Meanwhile = None
+    ) -> NDArray[np.bool_]:
         where = self._all(ids)
         pulled = np.ascontiguousarray(beads, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=np.float64)
-        finite, total = np.empty(len(where), dtype=bool), TICKS * int(self._schedule.sum())
-
-        # Threads get whole groups of lanes. `advance` runs without the interpreter's lock, and no
-        # rope's result depends on those beside it, so the number of threads changes nothing.
-        def move(rows: slice) -> None:
-            own = where[rows]
-            states, counts = self._states[own], np.zeros((len(own), 4), dtype=np.int64)
-            advance(
-                states,
-                pulled[rows],
-                forces[rows],
-                self._physics,
-                self.rope.config.timestep * self.rope.config.frame_skip,
-                self._schedule,
-                counts,
-            )
-            self._states[own], self.points[own] = states, states[:, :, POSITION]
-            self.applied_shares[own] = (total - counts[:, layout.LOST]) / total
-            finite[rows] = np.isfinite(states).all(axis=(1, 2))
-
-        self.threads.spread(move, len(where), LANES)
-        return finite
+        schedule = np.array(SCHEDULE, dtype=np.int64)
+        counts = np.zeros((len(where), len(layout.COUNTS)), dtype=np.int64)
+        ropes = self._states, self.points, where, pulled, forces, self._physics
+        action = self.rope.config.timestep * self.rope.config.frame_skip, schedule
+        taken = np.zeros(1, dtype=np.int64)
+        # No rope's result depends on those beside it, so any thread may take any of them.
+        self.threads.spread(
+            lambda _: advance(*ropes, *action, counts, taken), len(where), LANES, meanwhile
+        )
+        self.applied_shares[where] = (_TICKS - counts[:, layout.LOST]) / _TICKS
+        return counts[:, layout.BLOWN_UP] == 0
 
 
 def physics_of(rope: Rope) -> layout.Physics:
@@ -214,6 +177,7 @@ def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
         points: float64 (ropes, beads, 3), metres.
     """
     # Beads are rows, x along the bead: column 1 of a bead's matrix is its y axis.
+    # Twist is in qpos alone and not in the vertices, so MuJoCo itself says how each bead is turned.
     data, sides = mujoco.MjData(rope.model), np.empty_like(points)
     for row, positions in enumerate(qpos):
         data.qpos[:] = positions
@@ -250,6 +214,8 @@ def _quaternions(axes: Array) -> Array:
             [across[2], along[1], along[2], square[3]],
         ]
     )
+    # The four numbers 4 q_i^2 sum to 4, so the largest is at least 1, and the row that is divided
+    # by its norm, 4 |q_i|, by 2 at least: that amplifies no rounding.
     best = np.argmax(square, axis=0)
     found = np.moveaxis(np.take_along_axis(rows, best[None, None], axis=0)[0], 0, -1)
     unit: Array = found / np.linalg.norm(found, axis=-1, keepdims=True)

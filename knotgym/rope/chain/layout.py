@@ -24,7 +24,8 @@ n is the number of beads of a rope. Arrays marked `L` end with one more axis of 
     of a contact, `rows`         L (ROWS, 8)    | ON_I | ON_J | NORMAL 2 3 4 | GAP | EDGE_I EDGE_J |
                                                   0..1   0..1   unit vector    m     edge numbers
     a lane's clock, `clock`      int64 (4, LANES)    | ROPE | STAGE | LEFT | TICK |
-    a rope's counts, `counts`    int64 (ropes, 4)    | SUBSTEPS | REJECTED | CONTACTS | LOST |
+    a rope's counts, `counts`    int64 (ropes, 5)
+                                     | SUBSTEPS | REJECTED | CONTACTS | LOST | BLOWN_UP |
     near pairs of edges          int64 start (n + 1,), other: i with other[start[i]:start[i + 1]]
 
 After a change of any of these run `pytest tests/rope/chain`: the equations are compared with a
@@ -93,5 +94,5 @@ THEN, MAY = 6, 7
 
 # a lane's clock: its rope or -1, its entry of the schedule, ticks left of it, ticks of its substep
 ROPE, STAGE, LEFT, TICK = range(4)
-# counted for each rope; LOST in ticks of its action that were taken back
-SUBSTEPS, REJECTED, CONTACTS, LOST = range(4)
+# counted for each rope; LOST in ticks of its action that were taken back, BLOWN_UP 0 or 1
+SUBSTEPS, REJECTED, CONTACTS, LOST, BLOWN_UP = COUNTS = range(5)

@@ -49,6 +49,10 @@ SAFE = 1e-5  # m, margin of the proof; rounding is below 1e-12
 
 def longest_edge(radius: float) -> float:
     """The longest edge, metres, for which the distances above prove what they are meant to."""
+    # Midpoints of pairs that aren't listed are LISTED apart at least, and their edges at least an
+    # edge's length less. By the time that a substep begins both may have come nearer by DRIFT. What
+    # is then left must be more than both can move, a STROLL each, and more than contact reaches.
+    # The same for the wide list and LEAP.
     listed = LISTED - 2.0 * DRIFT - max(2.0 * STROLL, 2.0 * radius + LOOKAHEAD)
     return min(listed, FAR_APART - 2.0 * LEAP) / STRETCH
 
@@ -133,6 +137,7 @@ def _relative_motion(x: Array, new: Array, i: int, j: int) -> Any:
     Both points' motions are mixtures of their vertices', so the largest is between two vertices.
     """
     n, most = len(x), 0.0 * load(x, (i, 0))
+    # Four differences of vertices bound the motion of all points: it is bilinear in both places.
     for p in (i, i + 1 if i + 1 < n else 0):
         one = minus(vector(new, p), vector(x, p))
         for q in (j, j + 1 if j + 1 < n else 0):
@@ -144,6 +149,7 @@ def _relative_motion(x: Array, new: Array, i: int, j: int) -> Any:
 @njit(nogil=True)
 def _check(x: Array, new: Array, i: int, j: int, spot: Array, accepted: NDArray[np.bool_]) -> None:
     """Reject the lanes where it isn't proved that edges i and j didn't meet."""
+    # d0 + d1 > m, with a margin for rounding; a NaN fails the comparison, too
     both = closest(x, i, j)[0] + closest(new, i, j)[0]
     put(spot, (0,), both - _relative_motion(x, new, i, j))
     for lane in range(LANES):

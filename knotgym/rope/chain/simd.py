@@ -34,6 +34,7 @@ class Lanes(types.Type):
         super().__init__(name="Lanes")
 
 
+# The only instance: to Numba types are equal if their names are.
 _LANES = Lanes()
 
 
@@ -58,6 +59,8 @@ def _spread(context: Any, builder: Any, given: Any, to: Any, value: Any) -> Any:
 class _LaneByLane(AbstractTemplate):
     """Lanes and numbers in, lanes out."""
 
+    # Numba asks for the type of the result. One argument that is `Lanes` makes all of them lanes;
+    # otherwise the answer None leaves plain numbers to Numba's own templates.
     def generic(self, args: Any, kws: Any) -> Signature | None:
         if _LANES in args and all(isinstance(one, Lanes | types.Number) for one in args):
             return signature(_LANES, *[_LANES] * len(args))
@@ -68,6 +71,7 @@ def _teach(function: Any, arguments: int, emit: Callable[..., Any]) -> None:
     """Let Numba apply a function to lanes."""
     # Numba asks templates for the result's type, then looks for code by the types of the
     # arguments, plain numbers cast to lanes by `_spread`.
+    # A class for each function, as Numba hangs the function on the class that it registers.
     infer_global(function)(type("_LaneByLane", (_LaneByLane,), {}))
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -94,6 +98,7 @@ def _larger(builder: Any, one: Any, other: Any) -> Any:
 
 
 def _smaller(builder: Any, one: Any, other: Any) -> Any:
+    # the same with the comparison turned round, so that a NaN is passed over here, too
     return builder.select(builder.fcmp_ordered("<", other, one), other, one)
 
 
@@ -115,6 +120,7 @@ _teach(abs, 1, _of_one("fabs"))
 
 
 def _pointer(context: Any, builder: Any, type_: Any, array: Any, place: Any) -> Any:
+    # An array in compiled code is a structure of pointer, shape and strides.
     made = context.make_array(type_)(context, builder, array)
     # The address of lane 0 at the place; the other lanes follow it in memory.
     indices = [*cgutils.unpack_tuple(builder, place), ir.Constant(ir.IntType(64), 0)]
@@ -147,6 +153,7 @@ def put(typing: Any, array: Any, place: Any, value: Any) -> Any:
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _pointer(context, builder, sig.args[0], *args[:2])
+        # The value is `Lanes` already: a plain number was cast by `_spread`.
         builder.store(args[2], pointer, align=_ITEM)
         return context.get_dummy_value()
 
@@ -159,6 +166,8 @@ def fma(typing: Any, one: Any, other: Any, added: Any) -> Any:
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+        # LLVM promises one rounding, and calls a function of libm where a processor has no such
+        # instruction: slower there, with the same bits.
         function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{LANES}f64")
         return builder.call(function, args)
 
@@ -186,3 +195,15 @@ def any_below(typing: Any, value: Any, bound: Any) -> Any:
         return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
 
     return types.boolean(_LANES, _LANES), emit
+
+
+@intrinsic
+def count_up(typing: Any, count: Any) -> Any:
+    """Return the number in an array int64 (1,), and add 1 to it, both at once for all threads."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        held = context.make_array(sig.args[0])(context, builder, args[0])
+        one = ir.Constant(ir.IntType(64), 1)
+        return builder.atomic_rmw("add", held.data, one, "monotonic")
+
+    return types.int64(count), emit

@@ -9,7 +9,8 @@ shortest substep is rejected stays where it was and comes to rest: the rest of i
 back, and counted.
 
 LANES ropes are moved at once. Each has its own time and substep, and none can tell what the others
-do: a rope moves as it does alone, to the bit. A lane whose action is over takes the next rope.
+do: a rope moves as it does alone, to the bit. A lane whose action is over takes the next rope, and
+threads take theirs from one count, so all of them work until no rope is left.
 
 After a change run `pytest -m 'thorough or not thorough' tests/rope/chain` and `python
 benchmarks/chain.py distance`: beads are on average at most 1.2 mm from MuJoCo's after one action
@@ -37,7 +38,7 @@ from knotgym.rope.chain.contact import (
 from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents, turn_sides
 from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.passage import judge
-from knotgym.rope.chain.simd import LANES, any_below, load, put
+from knotgym.rope.chain.simd import LANES, any_below, count_up, load, put
 from knotgym.rope.chain.vectors import along, dot, minus, put_vector, vector
 
 Array = NDArray[np.float64]
@@ -56,26 +57,34 @@ TICKS = 64
 @njit(cache=True, nogil=True)
 def advance(
     states: Array,
+    points: Array,
+    ids: Ints,
     beads: Ints,
     forces: Array,
     physics: Physics,
     duration: float,
     schedule: Ints,
     counts: Ints,
+    taken: Ints,
 ) -> None:
     """Move ropes through one action, in place.
 
     Args:
-        states: float64 (ropes, n, layout.STATE).
+        states: float64 (all, n, layout.STATE).
+        points: float64 (all, n, 3), metres; the vertices of the ropes moved are written.
+        ids: int64 (ropes,), the rows of the ropes to move.
         beads: int64 (ropes,), pulled at their centres.
         forces: float64 (ropes, 3), newtons.
         physics: of the rope.
         duration: of the action, seconds.
         schedule: as SCHEDULE.
-        counts: int64 (ropes, 4): substeps taken, substeps rejected, contacts summed over substeps,
-            ticks of the action that were taken back; written.
+        counts: int64 (ropes, 5), zeros: substeps taken, substeps rejected, contacts summed over
+            substeps, ticks of the action that were taken back, and whether the state now holds a
+            number that isn't finite; added to.
+        taken: int64 (1,), how many ropes have been taken; 0 at first. Threads that call this with
+            the same arrays share the ropes.
     """
-    ropes, n = states.shape[0], states.shape[1]
+    n = states.shape[1]
     group, after, spare = _empty_group(n), _empty_group(n), _empty_scratch(n)
     pull, step = np.zeros((n, 3, LANES)), np.empty((1, LANES))
     listed, pairs = np.empty((n, 3, LANES)), _empty_pairs(n)
@@ -88,16 +97,16 @@ def advance(
     # Time is counted in ticks, whole numbers, so that halved substeps add up exactly to the
     # action.
     unit = duration / (shares * TICKS)
-    # `waiting` is the next rope without a lane; `stale`: the list of near pairs must be made again
-    waiting, stale = 0, True
-    counts[:] = 0
+    # `stale`: the list of near pairs must be made again
+    stale = True
     while True:
         for lane in range(LANES):
-            if clock[layout.ROPE, lane] < 0 and waiting < ropes:
-                _take(states[waiting], beads[waiting], forces[waiting], lane, group, pull)
-                clock[layout.ROPE, lane], clock[layout.STAGE, lane] = waiting, 0
+            rope = _next_rope(clock, lane, taken, len(ids))
+            if rope >= 0:
+                _take(states[ids[rope]], beads[rope], forces[rope], lane, group, pull)
+                clock[layout.ROPE, lane], clock[layout.STAGE, lane] = rope, 0
                 clock[layout.LEFT, lane] = clock[layout.TICK, lane] = schedule[0] * TICKS
-                waiting, stale = waiting + 1, True
+                stale = True
         if not _keep_busy(clock, group, pull):
             break
         for lane in range(LANES):
@@ -123,10 +132,21 @@ def advance(
             if _next(clock, lane, accepted[lane], schedule, own):
                 if own[layout.LOST]:
                     _stop(group, lane)
-                _give(states[clock[layout.ROPE, lane]], lane, group)
+                row = ids[clock[layout.ROPE, lane]]
+                own[layout.BLOWN_UP] = not _give(states[row], points[row], lane, group)
                 clock[layout.ROPE, lane] = -1
 
 
+@njit(nogil=True)
+def _next_rope(clock: Ints, lane: int, taken: Ints, ropes: int) -> int:
+    """Return the next of so many ropes; -1 if the lane has one, or none is left."""
+    if clock[layout.ROPE, lane] >= 0 or taken[0] >= ropes:
+        return -1
+    rope = count_up(taken)
+    return rope if rope < ropes else -1
+
+
+# Taken once an action, not once a substep: all of it is overwritten before it is read.
 @njit(nogil=True)
 def _empty_group(n: int) -> Group:
     vectors = (n, 3, LANES)
@@ -136,6 +156,7 @@ def _empty_group(n: int) -> Group:
 @njit(nogil=True)
 def _empty_scratch(n: int) -> tuple[Any, ...]:
     """What a substep overwrites: the system, two right sides, directions and contacts."""
+    # blocks as `layout` draws them: diag, near, far, arrow, corner
     system = (
         np.empty((n, 10, LANES)),
         np.empty((n, 16, LANES)),
@@ -219,6 +240,8 @@ def _substep(
 def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) -> bool:
     """Set a lane's next substep, after one accepted or not; return whether its action is over."""
     if accepted:
+        # What is left of this entry of the schedule is taken in whole ticks, so halved substeps end
+        # exactly where the entry ends.
         counts[layout.SUBSTEPS] += 1
         clock[layout.LEFT, lane] -= clock[layout.TICK, lane]
         if clock[layout.LEFT, lane] == 0:
@@ -252,6 +275,8 @@ def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
         return False
     for lane in range(LANES):
         if clock[layout.ROPE, lane] < 0:
+            # What stands in an idle lane is computed and listed with the others: points in a heap
+            # would be near each other, and their pairs in everybody's list.
             _copy(group, busy, group, lane)
             for i in range(len(pull)):
                 for c in range(3):
@@ -285,14 +310,18 @@ def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: 
 
 
 @njit(nogil=True)
-def _give(state: Array, lane: int, group: Group) -> None:
-    """Write what a lane holds to a rope's state."""
+def _give(state: Array, points: Array, lane: int, group: Group) -> bool:
+    """Write what a lane holds to a rope's state and points; return whether all of it is finite."""
     x, v, side, spin = group
+    finite = True
     for i in range(len(state)):
         for c in range(3):
             state[i, layout.X + c], state[i, layout.V + c] = x[i, c, lane], v[i, c, lane]
-            state[i, layout.SIDE + c] = side[i, c, lane]
+            state[i, layout.SIDE + c], points[i, c] = side[i, c, lane], x[i, c, lane]
         state[i, layout.SPUN] = spin[i, lane]
+        for c in range(layout.STATE):
+            finite &= np.isfinite(state[i, c])
+    return finite
 
 
 @njit(nogil=True)

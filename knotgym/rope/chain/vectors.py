@@ -43,12 +43,14 @@ def minus(a: Vector, b: Vector) -> Vector:
 @njit(nogil=True)
 def along(a: Vector, way: Any, b: Vector) -> Vector:
     """Return a + way * b."""
+    # one rounding for each component, where a product and a sum would take two
     return fma(way, b[0], a[0]), fma(way, b[1], a[1]), fma(way, b[2], a[2])
 
 
 @njit(nogil=True)
 def dot(a: Vector, b: Vector) -> Any:
     """Return a . b."""
+    # z first: the innermost product is the only one that is rounded by itself
     return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
 
 
@@ -56,6 +58,8 @@ def dot(a: Vector, b: Vector) -> Any:
 def cross(a: Vector, b: Vector) -> Vector:
     """Return a x b."""
     return (
+        # the second product is rounded, the first is not; both orders are right, this one is
+        # recorded
         fma(a[1], b[2], -a[2] * b[1]),
         fma(a[2], b[0], -a[0] * b[2]),
         fma(a[0], b[1], -a[1] * b[0]),
@@ -71,5 +75,6 @@ def norm(a: Vector) -> Any:
 @njit(nogil=True)
 def unit(a: Vector) -> Vector:
     """Return a / |a|."""
+    # One division instead of three; the length is 1 up to a few roundings.
     shrink = 1.0 / norm(a)
     return shrink * a[0], shrink * a[1], shrink * a[2]

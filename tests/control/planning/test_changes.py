@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
 
-from knotgym.control.planning import shipped_guide
+from knotgym.control.planning import changes, shipped_guide
 from knotgym.control.planning.changes import Example, Guide, Proposals
 from knotgym.control.planning.moves import MoveRow, Moves
 from knotgym.control.planning.sights import Diagram
-from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.rope.model import Rope
 from knotgym.topology.diagrams import with_chirality
 from knotgym.topology.gauss import GaussCode
@@ -33,8 +32,8 @@ def test_distances_from_the_plain_loop_are_those_counted(
 
 
 def test_changes_lead_nearer_and_have_examples() -> None:
-    changes = shipped_guide().to(KINK, FLAT).nearer(FLAT)
-    assert len(changes) > 1 and all(change.promise > 0 and change.examples for change in changes)
+    nearer = shipped_guide().to(KINK, FLAT).nearer(FLAT)
+    assert len(nearer) > 1 and all(change.promise > 0 and change.examples for change in nearer)
 
 
 def test_single_moves_lead_to_goals_beyond_the_table() -> None:
@@ -47,8 +46,8 @@ def test_single_moves_lead_to_goals_beyond_the_table() -> None:
 
 
 def test_without_a_table_crossings_alone_guide() -> None:
-    distances = Guide(Moves(), {}, strange=7.0).to(FLAT, FLAT)
-    assert distances(KINK) == 7.0 and distances(TREFOIL) == 21.0
+    distances = Guide(Moves(), {}).to(FLAT, FLAT)
+    assert distances(KINK) == 30.0 and distances(TREFOIL) == 90.0
     assert distances.hops(KINK) is None and distances.nearer(KINK) == []
 
 
@@ -60,12 +59,13 @@ def test_an_image_of_an_example_is_undone_by_the_same_symmetry() -> None:
     assert Example(0, 1.0, -2.0).image(4, 3) == Example(0, 2.0, -2.0)
 
 
-def test_proposals_imitate_what_made_a_change() -> None:
+def test_proposals_imitate_what_made_a_change(monkeypatch: pytest.MonkeyPatch) -> None:
     points, rng = Rope().loop(), np.random.default_rng(0)
     examples = [Example(1, 0.3, 0.5)]
     row = MoveRow(Diagram(FLAT), 0, Diagram(KINK), 5, 10)
     guide = Guide(Moves([row]), {(Diagram(FLAT), 0): examples})
-    changes = guide.to(KINK, FLAT).nearer(FLAT)
-    config = PullPlannerConfig(guided=1.0, template_noise=0.0)
-    moves = [Proposals(changes).draw(points, rng, config) for _ in range(40)]
+    nearer = guide.to(KINK, FLAT).nearer(FLAT)
+    monkeypatch.setattr(changes, "GUIDED", 1.0)
+    monkeypatch.setattr(changes, "TEMPLATE_NOISE", 0.0)
+    moves = [Proposals(nearer).draw(points, rng) for _ in range(40)]
     assert {(move.bead, move.target) for move in moves} == {(30, 50), (70, 50)}

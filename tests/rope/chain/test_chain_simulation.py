@@ -181,8 +181,6 @@ def test_a_rope_goes_to_mujoco_and_back(rope: Rope, curls: Array) -> None:
 def test_a_rope_that_the_proof_does_not_cover_is_refused() -> None:
     with pytest.raises(ValueError, match=r"at most 13.* mm long, got 26.60 mm"):
         ChainSimulation(1, Rope(RopeConfig(beads=50)))
-    with pytest.raises(ValueError, match=r"has no closure_solref; leave it at \(0.02, 1.0\)"):
-        ChainSimulation(1, Rope(RopeConfig(closure_solref=(0.01, 1.0))))
     shorter = ChainSimulation(1, Rope(RopeConfig(beads=110)))
     shorter.act(np.full((1, 6), 0.5))
     assert np.abs(lengths(shorter.points) / (1.33 / 110) - 1).max() < 1e-3

@@ -6,34 +6,29 @@ every dataset: the context that mlcroissant writes, licence, and the responsible
 
 import json
 import re
-from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import sha256
-from knotgym.datasets.cards.citation import BIBTEX
+from knotgym.datasets.cards.citation import BIBTEX, write_text
 from knotgym.datasets.image_table import arrow
 
 _TYPES = {"string": "sc:Text", "bool": "sc:Boolean", "float": "sc:Float", "double": "sc:Float"}
+_PICTURE = "struct<bytes: binary"  # how Parquet files hold pictures
 
 
-def croissant(
-    folder: Path, name: str, description: str, facts: Mapping[str, str] | None = None
-) -> dict[str, Any]:
+def write_croissant(folder: Path, name: str, description: str, *, photos: bool = False) -> None:
     """Describe the tables data/CONFIG/SPLIT-*.parquet or data/SPLIT-*.parquet of a folder.
 
-    Args:
-        facts: replaces fields of `croissant.json`.
-
-    Returns:
-        What is written as JSON.
+    Writes `croissant.json`. Of photos other things are told, which are in `photos.json`.
     """
-    fixed = json.loads((files("knotgym.datasets.exports") / "croissant.json").read_text("utf-8"))
+    here = files("knotgym.datasets.cards")
+    texts = ("croissant.json", *(["photos.json"] if photos else []))
+    fixed = [json.loads((here / text).read_text("utf-8")) for text in texts]
     paths = [path.relative_to(folder) for path in sorted(folder.glob("data/**/*.parquet"))]
-    return {
-        **fixed,
-        **(facts or {}),
+    described = {
+        **{field: one for part in fixed for field, one in part.items()},
         "name": re.sub(r"[^\w-]+", "-", name),
         "description": description,
         "citeAs": BIBTEX,
@@ -51,37 +46,50 @@ def croissant(
         ],
         "recordSet": [_records(folder, path) for path in paths],
     }
+    write_text(folder / "croissant.json", json.dumps(described, indent=1))
 
 
 def _records(folder: Path, path: Path) -> dict[str, Any]:
     parquet = arrow("pyarrow.parquet").ParquetFile(folder / path)
     split, _, shard = path.stem.partition("-")
     where = f"{path.parent.name}/{split}" + ("" if shard.startswith("00000") else f"-{shard}")
-    fields = [_field(where, path.as_posix(), column) for column in parquet.schema_arrow]
+    fields = [
+        _field(where, path.as_posix(), one, parent)
+        for column in parquet.schema_arrow
+        for one, parent in _members(column)
+    ]
     return {
         "@type": "cr:RecordSet",
         "@id": where,
         "name": where,
         "description": f"{parquet.metadata.num_rows} rows of split {split}.",
-        "field": [field for field in fields if field],
+        "field": fields,
     }
 
 
-def _field(where: str, path: str, column: Any) -> dict[str, Any]:
-    """Describe a column; {} for structs other than pictures, which Croissant would flatten."""
-    kind, repeated, picture = str(column.type), False, "struct<bytes: binary" in str(column.type)
-    if kind.startswith(("list<", "fixed_size_list<", "large_list<")):
-        kind, repeated = str(column.type.value_type), True
-    if not picture and "<" in kind:
-        return {}
-    source: dict[str, Any] = {"fileObject": {"@id": path}, "extract": {"column": column.name}}
-    if picture:
-        source["transform"] = {"jsonPath": "bytes"}
+def _members(column: Any) -> list[tuple[Any, str]]:
+    """Return a column, or the members of a structure and its name; none of lists of structures."""
+    kind = str(column.type)
+    if kind.startswith("struct") and not kind.startswith(_PICTURE):
+        return [(one, column.name) for one in column.type]
+    return [] if ": struct<" in kind else [(column, "")]
+
+
+def _field(where: str, path: str, column: Any, parent: str) -> dict[str, Any]:
+    """Describe a column, or a member of the structure `parent`."""
+    kind, name = str(column.type), f"{parent}.{column.name}" if parent else column.name
+    repeated, picture = kind.startswith(("list<", "fixed_size_list<")), kind.startswith(_PICTURE)
+    if repeated:
+        kind = str(column.type.value_type)
+    source: dict[str, Any] = {"fileObject": {"@id": path}}
+    source["extract"] = {"column": parent or column.name}
+    if picture or parent:
+        source["transform"] = {"jsonPath": "bytes" if picture else column.name}
     return {
         "@type": "cr:Field",
-        "@id": f"{where}/{column.name}",
-        "name": f"{where}/{column.name}",
-        "description": f"The column {column.name}, explained in README.md.",
+        "@id": f"{where}/{name}",
+        "name": f"{where}/{name}",
+        "description": f"The column {name}, explained in README.md.",
         "dataType": "sc:ImageObject" if picture else _TYPES.get(kind, "sc:Integer"),
         **({"repeated": True} if repeated else {}),
         "source": source,

@@ -1,0 +1,64 @@
+"""Rows divided among threads: results in order, errors raised, other work done meanwhile."""
+
+import threading
+
+import pytest
+
+from knotgym.common.threads import Threads
+
+counts = pytest.mark.parametrize("count", [1, 3])
+
+
+@counts
+@pytest.mark.parametrize(("rows", "unit", "most"), [(0, 1, None), (7, 1, 2), (50, 4, None)])
+def test_every_row_is_worked_on_once_and_results_are_in_order(
+    count: int, rows: int, unit: int, most: int | None
+) -> None:
+    parts = Threads(count).spread(lambda part: range(rows)[part], rows, unit, most=most)
+    assert [row for part in parts for row in part] == list(range(rows))
+    assert all(len(part) <= (most or rows) and part.start % unit == 0 for part in parts)
+
+
+@counts
+def test_the_first_error_is_raised_once_all_rows_are_done(count: int) -> None:
+    done = set[int]()
+
+    def work(part: slice) -> None:
+        if part.start % 2:
+            raise ValueError(f"row {part.start}")
+        done.add(part.start)
+
+    threads = Threads(count)
+    with pytest.raises(ValueError, match="row 1"):
+        threads.spread(work, 7, most=1)
+    assert done == {0, 2, 4, 6}
+    assert threads.spread(lambda part: part.start, 2, most=1) == [0, 1]  # they still work
+
+
+def test_other_work_is_done_while_the_threads_are_at_theirs() -> None:
+    at_work, is_done = threading.Event(), threading.Event()
+
+    def work(part: slice) -> bool:
+        if threading.current_thread() is threading.main_thread():
+            return True
+        at_work.set()
+        return is_done.wait(60)
+
+    def meanwhile() -> None:
+        assert at_work.wait(60)
+        is_done.set()
+
+    assert Threads(2).spread(work, 2, meanwhile=meanwhile) == [True, True]
+    Threads(1).spread(work, 2, meanwhile=is_done.clear)
+    assert not is_done.is_set()
+
+
+def test_threads_end_with_their_pool() -> None:
+    before, pool = {*threading.enumerate()}, Threads(3)
+    pool.spread(lambda part: None, 3)
+    ours = {*threading.enumerate()} - before
+    assert len(ours) == 2
+    del pool
+    for one in ours:
+        one.join(timeout=60)
+        assert not one.is_alive()
