@@ -122,7 +122,6 @@ class EpisodeBatch:
             return goals.rows
         code = str(self.starts.gauss_code[start])
         if (goals.nx, code) not in self._other_goals:
-            # a start of as many crossings may show a goal's code: nothing would be left to do
             differs = self.goals.gauss_code[goals.rows] != code
             self._other_goals[goals.nx, code] = goals.rows[differs]
         return self._other_goals[goals.nx, code]
@@ -262,12 +261,10 @@ class EpisodeBatch:
         self._read(ids)
         towed = np.zeros(len(ids), dtype=bool)
         if self.task.tow_limit is not None:
-            # from where the centre was at reset, not summed up along the way
             moved = distances_towed(self.simulation.points[ids], self.centre[ids])
             towed = moved > self.task.tow_limit
         self.towed[ids] = towed
         self.steps[ids] += 1
-        # beyond the limit on towing a shown goal doesn't count
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
         return outcome(self.task, self.successes(ids), self.steps[ids], failed, towed)
 
@@ -285,7 +282,6 @@ class EpisodeBatch:
         """
         if self.task.action == "pull":
             beads, _ = self.simulation.read_actions(actions, ids)
-            # `read_actions` has checked them, but for rounding beyond 1
             forces = np.clip(np.asarray(actions, dtype=np.float64)[:, 3:], -1.0, 1.0)
             return self.pull(ids, beads, forces, meanwhile)
         self.view.begin(actions, ids)
@@ -405,7 +401,6 @@ class EpisodeBatch:
         self._old_texts[ids] |= (codes.signs != self.signs[ids]).any(axis=1)
         self._old_texts[ids] |= (codes.visits != self.visits[ids]).any(axis=1)
         self.visits[ids], self.signs[ids], self.crossings[ids] = codes
-        # both are padded with 0 to one width, so rows are equal just if the codes are
         self.shown[ids] = (codes.visits == self.wanted[ids]).all(axis=1)
 
     def _widen(self, columns: int) -> None:
