@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.datasets.foreign_file import try_files
-
 from .small_job import SECONDS
 
 PLANTED = (
@@ -83,11 +81,3 @@ def test_no_command_imports_from_the_current_folder(typed: str, planted: Path) -
     assert ended.returncode == (1 if "verify" in typed else 0), ended.stderr
     mark = planted.parent / "mark"
     assert not mark.exists(), mark.read_text()
-
-
-def test_a_foreign_file_is_tried_without_what_lies_beside_it(
-    planted: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(planted)
-    try_files([planted / "states.h5"])
-    assert not (planted.parent / "mark").exists()

@@ -125,7 +125,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: knotgym.States.from_points(np.eye(3)[None], "eval"), "split must be train or test"),
     (lambda: knotgym.register_task("tie", lambda nx: (0, nx)), "a new lower-case word, got 'tie'"),
     (lambda: goal_env("tie", goals=3), "unexpected keyword argument 'goals'; there is nx, split"),
-    (lambda: open_episodes("nope.h5"), "no episodes at nope.h5, nor a dataset of this id under"),
+    (lambda: open_episodes("nope.h5"), "no such file: nope.h5, nor a Minari dataset of this id"),
     (lambda: arrays(3), "a dataset is an id, a folder or a file, got 3"),
     (lambda: arrays([]), "nothing to merge: give at least one set of episodes"),
     (lambda: batch([0], window=5), "window must be such as Window(n_step=5), got 5"),

@@ -19,7 +19,7 @@ from knotgym.datasets.episodes import differences
 from knotgym.datasets.foreign_file import try_files
 from knotgym.datasets.gallery import episode_tiles, picture_tiles, state_tiles, write_gallery
 from knotgym.datasets.image_table import read_table
-from knotgym.datasets.located import locate, locate_own, root_of
+from knotgym.datasets.located import locate, locate_own
 from knotgym.datasets.manifest import read_manifest
 from knotgym.datasets.page.page_data import page_data, page_html
 from knotgym.generate.episodes.evaluate import film as film_of
@@ -29,7 +29,7 @@ from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import rope_of
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
-from knotgym.states.state_file import read_states
+from knotgym.states.state_file import read_states, root_of
 
 Image: TypeAlias = NDArray[np.uint8]
 _LARGE = 4_000_000  # bytes; larger tables are checked faster by several processes than by one
@@ -57,7 +57,8 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
         InvalidFile: the HDF5 library crashes on one of the files.
     """
     root = root_of(named)
-    try_files([root, *sorted(root.glob("**/*.h*5"))])
+    with executor(2) as pool:
+        try_files([root, *sorted(root.glob("**/*.h*5"))], pool)
     tables = [file for file in (root, *root.glob("**/*.parquet")) if file.is_file()]
     large = sum(file.stat().st_size for file in tables) > _LARGE
     progress.stage(f"checking {root}")

@@ -97,7 +97,6 @@ Share = Annotated[Real, Field(ge=0, le=1)]
 ListToo = BeforeValidator(_as_tuple)  # of a tuple that users write as a list, in keywords
 Ordered = AfterValidator(_ordered)
 Distinct = AfterValidator(_distinct)
-Interval = Annotated[tuple[NonNegative, NonNegative], Ordered]
 Crossings = Annotated[tuple[Whole, ...], Distinct]
 
 

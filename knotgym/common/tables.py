@@ -29,6 +29,7 @@ from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 _MOST_EXPANDED, _SMALL = 1100, 1 << 20  # columns of up to _SMALL bytes are always read
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 _PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+_MAPPABLE = {"libver": ("v110", "v110"), "alignment_threshold": 1, "alignment_interval": 8}
 _CHUNK = 1 << 20  # bytes of a packed chunk before compression
 _HEADER, _VERSION = ("format", "format_version"), 1
 
@@ -56,10 +57,6 @@ class Column(NamedTuple):
     optional: bool = False
     finite: bool = False
     least: float | None = None
-
-    def has_dtype(self, dtype: np.dtype[Any]) -> bool:
-        """Return whether this is the type of the column in memory; text has any length."""
-        return dtype.kind == "U" if self.dtype == "text" else dtype == self.dtype
 
     def require_values(self, values: NDArray[Any]) -> None:
         """Raise InvalidInput if text has control characters or numbers are out of range."""
@@ -160,7 +157,7 @@ class Table(Mapping[str, NDArray[Any]]):
                     if isinstance(word, str):
                         sizes.setdefault(word, size)
             expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in wanted)
-            if not c.has_dtype(found.dtype) or found.shape != expected:
+            if _type_name(found.dtype) != c.dtype or found.shape != expected:
                 raise InvalidInput(
                     f"column {c.name} is {_type_name(found.dtype)} {found.shape}, should be"
                     f" {c.dtype} {expected}"
@@ -181,8 +178,8 @@ class Table(Mapping[str, NDArray[Any]]):
     def take(self, rows: ArrayLike | slice) -> "Table":
         """Return some rows, by a mask or by indices, in the order given; a slice copies nothing."""
         chosen = rows if isinstance(rows, slice) else np.asarray(rows)
-        if not isinstance(chosen, slice) and not chosen.size and chosen.dtype != bool:
-            chosen = chosen.astype(np.int64)  # an empty list
+        if not isinstance(chosen, slice) and not chosen.size:
+            chosen = slice(0)  # an empty list is one of floats
         return Table(self.schema, {name: column[chosen] for name, column in self.items()})
 
     def only(self, *names: str) -> "Table":
@@ -228,12 +225,7 @@ def write(
     Raises:
         InvalidInput: parts of a table differ in schema, or values are out of range.
     """
-    with (
-        atomic_write(path) as part,
-        new_hdf5(
-            part, libver=("v110", "v110"), alignment_threshold=1, alignment_interval=8
-        ) as file,
-    ):
+    with atomic_write(path) as part, new_hdf5(part, **_MAPPABLE) as file:
         for name, value in {**attributes, "format": format, "format_version": _VERSION}.items():
             plain = isinstance(value, str | int | float | np.generic)
             stored = value if plain else json.dumps(value, sort_keys=True)
@@ -261,8 +253,7 @@ def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File
             with h5py.File(sink, "w", **options) as file:
                 yield file
         finally:
-            failure = sink.failure
-            if failure is not None:
+            if failure := sink.failure:
                 raise OSError(failure.errno, failure.strerror, str(path)) from failure
 
 
@@ -291,23 +282,24 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
     schema, rows = _shared_schema(parts), sum(part.rows for part in parts)
     group = file.require_group(schema.name) if schema.name else file
     for c in schema.columns:
-        dtype: Any = np.dtype("S1") if c.dtype == "text" else np.dtype(c.dtype)
+        values: list[NDArray[Any]] = [part[c.name] for part in parts]
+        for one in values:
+            c.require_values(one)
+        dtype: Any = c.dtype
         if c.dtype == "text":
-            length = max(1, *(_encoded(part[c.name]).dtype.itemsize for part in parts))
-            dtype = h5py.string_dtype("utf-8", length)
-        shape, options = schema.shape(c), {}
+            values = [np.strings.encode(one, "utf-8") for one in values]
+            dtype = h5py.string_dtype("utf-8", max(1, *(one.dtype.itemsize for one in values)))
+            values = [one.astype(dtype) for one in values]
+        shape, options, at = schema.shape(c), {}, 0
         if pack and rows and prod(shape):
-            fitting = max(1, _CHUNK // (dtype.itemsize * prod(shape)))
+            fitting = max(1, _CHUNK // (np.dtype(dtype).itemsize * prod(shape)))
             options = {**_PACKED, "chunks": (min(rows, fitting), *shape)}
-        data, at = group.create_dataset(c.name, (rows, *shape), dtype, **options), 0
+        data = group.create_dataset(c.name, (rows, *shape), dtype, **options)
         if c.unit:
             data.attrs["unit"] = c.unit
-        for part in parts:
-            values = part[c.name]
-            c.require_values(values)
-            text = c.dtype == "text"
-            data[at : at + part.rows] = _encoded(values).astype(dtype) if text else values
-            at += part.rows
+        for one in values:
+            data[at : at + len(one)] = one
+            at += len(one)
 
 
 def read(
@@ -416,7 +408,7 @@ def _read(column: Column, data: Any, path: str | os.PathLike[str]) -> NDArray[An
         # a plain array over the mapped bytes: unlike np.memmap itself, it is fast to slice
         mapped = np.memmap(Path(path), data.dtype, "r", offset, data.shape)
         values = np.require(np.asarray(mapped), None, "A")
-    if column.has_dtype(values.dtype):
+    if _type_name(values.dtype) == column.dtype:
         column.require_values(values)
     return values
 
@@ -452,10 +444,6 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
             f" {' and '.join(str(dict(schema.sizes)) for schema in schemas)}"
         )
     return schemas[0]
-
-
-def _encoded(values: NDArray[np.str_]) -> NDArray[np.bytes_]:
-    return np.strings.encode(values, "utf-8")
 
 
 def _type_name(dtype: np.dtype[Any]) -> str:

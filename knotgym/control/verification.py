@@ -5,7 +5,6 @@ Episodes are played again by `rollouts`, which is why this module isn't in `data
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from knotgym.datasets.located import locate
 from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import read_states, ships
+from knotgym.states.state_file import read_states
 
 # a phrase in the faults of replays, which may differ on another machine because of rounding
 _REPLAYED = ("bit for bit", "played again")
@@ -91,7 +90,7 @@ def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator
 def _start_faults(source: Path) -> Iterator[str]:
     """Yield episodes of a collection that don't begin as the seeds of its run say."""
     dataset = open_episodes(source)
-    run, rows, task = dataset.attributes.get("run"), dataset.episodes.episodes, dataset.task
+    run, rows = dataset.attributes.get("run"), dataset.episodes.episodes
     config = run.get("config") if isinstance(run, dict) else None
     if not isinstance(config, dict):
         return
@@ -101,8 +100,7 @@ def _start_faults(source: Path) -> Iterator[str]:
         return
     # a collection may keep successes alone: then its seeds are some of these
     of_run = [episode_seed(seed, number) for number in range(count)]
-    if not ships(task.states):
-        task = replace(task, states=str(dataset.states_path()))
+    task = dataset.found_task
     for first in range(0, rows.rows, _LANES):
         some = np.arange(first, min(first + _LANES, rows.rows))
         own = rows.take(some)

@@ -52,13 +52,13 @@ from knotgym.datasets.episodes import (
     fitted,
     merged,
 )
-from knotgym.datasets.minari_recording import MAIN, recorded_columns
 from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import leads_out, minari_root, ships, states_file
+from knotgym.states.state_file import leads_out, root_of, ships, states_file
 
 FORMAT = "knotgym-episodes"
 FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, PULLS)}
 FILE = "episodes.h5"
+MAIN = "main_data.hdf5"  # Minari's
 # settings of the environment that loaders read; datasets that are loaded together share them
 _READ = {
     *("beads", "observation", "action", "hold", "tow_limit", "success_reward"),
@@ -115,6 +115,12 @@ class EpisodeDataset:
         known = np.arange(count) if self.rows is None else self.rows
         chosen = known[np.asarray(rows) if np.size(rows) else slice(0)]
         return replace(self, episodes=self.episodes.select(rows), rows=chosen)
+
+    @property
+    def found_task(self) -> TaskConfig:
+        """The task with the path of its states, so that its environment can be made."""
+        named = self.task.states
+        return self.task if ships(named) else replace(self.task, states=str(self.states_path()))
 
     def states_path(self) -> Path:
         """Return the path of the state file that the episodes were reset from; it may not exist.
@@ -218,6 +224,8 @@ def columns_of(source: Any) -> EpisodeDataset:
         every = merged([one.episodes for one in parts])
         return EpisodeDataset(path, every, parts[0].task, {}, parts=parts)
     if not isinstance(source, EpisodeDataset) and (path := episode_file(source)).name == MAIN:
+        from knotgym.datasets.minari_recording import recorded_columns  # here, as few need it
+
         return _chosen(EpisodeDataset(path, *recorded_columns(path), {}), source)
     opened = open_episodes(source)
     if opened.episodes.is_recording:
@@ -317,18 +325,15 @@ def episode_file(source: Any) -> Path:
         source = source.storage.data_path
     if not isinstance(source, (str, os.PathLike)):
         raise InvalidInput(f"a dataset is an id, a folder or a file, got {source!r}")
-    tried = [Path(source)]
-    if not leads_out(source):
-        tried.append(minari_root() / str(source))
-    for path in tried:
-        for name in (FILE, MAIN):
-            for inside in (path, path / name, path / "data" / name):
-                if inside.is_file():
-                    return inside
-        found = sorted((path / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
-        if len(found) > 1:
-            listed = ", ".join(str(one.parents[1]) for one in found)
-            raise InvalidFile(f"{path} holds several datasets; choose one of them: {listed}")
-        if found:
-            return found[0]
-    raise MissingFile(f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}")
+    root = root_of(source)
+    for name in (FILE, MAIN):
+        for inside in (root, root / name, root / "data" / name):
+            if inside.is_file():
+                return inside
+    found = sorted((root / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
+    if len(found) > 1:
+        listed = ", ".join(str(one.parents[1]) for one in found)
+        raise InvalidFile(f"{root} holds several datasets; choose one of them: {listed}")
+    if not found:
+        raise MissingFile(f"no episodes at {root}")
+    return found[0]

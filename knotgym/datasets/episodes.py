@@ -343,16 +343,11 @@ def _names(schema: Schema) -> list[str]:
 def _widened(table: Table, sizes: dict[str, int]) -> Table:
     """Return a table whose codes are as wide as `sizes` says; what is cut off is zero."""
     columns = dict(table)
-    for name in _CODES:
-        if name not in columns:
-            continue
+    for name in (one for one in _CODES if one in table):
         width = sizes["labels" if name == "signs" else "visits"]
-        old = columns[name]
-        if old.shape[1] != width:
-            new = np.zeros((len(old), width), old.dtype)
-            shared = min(width, old.shape[1])
-            new[:, :shared] = old[:, :shared]
-            columns[name] = new
+        columns[name] = kept = table[name][:, :width]
+        if kept.shape[1] < width:
+            columns[name] = np.pad(kept, ((0, 0), (0, width - kept.shape[1])))
     return Table(table.schema.sized(**sizes), columns)
 
 

@@ -1,12 +1,11 @@
-"""Check in a subprocess that libhdf5 can read a file.
+"""Check in another process that libhdf5 can read a file.
 
 Some corrupted files make the library crash or loop forever, which no check in Python can prevent.
-Reading the whole file in a subprocess first turns that into an error message.
+Reading the whole file elsewhere first turns that into an error message.
 """
 
-import subprocess
-import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from concurrent.futures import BrokenExecutor, Executor
 from pathlib import Path
 
 import h5py
@@ -18,37 +17,24 @@ _LIMIT = 60.0  # seconds
 _SLOWEST = 5_000_000  # bytes per second; a file adds the time that reading it at this rate takes
 
 
-def try_files(paths: Iterable[Path]) -> None:
-    """Read files completely in one subprocess; skip those that aren't HDF5.
+def try_files(paths: Iterable[Path], pool: Executor) -> None:
+    """Read files completely in a process of a pool; skip those that aren't HDF5.
 
     Raises:
         InvalidFile: a file makes the library crash or hang.
     """
-    tried = [path for path in paths if path.is_file() and _is_hdf5(path)]
-    if not tried:
-        return
-    limit = _LIMIT + sum(path.stat().st_size for path in tried) / _SLOWEST
-    # -P: import nothing from the current folder, which may have been downloaded
-    words = [sys.executable, "-P", "-m", __name__, *(str(path.absolute()) for path in tried)]
-    try:
-        ended = subprocess.run(
-            words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=limit, check=False
-        )
-    except subprocess.TimeoutExpired as late:
-        raise InvalidFile(
-            f"{_at(tried, late.stdout)} makes the HDF5 library hang: not read in {limit:.0f} s;"
-            " don't open it"
-        ) from None
-    if ended.returncode < 0:
-        raise InvalidFile(
-            f"{_at(tried, ended.stdout)} makes the HDF5 library crash (signal"
-            f" {-ended.returncode}); don't open it"
-        )
-
-
-def _at(tried: Sequence[Path], output: bytes | None) -> Path:
-    """Return the file that was being read: the subprocess prints a line when it opens one."""
-    return tried[max(0, (output or b"").count(b"\n") - 1)]
+    for path in paths:
+        if not path.is_file() or not _is_hdf5(path):
+            continue
+        limit = _LIMIT + path.stat().st_size / _SLOWEST
+        try:
+            pool.submit(_read_whole, path).result(limit)
+        except BrokenExecutor as error:
+            raise InvalidFile(f"{path} makes the HDF5 library crash; don't open it") from error
+        except TimeoutError:
+            raise InvalidFile(
+                f"{path} makes the HDF5 library hang: not read in {limit:.0f} s; don't open it"
+            ) from None
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -56,7 +42,7 @@ def _is_hdf5(path: Path) -> bool:
         return file.read(8) == b"\x89HDF\r\n\x1a\n"
 
 
-def _read_whole(path: str) -> None:
+def _read_whole(path: Path) -> None:
     """Read everything stored in a file but its links; ignore errors that Python can catch."""
 
     def look(name: str, item: h5py.Group | h5py.Dataset) -> None:
@@ -64,23 +50,14 @@ def _read_whole(path: str) -> None:
             dict(item.attrs)
             if isinstance(item, h5py.Dataset):
                 require_stored_here(item, name)
-                if item.chunks is None:
-                    item[()]
-                else:
-                    for part in item.iter_chunks():
-                        item[part]
+                for part in item.iter_chunks() if item.chunks else ((),):
+                    item[part]
         except Exception:  # the file's reader reports these; only a crash matters here
             return
 
-    with h5py.File(path, "r", locking=False) as file:
-        dict(file.attrs)
-        file.visititems(look)
-
-
-if __name__ == "__main__":
-    for one in sys.argv[1:]:
-        print("begun", flush=True)
-        try:
-            _read_whole(one)
-        except Exception:  # as above
-            continue
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            dict(file.attrs)
+            file.visititems(look)
+    except Exception:  # as above
+        return

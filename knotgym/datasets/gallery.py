@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import decode, encode, read_rows
 from knotgym.rendering.diagram import draw_diagram
-from knotgym.rendering.video import OUTCOMES
 from knotgym.states.state_file import States
 
 SHOWN = 64  # maximum number of episodes or pictures in a gallery
@@ -57,7 +55,10 @@ def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
 
 def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
     """Write the contact sheet of tiles as a PNG."""
-    Path(path).write_bytes(encode(contact_sheet(tiles)))
+    _, data = cv2.imencode(
+        ".png", contact_sheet(tiles)[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9]
+    )
+    Path(path).write_bytes(bytes(data))
 
 
 def state_tiles(states: States) -> list[Tile]:
@@ -80,6 +81,8 @@ def state_tiles(states: States) -> list[Tile]:
 
 def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
     """Return the knot diagrams of the final states of the first SHOWN episodes."""
+    from knotgym.rendering.video import OUTCOMES  # here, as states need no films
+
     tiles: list[Tile] = []
     for dataset in datasets:
         opened = columns_of(dataset)
@@ -95,6 +98,8 @@ def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
 
 def picture_tiles(table: str | os.PathLike[str]) -> list[Tile]:
     """Return the first SHOWN pictures of a perception table."""
+    from knotgym.datasets.image_table import decode, read_rows  # here, as states need neither
+
     rows = read_rows(table, columns=["image", "gauss_code_chiral", "split"])
     return [
         Tile(

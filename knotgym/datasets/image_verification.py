@@ -5,7 +5,8 @@ nothing stored is believed. Splits are checked for overlap. Each fault is report
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from knotgym.datasets.image_table import (
     stored_digest,
 )
 from knotgym.datasets.manifest import listed_faults, read_manifest
-from knotgym.datasets.split_verification import leaks
+from knotgym.datasets.split_verification import shared_faults
 from knotgym.quality.limits import UNAMBIGUOUS, Quality
 from knotgym.rendering.appearance_config import SIZES
 from knotgym.rope.model import Rope
@@ -33,10 +34,9 @@ from knotgym.states.derivation import row_faults as state_faults
 from knotgym.states.splits import IMAGE_SPLITS
 
 _COLOURS = ("published", "single", "gradient", "lines", "photo")
-_RECOMPUTED = ("crossings", "accepted", "grade")
-_OF_PHOTOS = ("canonical_code", "strands", "boxes", "line", "photo")
-_UNBOUNDED = ("surface", "ground", "order", "region", "contrast")  # words, colours, measures
-_DRAWN_WITH, _MOST_DRAWN = ("zoom", "width", "noise", "blur"), 1000.0
+# what foreign numbers make the renderer and NumPy raise
+_RAISED = (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error)
+_MOST_DRAWN = 1000.0  # of numbers that a picture is drawn with; larger ones would fill the memory
 
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # `map`, or that of a pool
 
@@ -54,19 +54,19 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
     if folder.is_dir():
         manifest, faults = read_manifest(folder)
         yield from [*faults, *listed_faults(folder, manifest)]
-    readable, files = True, shards(path)
+    files = shards(path)
     count("files of pictures", 0, len(files))
     for done, faults in enumerate(each(shard_faults, files), 1):
         count("files of pictures", done, len(files))
         yield from faults
-        readable &= not any("Parquet shard" in fault or "format" in fault for fault in faults)
-    if not readable:
+    try:
+        table = read_table(path, columns=["gauss_code", "nx", "split", "points", "source"])
+    except InvalidFile:  # a fault already
         return
-    table = read_table(path, columns=["gauss_code", "nx", "split", "points", "source"])
-    if not len(table):
+    if len(table):
+        yield from _split_faults(table)
+    else:
         yield f"{folder.name} has no rows"
-        return
-    yield from _split_faults(table)
 
 
 def shard_faults(path: Path) -> list[str]:
@@ -74,7 +74,11 @@ def shard_faults(path: Path) -> list[str]:
     faults, now = [], hashlib.sha256()
     try:
         for n, row in enumerate(read_rows(path)):
-            faults += [f"{path.name} row {n}: {fault}" for fault in _all_faults(row)]
+            try:
+                own = list(row_faults(row))
+            except _RAISED as error:
+                own = [f"it can't be rendered or measured: {one_line(error)}"]
+            faults += [f"{path.name} row {n}: {fault}" for fault in own]
             now.update(row_line(row))
         digest = stored_digest(path)
     except (InvalidFile, MissingFile) as error:
@@ -84,53 +88,23 @@ def shard_faults(path: Path) -> list[str]:
     return faults
 
 
-def _all_faults(row: dict[str, Any]) -> list[str]:
-    """List the faults of a row; failing to render or measure it is one."""
-    try:
-        return list(row_faults(row))
-    except (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error) as error:
-        return [f"it can't be rendered or measured: {one_line(error)}"]
-
-
-def row_faults(row: dict[str, Any]) -> Iterator[str]:
+def row_faults(row: Mapping[str, Any]) -> Iterator[str]:
     """Yield the faults of one row, as `read_rows` gives it."""
-    points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
-    if not np.isfinite(points).all():
-        yield "coordinates are not finite"
-        return
-    quality = {f"quality/{name}": value for name, value in row["quality"].items()}
-    stored = {**row, **quality, "points": points}
-    del stored["image"]
-    found = [one.replace("quality/", "quality.") for one in state_faults(stored, Rope())]
-    yield from found
-    if any("the rope is" in fault for fault in found):
-        return  # too wide to be measured
     look = appearance_of(row)
-    if not SIZES[0] <= look.size <= SIZES[1]:
-        yield f"appearance.size is {look.size}, should be {SIZES[0]} to {SIZES[1]} pixels"
-        return
-    odd = [name for name in _DRAWN_WITH if not 0 <= getattr(look, name) <= _MOST_DRAWN]
-    if odd:
-        yield f"appearance.{odd[0]} is {getattr(look, odd[0])}, should be 0 to {_MOST_DRAWN:g}"
-        return
-    numbers = {name: one for name, one in row.get("photo", {}).items() if name not in _UNBOUNDED}
-    odd = [name for name, one in numbers.items() if not abs(one) <= _MOST_DRAWN]
-    if odd:
-        yield f"photo.{odd[0]} is {numbers[odd[0]]}, should be at most {_MOST_DRAWN:g}"
-        return
-    right = derived(points, look)
-    for name in (*_RECOMPUTED, *(one for one in _OF_PHOTOS if one in row)):
-        if row[name] != right[name]:
-            shown = "" if name == "strands" else f" {row[name]}, recomputed {right[name]}"
-            yield f"{name} is{shown or ' not that of these points'}"
+    for name, value in asdict(look).items():
+        low, high = SIZES if name == "size" else (-_MOST_DRAWN, _MOST_DRAWN)
+        if isinstance(value, (int, float)) and name != "seed" and not low <= value <= high:
+            where = "photo" if name in row.get("photo", ()) else "appearance"
+            yield f"{where}.{name} is {value}, should be {low:g} to {high:g}"
+            return
+    points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
+    yield from state_faults({**row, "points": points}, Rope(), lambda own: derived(own, look))
     if look.colours not in _COLOURS:
         yield f"appearance.colours is {look.colours!r}, should be {' or '.join(_COLOURS)}"
     if row["split"] not in IMAGE_SPLITS:
         yield f"split is {row['split']!r}, should be {' or '.join(IMAGE_SPLITS)}"
-    if missed := UNAMBIGUOUS.faults(Quality(**right["quality"]), right["nx"]):
+    if missed := UNAMBIGUOUS.faults(Quality(**row["quality"]), row["nx"]):
         yield f"the code is ambiguous in the picture: {', '.join(missed)}"
-    if row["image"] != right["image"]:
-        yield "image is not the rendering of points with this appearance"
 
 
 def _split_faults(table: Any) -> Iterator[str]:
@@ -138,18 +112,9 @@ def _split_faults(table: Any) -> Iterator[str]:
     split, codes, nx = (np.array(table[name].to_pylist()) for name in ("split", "gauss_code", "nx"))
     sources = table["source"].to_pylist()
     numbers = [source["row"] for source in sources]
-    for row, other, _ in leaks(points_of(table), split):
-        yield (
-            f"rows {numbers[row]} ({split[row]}) and {numbers[other]} ({split[other]}) are"
-            " near-duplicates"
-        )
     # the ropes of several seeds have the same numbers
-    splits_of_rope: dict[tuple[int, int], set[str]] = {}
-    for source, own in zip(sources, split.tolist(), strict=True):
-        splits_of_rope.setdefault((source["seed"], source["rope"]), set()).add(own)
-    for (_, rope), sharing in splits_of_rope.items():
-        if len(sharing) > 1:
-            yield f"rope {rope} is in splits {' and '.join(sorted(sharing))}"
+    ropes = [(source["seed"], source["rope"]) for source in sources]
+    yield from shared_faults(points_of(table), split, ropes, numbers)
     # codes of test-nx have more crossings than any other split's, so they aren't compared
     seen = set(codes[np.isin(split, ("train", "test"))].tolist())
     for code in sorted(set(codes[split == "test-code"].tolist()) & seen):

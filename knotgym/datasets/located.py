@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from knotgym.common.atomic_files import require_no_links
-from knotgym.common.errors import InvalidInput, MissingFile
+from knotgym.common.errors import InvalidInput
 from knotgym.common.tables import format_of
 from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
 from knotgym.datasets.image_table import is_images, shards
 from knotgym.datasets.minari_form import dataset_files
-from knotgym.states.state_file import SHIPPED, leads_out, minari_root, shipped, states_at
+from knotgym.states.state_file import minari_root, root_of, states_at
 
 
 class Located(NamedTuple):
@@ -61,24 +61,6 @@ class Located(NamedTuple):
             listed = ", ".join(map(str, self.episodes))
             raise InvalidInput(f"{self.root} contains several datasets, give one of them: {listed}")
         return self
-
-
-def root_of(named: str) -> Path:
-    """Return the file or folder that a path, the name of an included set or a Minari id names.
-
-    Raises:
-        MissingFile: there is no such file, folder or id.
-    """
-    if Path(named).exists():
-        return Path(named)
-    if named in SHIPPED:
-        return shipped(named)
-    if not leads_out(named) and (minari_root() / named).is_dir():
-        return minari_root() / named
-    raise MissingFile(
-        f"no such file: {named}, nor a Minari dataset of this id under {minari_root()},"
-        f" nor an included set ({', '.join(SHIPPED)})"
-    )
 
 
 def locate(named: str) -> Located:

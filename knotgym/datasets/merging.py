@@ -16,6 +16,7 @@ from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.datasets.selectable import EpisodeRows, StateRows, opened, require_file
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
+from knotgym.states.near_duplicates import repeated
 from knotgym.states.state_file import merge_states, minari_root, ships, write_states
 
 
@@ -92,10 +93,8 @@ def _states_to_include(dataset: EpisodeDataset) -> Path | None:
 
 def _states(dataset: EpisodeDataset) -> Path | None:
     """Return the state file that episodes were reset from; None if it ships."""
-    if ships(dataset.task.states):
-        return None
-    path = dataset.states_path()
-    if not path.is_file():
+    path = None if ships(dataset.task.states) else dataset.states_path()
+    if path and not path.is_file():
         raise InvalidFile(f"{dataset.path} was reset from {path}, which doesn't exist")
     return path
 
@@ -137,15 +136,12 @@ def _facts(dataset: EpisodeDataset) -> dict[str, object]:
 
 def _require_distinct(datasets: Sequence[EpisodeDataset]) -> None:
     """Refuse two episodes with the same start, goal and pulls."""
-    seen: dict[bytes, str] = {}
-    for dataset in datasets:
-        for row, digest in enumerate(episode_digests(dataset.episodes)):
-            here = f"episode {row} of {dataset.path}"
-            earlier = seen.setdefault(digest, here)
-            if earlier is not here:
-                raise InvalidInput(
-                    f"{earlier} and {here} are the same; merge datasets that share no episode"
-                )
+    every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
+    for pair in repeated(digest for one in datasets for digest in episode_digests(one.episodes)):
+        first, second = (f"episode {every[k][1]} of {every[k][0].path}" for k in pair)
+        raise InvalidInput(
+            f"{first} and {second} are the same; merge datasets that share no episode"
+        )
 
 
 def _metadata(datasets: Sequence[EpisodeDataset], dataset_id: str) -> MinariMetadata:

@@ -34,9 +34,14 @@ from knotgym.common.atomic_files import atomic_write, copy_file, require_output
 from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import InvalidFile, InvalidInput, one_line
 from knotgym.common.tables import new_hdf5
-from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes, write_episodes
+from knotgym.datasets.episode_dataset import (
+    FILE,
+    MAIN,
+    EpisodeDataset,
+    open_episodes,
+    write_episodes,
+)
 from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes, goal_reached
-from knotgym.datasets.minari_recording import MAIN
 from knotgym.envs.tasks import TaskConfig
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.state_file import minari_root
@@ -68,7 +73,7 @@ class MinariMetadata:
             dataset id -> its digests.
 
     Raises:
-        InvalidInput: the id is invalid for Minari, or only one of the two scores is given.
+        InvalidInput: the id is invalid for Minari.
     """
 
     dataset_id: str
@@ -88,10 +93,6 @@ class MinariMetadata:
             raise InvalidInput(
                 "a dataset id has the form namespace/name-v0, of letters, digits, - and _; got"
                 f" {self.dataset_id!r}"
-            )
-        if (self.ref_min_score is None) != (self.ref_max_score is None):
-            raise InvalidInput(
-                "reference scores come in pairs: give both ref_min_score and ref_max_score"
             )
         for name in ("author", "author_email"):
             object.__setattr__(self, name, tuple(sorted(getattr(self, name))))
@@ -271,50 +272,43 @@ def _minari_episodes(
 ) -> Iterator[tuple[dict[str, Any], dict[str, NDArray[Any]]]]:
     """Yield each episode's attributes and its arrays by path, except the observations."""
     (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
-    max_force = dataset.task.rope.max_force
+    failed = np.zeros(steps.rows, dtype=bool)
+    failed[dataset.episodes.last()] = own["failed"]
+    share = steps["share"].astype(np.float64)
+    applied = share[:, None] * steps["force"].astype(np.float64) * dataset.task.rope.max_force
+
+    def led(values: NDArray[Any], at_first: float = 0) -> NDArray[Any]:
+        """Move each pull's values to the state that it led to."""
+        moved = np.roll(values, 1, axis=0)
+        moved[offsets[:-1]] = at_first
+        return moved
+
     goals = gauss_codes(own["goal_visits"])
-    codes, chiral = gauss_codes(steps["visits"]), gauss_codes(steps["visits"], steps["signs"])
-    reached = goal_reached(dataset.episodes, dataset.task)
+    infos = {
+        "gauss_code": gauss_codes(steps["visits"]),
+        "gauss_code_chiral": gauss_codes(steps["visits"], steps["signs"]),
+        "goal_gauss_code": goals[dataset.episodes.episode_of()],
+        "crossings": steps["crossings"].astype(np.int64),
+        "is_success": goal_reached(dataset.episodes, dataset.task),
+        "simulation_failed": failed,
+        "points": steps["observation"],
+        "bead": led(steps["bead"].astype(np.int64), -1),
+        "force": led(applied),
+        "applied_share": led(share, 1),
+        **{name: led(steps[name]) for name in MACROS if name in steps},
+        **{name: steps[name] for name in ("expert_action",) if name in steps},
+    }
+    numbers = {"seed": own["seed"], "options/start": own["start"], "options/goal": own["goal"]}
     for k in range(own.rows):
         pulls, states = slice(offsets[k], offsets[k + 1] - 1), slice(offsets[k], offsets[k + 1])
-        count = int(own["length"][k])
-        options = {"options/start": int(own["start"][k]), "options/goal": int(own["goal"][k])}
         attributes: dict[str, Any] = {
             "id": k,
-            "total_steps": count,
+            "total_steps": int(own["length"][k]),
             "policy": str(own["policy"][k]),
             "goal_gauss_code": str(goals[k]),
             "relabelled": bool(own["relabelled"][k]),
-            **{name: row for name, row in options.items() if row >= 0},
+            **{name: int(column[k]) for name, column in numbers.items() if column[k] >= 0},
         }
-        if own["seed"][k] >= 0:
-            attributes["seed"] = int(own["seed"][k])
-        failed = np.zeros(count + 1, dtype=bool)
-        failed[-1] = own["failed"][k]
-        share = steps["share"][pulls].astype(np.float64)
-        applied = share[:, None] * steps["force"][pulls].astype(np.float64) * max_force
-        led = {
-            "bead": np.append(-1, steps["bead"][pulls].astype(np.int64)),
-            "force": np.concatenate([np.zeros((1, 3)), applied]),
-            "applied_share": np.append(1.0, share),
-        }
-        led |= {
-            name: np.concatenate([np.zeros(1, steps[name].dtype), steps[name][pulls]])
-            for name in MACROS
-            if name in steps
-        }
-        infos = {
-            "gauss_code": codes[states],
-            "gauss_code_chiral": chiral[states],
-            "goal_gauss_code": np.full(count + 1, goals[k]),
-            "crossings": steps["crossings"][states].astype(np.int64),
-            "is_success": reached[states],
-            "simulation_failed": failed,
-            "points": steps["observation"][states],
-            **led,
-        }
-        if "expert_action" in steps:
-            infos["expert_action"] = steps["expert_action"][states]
         yield (
             attributes,
             {
@@ -322,7 +316,7 @@ def _minari_episodes(
                 "rewards": steps["reward"][pulls],
                 "terminations": steps["terminated"][pulls],
                 "truncations": steps["truncated"][pulls],
-                **{f"infos/{name}": array for name, array in infos.items()},
+                **{f"infos/{name}": array[states] for name, array in infos.items()},
             },
         )
 

@@ -24,8 +24,6 @@ from knotgym.common.tables import Table, require_stored_here
 from knotgym.datasets.episodes import EPISODES, MACROS, STEPS, Episodes, goal_reached, merged
 from knotgym.envs.tasks import TaskConfig
 
-MAIN = "main_data.hdf5"
-
 
 def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
     """Read the episodes of a file `main_data.hdf5`, and the task that its environment had.
@@ -88,41 +86,42 @@ def _episode(
     truncated = read("truncations") & ~terminated
     truncated[-1] = not terminated[-1]
     codes = read_codes(np.concatenate([points, goals[:1].astype(np.float64)]))
-    led = {
-        "bead": decode_actions(actions, points[:pulls], task.rope)[0].astype(np.uint16),
-        "force": np.clip(actions[:, 3:], -1, 1),
-        "action": actions,
-        "reward": read("rewards").astype(np.float64),
-        "terminated": terminated,
-        "truncated": truncated,
-        "share": np.ones(pulls, dtype=np.float32),
-    }
-    steps = {
-        # no pull is made in the last state
-        **{one: np.concatenate([of, np.zeros_like(of[:1])]) for one, of in led.items()},
-        "observation": ropes,
-        "visits": codes.visits[:-1],
-        "signs": codes.signs[:-1],
-        "crossings": codes.crossings[:-1].astype(np.int16),
-    }
     sizes = {
         "beads": task.beads,
         "nq": Rope(task.rope).nq,
         "visits": codes.visits.shape[1],
         "labels": codes.signs.shape[1],
     }
-    own = EPISODES.sized(**sizes).empty(1) | {
-        "seed": np.array([items[name].attrs.get("seed", -1)], dtype=np.int64),
-        "start": np.array([-1]),
-        "goal": np.array([-1]),
-        "start_qpos": np.full((1, sizes["nq"]), np.nan),
-        "policy": np.array([policy]),
-        "goal_visits": codes.visits[-1:],
-        "length": np.array([pulls]),
-        "total": led["reward"].sum(keepdims=True),
-        "goal_points": goals[:1],
-    }
     kept = [one.name for one in STEPS.columns if one.name not in (*MACROS, "expert_action")]
-    return Episodes(
-        Table(EPISODES.sized(**sizes), own), Table(STEPS.sized(**sizes).only(*kept), steps)
-    )
+    schema = STEPS.sized(**sizes).only(*kept)
+    steps = schema.empty(pulls + 1) | {
+        "observation": ropes,
+        "visits": codes.visits[:-1],
+        "signs": codes.signs[:-1],
+        "crossings": codes.crossings[:-1].astype(np.int16),
+    }
+    led: dict[str, Any] = {
+        "bead": decode_actions(actions, points[:pulls], task.rope)[0],
+        "force": np.clip(actions[:, 3:], -1, 1),
+        "action": actions,
+        "reward": read("rewards"),
+        "terminated": terminated,
+        "truncated": truncated,
+        "share": 1,
+    }
+    for column, values in led.items():
+        steps[column][:-1] = values  # no pull is made in the last state
+    own = EPISODES.sized(**sizes).empty(1) | {"policy": np.array([policy])}
+    known = {
+        "seed": items[name].attrs.get("seed", -1),
+        "start": -1,
+        "goal": -1,
+        "start_qpos": np.nan,
+        "goal_visits": codes.visits[-1],
+        "length": pulls,
+        "total": steps["reward"].sum(),
+        "goal_points": goals[0],
+    }
+    for column, value in known.items():
+        own[column][:] = value
+    return Episodes(Table(EPISODES.sized(**sizes), own), Table(schema, steps))

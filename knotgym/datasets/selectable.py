@@ -5,7 +5,7 @@ an episode file or a Parquet file.
 """
 
 import json
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -31,9 +31,10 @@ from knotgym.datasets.image_table import (
     read_table,
     shards,
 )
-from knotgym.datasets.located import locate_own, refuse_minaris_folder, root_of
+from knotgym.datasets.located import locate_own, refuse_minaris_folder
+from knotgym.rope.model import Array
 from knotgym.states.near_duplicates import families
-from knotgym.states.state_file import read_states, write_states
+from knotgym.states.state_file import read_states, root_of, write_states
 
 Rows = NDArray[np.int64]
 Selections = list[dict[str, Any]]
@@ -44,7 +45,7 @@ Selections = list[dict[str, Any]]
 #   earlier     the selections by which the source itself was made
 #   columns     name -> one value per row
 #   count       number of rows
-#   keys()      for each row what it shares with rows that must stay in the same part
+#   shared()    int64 (count, 2): what rows that must stay in one part have in common, -1 if nothing
 #   write()     write rows to a new file
 
 
@@ -57,17 +58,12 @@ class StateRows:
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
         flat = {name: values for name, values in self.states.table.items() if values.ndim == 1}
-        return {"row": np.arange(self.count)} | {
-            name.replace("/", "."): flat[name] for name in flat
-        }
+        named = {name.replace("/", "."): values for name, values in flat.items()}
+        return {"row": np.arange(self.count), **named}
 
-    def keys(self) -> list[list[Hashable]]:
-        near, seed = families(self.states.points), self.states.source.get("seed")
-        seeds = np.arange(self.count)[:, None] if seed is None else seed
-        return [
-            [("near", int(near[row])), ("rope", tuple(seeds[row].tolist()))]
-            for row in range(len(near))
-        ]
+    def shared(self) -> Rows:
+        ropes = self.states.source.get("seed", np.arange(self.count)[:, None])
+        return _families_and_ropes(self.states.points, ropes)
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
         write_states(path, self.states.taken(rows).replaced({}, selection=made))
@@ -76,41 +72,32 @@ class StateRows:
 class _PictureRows:
     def __init__(self, path: Path) -> None:
         self.path, self.digested = path, shards(path)[0]
-        stored = arrow("pyarrow.parquet").read_schema(self.digested).names
-        flat = [
-            name
-            for name, kind in (COLUMNS | PHOTO_COLUMNS).items()
-            if kind != "image" and not isinstance(kind, list) and name in (*COLUMNS, *stored)
-        ]
-        self.table = read_table(path, columns=[*flat, "points"])
-        stored = (self.table.schema.metadata or {}).get(b"selection", b"[]")
+        stored = arrow("pyarrow.parquet").read_schema(self.digested)
+        known = COLUMNS | PHOTO_COLUMNS
+        wanted = [name for name in known if name in stored.names and known[name] != "image"]
+        self.table, self.count = (table := read_table(path, columns=wanted)), len(table)
         try:
-            self.earlier = _selections(json.loads(stored), path)
+            earlier = json.loads((table.schema.metadata or {}).get(b"selection", b"[]"))
         except ValueError as error:
             raise InvalidFile(f"{path}: its selection isn't JSON: {error}") from error
-        self.count = len(self.table)
+        self.earlier = _selections(earlier, path)
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        out: dict[str, NDArray[Any]] = {}
-        for name in self.table.column_names:
-            values = self.table[name].combine_chunks()
-            kind = (COLUMNS | PHOTO_COLUMNS)[name]
-            if isinstance(kind, dict):
-                plain = [inner for inner, of in kind.items() if isinstance(of, str)]
-                out |= {f"{name}.{one}": np.array(values.field(one).to_pylist()) for one in plain}
-            elif isinstance(kind, str):
-                out[name] = np.array(values.to_pylist())
-        return out
+        flat = self.table.flatten()  # a struct becomes columns such as source.rope
+        kinds = arrow("pyarrow.types")
+        return {
+            name: np.array(values.to_pylist())
+            for name, values in zip(flat.column_names, flat.columns, strict=True)
+            if not kinds.is_nested(values.type)
+        }
 
-    def keys(self) -> list[list[Hashable]]:
-        near = families(points_of(self.table)).tolist()
-        ropes = zip(self.columns["source.seed"], self.columns["source.rope"], strict=True)
-        return [[("near", one), ("rope", *rope)] for one, rope in zip(near, ropes, strict=True)]
+    def shared(self) -> Rows:
+        ropes = np.stack([self.columns["source.seed"], self.columns["source.rope"]], axis=1)
+        return _families_and_ropes(points_of(self.table), ropes)
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
-        kept = np.isin(np.arange(self.count), rows)
-        table = read_table(self.path).filter(arrow().array(kept))
+        table = read_table(self.path).take(rows)
         metadata = {**(table.schema.metadata or {}), b"selection": json.dumps(made)}
         path.write_bytes(parquet(table.replace_schema_metadata(metadata)))
 
@@ -125,11 +112,14 @@ class EpisodeRows:
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
         (own, steps), task = self.dataset.episodes, self.dataset.task
-        found = {name: values for name, values in own.items() if values.ndim == 1}
+        single, number = task.singles, single_of(self.dataset)
         found = {
             "episode": np.arange(self.count),
-            **found,
+            **{name: values for name, values in own.items() if values.ndim == 1},
             "goal_gauss_code": gauss_codes(own["goal_visits"]),
+            "task": np.array([one.task for one in single])[number],
+            "nx": np.array([one.nx for one in single])[number],
+            "split": np.full(own.rows, task.split),
         }
         if "visits" in steps:
             first, last = self.dataset.episodes.offsets[:-1], self.dataset.episodes.last()
@@ -139,28 +129,24 @@ class EpisodeRows:
                 "start_gauss_code": gauss_codes(steps["visits"][first]),
                 "final_gauss_code": gauss_codes(steps["visits"][last]),
             }
-        single, number = task.singles, single_of(self.dataset)
-        return found | {
-            "task": np.array([one.task for one in single])[number],
-            "nx": np.array([one.nx for one in single])[number],
-            "split": np.full(own.rows, task.split),
-        }
+        return found
 
-    def keys(self) -> list[list[Hashable]]:
+    def shared(self) -> Rows:
         own, number = self.dataset.episodes.episodes, single_of(self.dataset)
-        untying = np.array([one.start_nx > 0 for one in self.dataset.task.singles])[number]
-        tied = np.asarray(own["goal_visits"].any(axis=1))
+        tangled = np.array([one.start_nx > 0 for one in self.dataset.task.singles])[number]
         # states without crossings are shared by nearly all episodes
-        return [
-            [row for row, crosses in ((start, tangled), (goal, tying)) if crosses]
-            for start, tangled, goal, tying in zip(
-                own["start"], untying, own["goal"], tied, strict=True
-            )
-        ]
+        starts = np.where(tangled, own["start"], -1)
+        return np.stack([starts, np.where(own["goal_visits"].any(axis=1), own["goal"], -1)], axis=1)
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
         facts = {**self.dataset.facts, "selection": made}
         write_episodes(path, [self.dataset.episodes.select(rows)], self.dataset.task, facts)
+
+
+def _families_and_ropes(points: Array, ropes: Rows) -> Rows:
+    """Number near-duplicates and, with other numbers, the ropes that rows are frames of."""
+    rope = np.unique(ropes, axis=0, return_inverse=True)[1].ravel()
+    return np.stack([families(points), len(points) + rope], axis=1)
 
 
 Selectable = StateRows | _PictureRows | EpisodeRows

@@ -4,9 +4,8 @@ A goal is the state that its row names, bit for bit. A start is stirred by reset
 be near the state that its row names, or at least near none of another split.
 """
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +13,10 @@ from numpy.typing import NDArray
 from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import episode_digests
-from knotgym.envs.task_states import start_nx
+from knotgym.envs.task_states import task_sides
 from knotgym.rope.model import Array, Rope
-from knotgym.states.near_duplicates import NEAR, distances, pairs_within
-from knotgym.states.state_file import States, read_states, shipped
+from knotgym.states.near_duplicates import NEAR, distances, pairs_within, repeated
+from knotgym.states.state_file import States
 
 # metres, root mean square over the beads, after the best translation and rotation about z. Reset
 # noise at its default scale stays below 6 mm, and no two states of a curated set are that close.
@@ -55,18 +54,32 @@ def split_faults(dataset: EpisodeDataset) -> list[str]:
     return faults
 
 
-def leaks(points: Array, split: NDArray[np.str_]) -> Iterator[tuple[int, int, float]]:
-    """Yield pairs of rows of different splits that are near-duplicates, and their distance.
+def shared_faults(
+    points: Array, split: NDArray[np.str_], ropes: Sequence[Hashable], numbers: Sequence[int]
+) -> Iterator[str]:
+    """Yield what splits share: near-duplicates, and frames of one rope.
 
     Args:
         points: float64 (n, beads, 3), metres; rows that aren't finite or are huge are passed over.
         split: (n,).
+        ropes: of each row, the rope that it is a frame of.
+        numbers: of the rows.
     """
+
+    def both(row: int, other: int) -> str:
+        return f"rows {numbers[row]} ({split[row]}) and {numbers[other]} ({split[other]})"
+
     sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
     for one, other in combinations(sorted(set(split.tolist()), reverse=True), 2):
         rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
         for i, k, apart in pairs_within(points[others], points[rows]):
-            yield int(rows[k]), int(others[i]), apart
+            yield (
+                f"{both(rows[k], others[i])} are near-duplicates: {1000 * apart:.1f} mm apart at"
+                " the best symmetry"
+            )
+    for other, row in repeated(ropes):
+        if split[other] != split[row]:
+            yield f"{both(other, row)} come from one rope"
 
 
 def duplicate_faults(dataset: EpisodeDataset) -> list[str]:
@@ -74,22 +87,17 @@ def duplicate_faults(dataset: EpisodeDataset) -> list[str]:
 
     Without reset noise two seeds may give the same episode; then only a repeated seed is a fault.
     """
-    faults: list[str] = []
-    seeds, first = dataset.episodes.episodes["seed"].tolist(), dict[Any, int]()
-    for row, digest in enumerate(episode_digests(dataset.episodes)):
-        earlier = first.setdefault((digest, not dataset.task.reset_noise and seeds[row]), row)
-        if earlier != row:
-            faults.append(
-                f"{dataset.path}, episode {row}: the same as episode {earlier}, start, goal and"
-                " pulls"
-            )
-    return faults
+    digests, seeds = episode_digests(dataset.episodes), dataset.episodes.episodes["seed"].tolist()
+    free = bool(dataset.task.reset_noise)
+    keys = [(one, None if free else seed) for one, seed in zip(digests, seeds, strict=True)]
+    return [
+        f"{dataset.path}, episode {row}: the same as episode {earlier}, start, goal and pulls"
+        for earlier, row in repeated(keys)
+    ]
 
 
 def _start_fault(points: Array, named: int, states: States, dataset: EpisodeDataset) -> str:
     """Say which state of another split a start is, "" if it is none."""
-    if points.shape != states.points.shape[1:] or not np.isfinite(points).all():
-        return "its start isn't a configuration of the rope"
     if distances(points, states.points[named][None])[0] < _MATCH:
         return ""
     split = dataset.task.split
@@ -104,19 +112,11 @@ def _start_fault(points: Array, named: int, states: States, dataset: EpisodeData
 
 def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, NDArray[np.int64]]]:
     """Read the states, and the rows of them, that starts and goals are drawn from, as a reset."""
-    task = dataset.task
-    files = [shipped()]
-    if task.states is not None:
-        own = dataset.states_path()
-        if not own.is_file() and dataset.metadata is None:
-            return {}
-        files.insert(0, own)
-    read = [read_states(path, images=False) for path in files]
-    found: dict[str, tuple[States, NDArray[np.int64]]] = {}
-    for single in task.singles:
-        for name, nx in (("start", start_nx(single, read[0])), ("goal", single.goal_nx)):
-            states = next((one for one in read if len(one.rows(nx, task.split))), read[0])
-            rows = states.rows(nx, task.split)[: task.max_goals if name == "goal" else None]
-            _, others = found.get(name, (states, rows))
-            found[name] = states, np.union1d(others, rows)
-    return found
+    named = dataset.task.states
+    if named is not None and dataset.metadata is None and not dataset.states_path().is_file():
+        return {}
+    starts, goals = zip(*task_sides(dataset.found_task), strict=True)
+    return {
+        name: (same[0].states, np.unique(np.concatenate([one.rows for one in same])))
+        for name, same in (("start", starts), ("goal", goals))
+    }

@@ -17,13 +17,13 @@ from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
 from knotgym.datasets.episode_verification import Count, Replay, uncounted, verify_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest import listed_faults, read_manifest
-from knotgym.datasets.split_verification import leaks
+from knotgym.datasets.split_verification import shared_faults
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, require_engine, simulation
-from knotgym.rope.model import Array, Rope, rope_of
+from knotgym.rope.model import Array, Rope, RopeConfig, rope_of
 from knotgym.states.derivation import row_faults
 from knotgym.states.near_duplicates import repeated
 from knotgym.states.schema import DRAWING, IMPORT, PLAY, RANDOM_WALK, STATES
@@ -32,9 +32,7 @@ from knotgym.states.state_file import BY_VERTICES, States, read_states
 from knotgym.topology.gauss import GaussCode
 
 # in your own files quality and source may be missing, but then rows can't be verified
-_REQUIRED = {c.name for c in STATES.columns if not c.optional or "/" in c.name} - {
-    *("image", "source/actions")
-}
+_NEEDED = {c.name for c in STATES.columns if not c.optional or "/" in c.name} - {"image"}
 _BATCH = 64  # rows replayed in one simulation
 # the streams that the seeds of rows are keys of, by the policy that led to them
 _STREAMS = {
@@ -54,26 +52,24 @@ _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would 
 def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, digest."""
     made_for, beads = states.attributes.get("rope"), states.points.shape[1]
-    own = MIN_BEADS <= beads <= MAX_BEADS and rope_of(beads).fingerprint == made_for
-    rope = Rope(rope_of(beads) if own else None)
-    if made_for != rope.config.fingerprint:
-        yield f"rope model {made_for} is not this version's, {rope.config.fingerprint}"
+    if not MIN_BEADS <= beads <= MAX_BEADS or rope_of(beads).fingerprint != made_for:
+        yield f"rope model {made_for} is not this version's, {RopeConfig().fingerprint}"
         return
     try:
         require_engine(states.engine)
     except InvalidInput as error:
         yield f"states.h5: {error}"
         return
-    missing = sorted(_REQUIRED - {*states.table})
+    rope, needed = Rope(rope_of(beads)), {*_NEEDED}
     if states.attributes.get("form") == BY_VERTICES:  # they have no measures
-        missing = [name for name in missing if not name.startswith("quality/")]
-    drawn = set(states.source.get("policy", ())) <= {RANDOM_WALK}
-    if "source/actions" not in states.table and not drawn:
-        missing.append("source/actions")
-    if missing or states.qpos.shape[1] != rope.nq:
-        yield from (f"states.h5: {name} is missing" for name in missing)
-        if states.qpos.shape[1] != rope.nq:
-            yield f"states.h5: qpos has {states.qpos.shape[1]} numbers a row, should have {rope.nq}"
+        needed = {name for name in needed if not name.startswith("quality/")}
+    if set(states.source.get("policy", ())) <= {RANDOM_WALK}:  # drawn from the seed
+        needed.discard("source/actions")
+    lacking = [f"{name} is missing" for name in sorted(needed - {*states.table})]
+    if states.qpos.shape[1] != rope.nq:
+        lacking.append(f"qpos has {states.qpos.shape[1]} numbers a row, should have {rope.nq}")
+    if lacking:
+        yield from (f"states.h5: {one}" for one in lacking)
         return
     for first in range(0, len(states), _BATCH):
         rows = range(first, min(first + _BATCH, len(states)))
@@ -82,8 +78,10 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
             count("states", row, len(states))
             for fault in _row_faults(states, row, rope, ends.get(row)):
                 yield f"states.h5 row {row}: {fault}"
-    yield from _leaks(states)
-    for first, row in repeated(states.points):
+    ropes = list(map(tuple, states.source["seed"].tolist()))
+    for fault in shared_faults(states.points, states.split, ropes, range(len(states))):
+        yield f"states.h5 {fault}"
+    for first, row in repeated(one.tobytes() for one in states.points):
         yield f"states.h5 rows {first} and {row} are the same configuration"
     if states.digest and states.image is not None and states.digest != digest(states.table):
         yield "states.h5: its columns don't match content_sha256"
@@ -121,26 +119,20 @@ def _demonstration_faults(
     source = states.source
     if not {"dataset", "trajectory", "step"} <= source.keys():
         return
-    lengths = demonstrations.episodes.episodes["length"]
+    (own, steps), first = demonstrations.episodes, demonstrations.episodes.offsets
     for row in np.flatnonzero(source["dataset"] == name).tolist():
         k, step = int(source["trajectory"][row]), int(source["step"][row])
-        where = f"states.h5 row {row}: episode {k} of {name}"
-        if not 0 <= k < len(lengths) or not 0 <= step <= lengths[k]:
-            yield f"{where} has no state {step}"
-        elif fault := _unlike(states, row, demonstrations, k, step):
-            yield f"{where} {fault}"
+        if not 0 <= k < own.rows or not 0 <= step <= own["length"][k]:
+            fault = f"has no state {step}"
+        elif gauss_codes(steps["visits"][[first[k] + step]])[0] != states.gauss_code[row]:
+            fault = f"doesn't lead to its code: its state {step} shows another"
+        elif not np.array_equal(own["goal_points"][k], states.points[row].astype(np.float32)):
+            fault = "has another goal"
         elif demonstrations.task.split != states.split[row]:
-            yield f"{where} is of the {demonstrations.task.split} split, the row of the other"
-
-
-def _unlike(states: States, row: int, dataset: EpisodeDataset, k: int, step: int) -> str:
-    """How episode `k` fails to lead to a row, "" if it does."""
-    own, steps = dataset.episodes
-    at = int(dataset.episodes.offsets[k]) + step
-    points = states.points[row].astype(np.float32)
-    if gauss_codes(steps["visits"][at : at + 1])[0] != states.gauss_code[row]:
-        return f"doesn't lead to its code: its state {step} shows another"
-    return "" if np.array_equal(own["goal_points"][k], points) else "has another goal"
+            fault = f"is of the {demonstrations.task.split} split, the row of the other"
+        else:
+            continue
+        yield f"states.h5 row {row}: episode {k} of {name} {fault}"
 
 
 def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:
@@ -228,18 +220,3 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
             whole[ids] = ropes.act([actions[left[k]][step] for k in ids], ids)
     qpos = ropes.qpos()
     return {row: qpos[k] for k, row in enumerate(left) if whole[k]}
-
-
-def _leaks(states: States) -> Iterator[str]:
-    """Yield near-duplicates and frames of one rope that are in both train and test."""
-    for row, other, apart in leaks(states.points, states.split):
-        yield (
-            f"states.h5 rows {row} ({states.split[row]}) and {other} ({states.split[other]}) are"
-            f" near-duplicates: {1000 * apart:.1f} mm apart at the best symmetry"
-        )
-    train, test = (np.flatnonzero(states.split == split) for split in STATE_SPLITS)
-    seeds = {tuple(states.source["seed"][row]): row for row in train.tolist()}
-    for row in test.tolist():
-        rope = tuple(states.source["seed"][row])
-        if rope in seeds:
-            yield f"states.h5 rows {seeds[rope]} (train) and {row} (test) come from one rope"

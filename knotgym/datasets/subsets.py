@@ -6,7 +6,7 @@ The result is a file of rows: a state file, an episode file or a Parquet file. I
 """
 
 import re
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +107,7 @@ def split(
     """
     shares, whole = _shares(parts), Path(out)
     given = opened(source)
-    together = _groups(given.keys())
+    together = _groups(given.shared())
     dealt = _dealt(together, [*shares.values()], generator(Stream.SELECTION, seed, 1))
     if len(set(dealt.tolist())) < len(shares):
         raise InvalidInput(
@@ -141,21 +141,16 @@ def _shares(parts: str) -> dict[str, float]:
     return shares
 
 
-def _groups(keys: Sequence[Sequence[Hashable]]) -> Rows:
-    """Number the groups of rows that share keys, directly or by way of others, from 0."""
-    root = [*range(len(keys))]
-
-    def find(row: int) -> int:
-        while root[row] != row:
-            root[row] = root[root[row]]  # halves the path, which keeps the trees flat
-            row = root[row]
-        return row
-
-    seen: dict[Hashable, int] = {}
-    for row, own in enumerate(keys):
-        for key in own:
-            root[find(row)] = find(seen.setdefault(key, row))
-    return np.unique([find(row) for row in range(len(keys))], return_inverse=True)[1]
+def _groups(shared: Rows) -> Rows:
+    """Number the groups of rows that share a number, directly or by way of others, from 0."""
+    row, column = np.nonzero(shared >= 0)
+    key = np.unique(shared[row, column], return_inverse=True)[1]
+    group, before = np.arange(len(shared)), np.full(len(shared), -1)
+    while (group != before).any():  # each row takes the lowest number among those it shares with
+        before, lowest = group.copy(), np.full(len(row), len(shared))
+        np.minimum.at(lowest, key, group[row])
+        np.minimum.at(group, row, lowest[key])
+    return np.unique(group, return_inverse=True)[1]
 
 
 def _dealt(groups: Rows, shares: Sequence[float], rng: np.random.Generator) -> Rows:

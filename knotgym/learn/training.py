@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from knotgym.common.atomic_files import atomic_write, require_regular
 from knotgym.common.errors import InvalidFile, one_line
-from knotgym.runs.progress import Progress, Status
+from knotgym.runs.progress import Progress
 
 _SEAL = "seal"  # name of the array that holds the digest of the others
 # set by hand; no record says what others would score
@@ -130,17 +130,12 @@ def fit(training: Training, path: Path, save_every: int, what: str, progress: Pr
     if path.exists():
         training.restore(path)
 
-    def status() -> Status:
-        facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
-        return Status(training.step, training.steps, f"steps of the {what}", facts)
-
-    progress.stage(f"training the {what}")
     while training.step < training.steps:
-        progress.show(status)
+        facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
+        progress.stage(f"training the {what}", training.step, training.steps, facts)
         training.advance()
         if training.step % save_every == 0 or training.step == training.steps:
             training.save(path)
-    progress.show(status, last=True)
 
 
 def _digest(kept: dict[str, Tensor]) -> bytes:

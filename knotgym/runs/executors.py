@@ -118,8 +118,6 @@ def _context() -> multiprocessing.context.BaseContext:
     Workers leave SIGINT to their parent. It is blocked while the server starts, and the server and
     its workers inherit that, so that no worker is interrupted before it can ignore the signal.
     """
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
     with _uninterrupted(), _safe_path():
         # Start the tracker first: if the server started it, that would unblock the signals here.
         sys.warnoptions.append(_IGNORED_WARNING)  # child processes inherit warning options

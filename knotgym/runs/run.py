@@ -40,7 +40,7 @@ from knotgym.common.errors import Failed, InvalidInput, Occupied
 from knotgym.runs.executors import InProcess, executor
 from knotgym.runs.identity import identity_of
 from knotgym.runs.journal import Journal, Result, has_results
-from knotgym.runs.progress import Progress, Status
+from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import WHOLE, Existing, RunOptions, Shard
 
 Output = TypeVar("Output")
@@ -122,7 +122,7 @@ def run(
     progress: Progress | None = None,
     *,
     is_folder: bool = True,
-    prepare: Callable[[Progress], None] | None = None,
+    prepare: Callable[[Progress, Executor], None] | None = None,
     pool: Callable[[], AbstractContextManager[Executor]] | None = None,
     count: Callable[[Result], Mapping[str, int]] | None = None,
     sources: Callable[[], Any] | None = None,
@@ -135,7 +135,7 @@ def run(
             text, that is the summary to show. Nothing else may be done there; files that later
             calls need may be written beside it.
         identity: everything that determines the output, see `identity.identity`.
-        prepare: called before the work, for example to compile kernels.
+        prepare: called with the executor before the work, for example to compile kernels.
         pool: opens the executor; by default that of the options.
         count: result -> numbers to add up and show, such as {"reached the goal": 3}.
         sources: returns the digests of the files that are read; the output is only published if
@@ -161,10 +161,10 @@ def run(
         with staged(out, identity, options, shard) as (folder, journal):
             if options.resume and journal.is_empty and not (folder / CHECKPOINT).exists():
                 shown.say(f"{out}: there is nothing to resume, starting from the beginning")
-            if prepare is not None:
-                prepare(shown)
             place, show = folder / "made" / out.name, _shown_on(shown, count)
             with (pool or partial(executor, options.workers, options.scheduler))() as workers:
+                if prepare is not None:
+                    prepare(shown, workers)
                 try:
                     summary = compute(recipe(place), journal, workers, shard, show)
                 except _Missing as missing:
@@ -298,23 +298,18 @@ def _complete(
     on_progress: OnProgress | None,
 ) -> None:
     """Compute the calls whose results aren't in the journal; keep each as soon as it is there."""
-    done = 0
-
-    def told(call: Call, result: Result | None) -> None:
-        if on_progress is not None:
-            on_progress(_stage(call), done, len(calls), result)
-
-    left = []
+    tell = on_progress or (lambda *_: None)
+    left, done = [], 0
     for call in calls:
         if call.key in memo:
             done += 1
-            told(call, memo[call.key])
+            tell(_stage(call), done, len(calls), memo[call.key])
         else:
             left.append(call)
     waiting, running = iter(left), dict[Future[Result], Call]()
     ahead = _AHEAD * int(getattr(pool, "workers", 4)) if not isinstance(pool, InProcess) else 1
     if left:
-        told(left[0], None)
+        tell(_stage(left[0]), done, len(calls), None)
     while True:
         for call in islice(waiting, ahead - len(running)):
             running[pool.submit(call.function, *call.arguments)] = call
@@ -324,7 +319,7 @@ def _complete(
             call, result = running.pop(future), future.result()
             memo[call.key] = result
             done += 1
-            told(call, result)
+            tell(_stage(call), done, len(calls), result)
 
 
 def _stage(call: Call) -> str:
@@ -344,9 +339,7 @@ def _shown_on(
     def show(stage: str, done: int, total: int, result: Result | None) -> None:
         if count is not None and result is not None:
             totals.update(count(result))
-        facts = {name: str(value) for name, value in totals.items()}
-        progress.stage(stage)
-        progress.show(lambda: Status(done, total, "pieces", facts), last=done == total)
+        progress.stage(stage, done, total, totals)
 
     return show
 

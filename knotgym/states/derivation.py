@@ -3,12 +3,12 @@
 Whoever makes a row computes them here, and `verify` computes them again from the stored points.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from knotgym.quality.measures import measure, noise_survival
 from knotgym.rendering.camera import picture_of
@@ -45,28 +45,41 @@ def derived_row(points: ArrayLike) -> dict[str, Any]:
     }
 
 
-def row_faults(stored: Mapping[str, Any], rope: Rope) -> Iterator[str]:
+def row_faults(
+    stored: Mapping[str, Any],
+    rope: Rope,
+    derive: Callable[[NDArray[np.float64]], Mapping[str, Any]] = derived_row,
+) -> Iterator[str]:
     """Yield how a row differs from what follows from its points, and from the second labeller.
 
     Args:
         stored: values by column name, `points` among them; columns that are missing aren't checked.
         rope: the rope; what is wider than it is long can't be measured.
+        derive: points -> the columns that follow from them.
     """
     points = stored["points"]
     across = float(np.ptp(points, axis=0).max())
     if not across <= rope.config.length:
         yield f"points are {across:.3g} m apart, the rope is {rope.config.length:g} m long"
         return
-    for name, right in derived_row(points).items():
-        found = stored.get(name, right)
-        if name == "image":
-            if not np.array_equal(found, right):
-                yield "image is not the picture of points"
-        elif isinstance(right, float):
-            if not abs(found - right) <= _ROUNDING * (1 + abs(right)):
-                yield f"{name} is {found}, recomputed {right}"
-        elif found != right:
-            yield f"{name} is {found}, recomputed {right}"
+    for name, right in derive(points).items():
+        yield from _unlike(name, stored.get(name, right), right)
     code, second = find_crossings(points).code, pyknotid_code(points)
     if second != code:
         yield f"pyknotid reads {second.chiral}, our labeller reads {code.chiral}"
+
+
+def _unlike(name: str, found: Any, right: Any) -> Iterator[str]:
+    """Yield how a value differs from the right one; numbers may differ by rounding."""
+    if isinstance(right, dict):
+        for inner, one in right.items():
+            yield from _unlike(f"{name}.{inner}", found[inner], one)
+    elif isinstance(right, (bytes, np.ndarray)):
+        same = found == right if isinstance(right, bytes) else np.array_equal(found, right)
+        if not same:
+            yield f"{name} is not the picture of points"
+    elif isinstance(right, float):
+        if found != right and not abs(found - right) <= _ROUNDING * (1 + abs(right)):
+            yield f"{name} is {found}, recomputed {right}"
+    elif found != right:
+        yield f"{name} is {found}, recomputed {right}"

@@ -23,6 +23,7 @@ least over all symmetries one by one, and no pair within NEAR may be missed.
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,14 +174,14 @@ def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
     return distance, row
 
 
-def repeated(points: Array) -> list[tuple[int, int]]:
-    """List the rows that equal an earlier one bit for bit, as pairs (first such row, row).
+def repeated(rows: Iterable[Hashable]) -> list[tuple[int, int]]:
+    """List the rows that equal an earlier one, as pairs (first such row, row).
 
-    >>> repeated(np.array([[1.0], [2.0], [1.0]]))
+    >>> repeated(["a", "b", "a"])
     [(0, 2)]
     """
-    first: dict[bytes, int] = {}
-    pairs = [(first.setdefault(one.tobytes(), row), row) for row, one in enumerate(points)]
+    first: dict[Hashable, int] = {}
+    pairs = [(first.setdefault(one, row), row) for row, one in enumerate(rows)]
     return [(earlier, row) for earlier, row in pairs if earlier != row]
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import knotgym
 from knotgym.common.atomic_files import require_no_links
-from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile
 from knotgym.common.tables import Table, digest, format_of, joined, read, write
 from knotgym.rope.engines import MUJOCO
 from knotgym.states.near_duplicates import repeated
@@ -259,6 +259,24 @@ def states_file(named: str | None) -> Path:
     return carried if is_id and not Path(named).is_file() else states_at(Path(named))
 
 
+def root_of(named: str | os.PathLike[str]) -> Path:
+    """Return the file or folder that a path, the name of an included set or a Minari id names.
+
+    Raises:
+        MissingFile: there is no such file, folder or id.
+    """
+    if Path(named).exists():
+        return Path(named)
+    if named in SHIPPED:
+        return shipped(str(named))
+    if not leads_out(named) and (minari_root() / named).is_dir():
+        return minari_root() / named
+    raise MissingFile(
+        f"no such file: {named}, nor a Minari dataset of this id under {minari_root()},"
+        f" nor an included set ({', '.join(SHIPPED)})"
+    )
+
+
 def states_at(path: Path) -> Path:
     """Return a path itself, or `states.h5` in it if it is a folder.
 
@@ -382,7 +400,7 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     longest = max(part.table[_ACTIONS].shape[1] if _ACTIONS in part.table else 0 for part in parts)
     order = np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
     merged = joined([_padded(part.table, longest) for part in parts]).take(order)
-    twice = repeated(merged["points"]) if distinct else []
+    twice = repeated(one.tobytes() for one in merged["points"]) if distinct else []
     if twice:
         raise InvalidFile(
             f"{len(twice)} states occur twice, first in rows {twice[0][0]} and {twice[0][1]} of the"

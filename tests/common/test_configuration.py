@@ -3,7 +3,7 @@
 import json
 import pickle
 from dataclasses import fields, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ import pytest
 from knotgym.common.configuration import (
     Count,
     Crossings,
-    Interval,
+    Ordered,
     Seed,
     as_json,
     configuration,
@@ -37,7 +37,7 @@ CONFIGURATIONS = (
 @configuration
 class Inner:
     size: Count = 3
-    range: Interval = (0.0, 1.0)
+    range: Annotated[tuple[float, float], Ordered] = (0.0, 1.0)
 
 
 @configuration

@@ -83,7 +83,7 @@ def test_a_dataset_is_found_by_file_folder_data_folder_and_id(
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "root"))
     for source in (made, data, data.parent, "knotgym/tie-nx2/expert-v0"):
         assert episode_file(source) == made
-    with pytest.raises(MissingFile, match="no episodes at"):
+    with pytest.raises(MissingFile, match="no such file"):
         episode_file("knotgym/tie-nx2/other-v0")
 
 

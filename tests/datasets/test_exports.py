@@ -45,6 +45,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def huggingface(states_path: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """States and episodes exported for Hugging Face."""
     out = tmp_path_factory.mktemp("upload") / "hub"
+    out.mkdir()
     to_huggingface(Located(Path("tiny"), Path(states_path), tuple(TINY.values())), out)
     return out
 
@@ -210,7 +211,7 @@ def test_what_has_no_place_in_a_form_is_refused(tmp_path: Path, states_path: str
     for source, form, says in (
         (one, "ogbench", "at least 2 episodes"),
         (one, "minari", "not a Minari dataset"),
-        (states_path, "compact", "no trajectories"),
+        (states_path, "compact", "contains no episodes"),
         (one, "coco", "contains no pictures"),
         (one, "poem", "formats are compact"),
     ):

@@ -68,11 +68,11 @@ def test_a_sound_shard_has_no_fault(shard: Path) -> None:
     ("place", "told"),
     [
         (("points", 0, 1e30), "m apart, the rope is 1.33 m long"),
-        (("points", 0, float("nan")), "coordinates are not finite"),
+        (("points", 0, float("nan")), "points are nan m apart"),
         (("quality", "margin", 3.0), "quality.margin is 3.0, recomputed"),
         (("quality", "margin", None), "column quality has missing values"),
         (("appearance", "size", 2**31 - 1), "appearance.size is 2147483647, should be 64 to 512"),
-        (("appearance", "blur", 1e30), "appearance.blur is 1e+30, should be 0 to 1000"),
+        (("appearance", "blur", 1e30), "appearance.blur is 1e+30, should be -1000 to 1000"),
         (("appearance", "colours", "x"), "should be published or single or gradient"),
         (("gauss_code", None), "column gauss_code has missing values"),
         (("gauss_code", ""), "gauss_code is"),

@@ -103,9 +103,7 @@ def test_a_dataset_that_is_there_is_kept(tmp_path: Path) -> None:
         publish([episodes([1])], TASK, METADATA, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"dataset_id": "no version"}, {"ref_min_score": 1.0, "ref_max_score": None}]
-)
+@pytest.mark.parametrize("wrong", [{"dataset_id": "no version"}, {"dataset_id": "../x-v0"}])
 def test_metadata_that_minari_cannot_hold_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput):
         replace(METADATA, **wrong)

@@ -106,8 +106,8 @@ def test_a_missing_origin_is_named(pair: States) -> None:
     names = [name for name in pair.table if name not in ("source/actions", "source/seed")]
     few = States(pair.table.only(*names), pair.attributes)
     assert list(state_faults(few)) == [
-        "states.h5: source/seed is missing",
         "states.h5: source/actions is missing",
+        "states.h5: source/seed is missing",
     ]
 
 

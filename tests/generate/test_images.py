@@ -110,7 +110,7 @@ def test_a_leak_between_splits_is_found(
     assert (
         "SHA-256 differs" in found
         and "near-duplicates" in found
-        and "is in splits" in found
+        and "come from one rope" in found
         and "the same number" in found
     )
 

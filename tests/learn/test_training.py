@@ -89,7 +89,7 @@ def test_nothing_to_learn_from_is_one_line(played: Episodes, tmp_path: Path) -> 
         train([published(tmp_path, played.select([]))], tmp_path / "new", READER)
     with pytest.raises(InvalidInput, match="no episode reached its goal"):
         train([published(tmp_path, played.select([2]), name="b")], tmp_path / "new", CLONE)
-    with pytest.raises(MissingFile, match="no episodes at"):
+    with pytest.raises(MissingFile, match="no such file"):
         train([tmp_path / "no"], tmp_path / "new", READER)
 
 

@@ -1,9 +1,14 @@
 """Tables of facts: in Markdown on cards, and on the terminal (`cli.summaries`)."""
 
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from knotgym.datasets.cards.citation import plain
+from knotgym.quality.limits import UNITS
 
 
 class CardTable(NamedTuple):
@@ -29,6 +34,43 @@ class CardTable(NamedTuple):
             return ""
         says = f"{self.says[0].upper()}{self.says[1:]}.\n\n" if self.says else ""
         return says + "\n".join(table(self.head, [map(plain, row) for row in self.rows]))
+
+
+def counted(
+    title: str, columns: Mapping[str, NDArray[Any]], values: Mapping[str, tuple[str, object]]
+) -> CardTable:
+    """Count the rows of each number of crossings, their codes, and values of other columns.
+
+    Args:
+        title: of the table.
+        columns: nx, gauss_code, gauss_code_chiral and those of `values`, (n,) each.
+        values: name of a column of the table -> column and value that are counted.
+    """
+    rows: list[tuple[object, ...]] = []
+    names = {"gauss_code", "gauss_code_chiral", *(column for column, _ in values.values())}
+    for nx in np.unique(columns["nx"]).tolist():
+        own = {name: columns[name][columns["nx"] == nx] for name in names}
+        codes, chiral = Counter(own["gauss_code"].tolist()), {*own["gauss_code_chiral"].tolist()}
+        each = f"{min(codes.values())} / {max(codes.values())}"
+        found = [int((own[column] == value).sum()) for column, value in values.values()]
+        rows.append((nx, codes.total(), len(codes), len(chiral), each, *found))
+    return CardTable(
+        title,
+        ("nx", "rows", "codes", "chiral", "each", *values),
+        rows,
+        "chiral: codes with chirality; each: fewest / most rows of a code",
+    )
+
+
+def measured(quality: Mapping[str, NDArray[Any]]) -> CardTable:
+    """Return the least, median and largest value of each measure, name -> (n,)."""
+    rows = [
+        (name, UNITS[name], *(f"{value:.3g}" for value in np.quantile(own, [0, 0.5, 1])))
+        for name, own in quality.items()
+        if len(own)
+    ]
+    head = ("measure", "unit", "min", "median", "max")
+    return CardTable("quality", head, rows, left=head[:2])
 
 
 def table(head: Sequence[object], rows: Iterable[Iterable[object]]) -> list[str]:

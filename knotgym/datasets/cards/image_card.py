@@ -1,79 +1,59 @@
 """The card (README.md) of a perception table, and the tables of facts shown in it."""
 
 import json
-from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 import knotgym
-from knotgym.datasets.cards.citation import filled, plain
-from knotgym.datasets.cards.fact_tables import CardTable
+from knotgym.datasets.cards.citation import filled, plain, write_text
+from knotgym.datasets.cards.croissant import write_croissant
+from knotgym.datasets.cards.fact_tables import CardTable, counted, measured
 from knotgym.datasets.image_table import GRADES, file_stem, read_table, shards
+from knotgym.datasets.manifest import write_manifest
 from knotgym.states.splits import IMAGE_SPLITS
 
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")
+_SPLITS = {name: ("split", name) for name in IMAGE_SPLITS}
+_GRADES = {name: ("grade", name) for name in GRADES} | {"accepted": ("accepted", True)}
 
 
 def tables(path: Path) -> dict[str, CardTable]:
     """Return the tables of facts about a perception table by name."""
     rows = read_table(path, columns=[*_COUNTED, "quality"])
+    quality = rows["quality"].combine_chunks()
+    measures = {field.name: quality.field(field.name).to_numpy() for field in quality.type}
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}
-    parts = {f"nx {nx}": columns["nx"] == nx for nx in sorted(set(columns["nx"].tolist()))}
-    parts |= {name: found for name in IMAGE_SPLITS if (found := columns["split"] == name).any()}
-    chosen = {
-        part: {name: column[of] for name, column in columns.items()} for part, of in parts.items()
-    }
-    quality = rows["quality"].combine_chunks().flatten()
-    names = [field.name for field in rows.schema.field("quality").type]
-    listed = (
-        CardTable(
-            "counts",
-            ("", "pictures", "codes", "chiral", "of a code", "accepted"),
-            [(part, *_counts(own)) for part, own in chosen.items()],
-            "chiral: codes with chirality; of a code: fewest / most pictures; accepted: within the"
-            " quality limits of generated states",
-            left=("",),
-        ),
-        CardTable(
-            "splits and grades",
-            ("", *IMAGE_SPLITS, *GRADES),
-            [
-                (
-                    part,
-                    *(int((own["split"] == name).sum()) for name in IMAGE_SPLITS),
-                    *(int((own["grade"] == name).sum()) for name in GRADES),
-                )
-                for part, own in chosen.items()
-            ],
-            left=("",),
-        ),
-        CardTable(
-            "quality",
-            ("measure", "5 %", "median", "95 %"),
-            [
-                (name, *(f"{value:.3g}" for value in np.quantile(one, (0.05, 0.5, 0.95))))
-                for name, one in zip(names, quality, strict=True)
-                if len(one)
-            ],
-            left=("measure",),
-        ),
-    )
-    return {one.title: one for one in listed}
+    counts = [counted("splits", columns, _SPLITS), counted("grades", columns, _GRADES)]
+    return {one.title: one for one in (*counts, measured(measures))}
 
 
-def card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
-    """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
+def finish(folder: Path, report: Mapping[str, Any], request: Mapping[str, Any]) -> None:
+    """Write card, Croissant and manifest into a folder that has its Parquet files.
 
     Args:
         folder: holds the Parquet files.
         report: numbers of ropes and frames, and of frames not used, by reason.
-        config: the configuration of the run.
+        request: what was asked for: configuration, sources, versions.
     """
+    config = request["config"]
+    write_text(folder / "README.md", _card(folder, report, config))
+    photos = config["appearance"]["style"] == "photo"
+    nx = ", ".join(map(str, config["nx"]))
+    write_croissant(
+        folder,
+        f"knotgym-{'photos' if photos else 'pictures'}",
+        f"Pictures of a closed rope with {nx} crossings and their Gauss codes; made by knotgym.",
+        photos=photos,
+    )
+    write_manifest(folder, "knotgym-images-manifest", request, report)
+
+
+def _card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
+    """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
     rows, files = read_table(folder, columns=["nx", "split"]), shards(folder)
     splits = [name for name in IMAGE_SPLITS if name in set(rows["split"].to_pylist())]
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in splits]
@@ -91,18 +71,9 @@ def card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> 
         policies=" and ".join(config["policies"]),
         code_share=f"{config['code_share']:g}",
         test_nx=", ".join(map(str, config["test_nx"] or ())) or "none",
-        **{name.replace(" ", "_"): one.markdown() for name, one in tables(folder).items()},
+        **{name: one.markdown() for name, one in tables(folder).items()},
         ropes=report["ropes"],
         frames=report["frames"],
         not_used=plain(json.dumps({**report["dropped"], **report["refused"]})),
         config=json.dumps(config, indent=1, sort_keys=True),
-    )
-
-
-def _counts(own: Mapping[str, NDArray[Any]]) -> tuple[object, ...]:
-    codes = Counter(own["gauss_code"].tolist())
-    return (
-        *(len(own["nx"]), len(codes), len(set(own["gauss_code_chiral"].tolist()))),
-        f"{min(codes.values())} / {max(codes.values())}",
-        int(own["accepted"].sum()),
     )

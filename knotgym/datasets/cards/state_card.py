@@ -2,14 +2,13 @@
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from knotgym.datasets.cards.citation import code_span, filled, plain
-from knotgym.datasets.cards.fact_tables import CardTable, table
-from knotgym.quality.limits import UNITS
-from knotgym.states.schema import DRAWING, PLAY, RANDOM_WALK
+from knotgym.datasets.cards.citation import code_span, filled, plain, write_text
+from knotgym.datasets.cards.fact_tables import CardTable, counted, measured
+from knotgym.datasets.gallery import state_tiles, write_gallery
+from knotgym.datasets.manifest import write_manifest
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.spread import spread_of
@@ -29,14 +28,15 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
         for nx, reasons in report.get("rejected", {}).items()
         for reason, count in sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
     ]
+    found = counted("states", states.table, {name: ("split", name) for name in STATE_SPLITS})
     listed = (
-        CardTable(
-            "states",
-            ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"),
-            [_counts(states, nx, existing.get(str(nx), "?") or "many") for nx in numbers],
-            "of: existing Gauss codes; chiral: codes with chirality; both: codes in both splits;"
-            " c / a: positive and negative crossings; actions: fewest / median / most to reach a"
-            " state",
+        found._replace(
+            head=(*found.head, "of", "c / a"),
+            rows=[
+                (*row, *_more(states, nx, existing))
+                for nx, row in zip(numbers, found.rows, strict=True)
+            ],
+            says=f"{found.says}; of: existing codes; c / a: positive and negative crossings",
         ),
         CardTable(
             "train and test",
@@ -59,16 +59,7 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
             " crossings of two states, 25 for random positions; bare: beads, longest stretch where"
             " no state has a crossing",
         ),
-        CardTable(
-            "quality",
-            ("measure", "unit", "min", "median", "max"),
-            [
-                (name, UNITS[name], *(f"{value:.3g}" for value in np.quantile(own, [0, 0.5, 1])))
-                for name, own in states.quality.items()
-                if len(own)
-            ],
-            left=("measure", "unit"),
-        ),
+        measured(states.quality),
         CardTable(
             "rejected",
             ("nx", "reason", "rejected"),
@@ -80,16 +71,23 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
     return {one.title: one for one in listed}
 
 
-def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
-    """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
+def finish(
+    folder: Path, states: States, report: Mapping[str, Any], request: Mapping[str, Any]
+) -> None:
+    """Write gallery, card and manifest into a folder that has the states and demonstrations.
 
-    `report` is that of the manifest: source, existing codes, rejections, demonstrations.
+    Args:
+        report: the run's counts: source, existing codes, rejections, demonstrations.
+        request: what was asked for: configuration, sources, versions.
     """
+    write_gallery(folder / "gallery.png", state_tiles(states))
+    write_text(folder / "README.md", _card(states, report, request["config"]))
+    write_manifest(folder, "knotgym-manifest", request, report)
+
+
+def _card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
+    """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
     found = {name: one.markdown() for name, one in tables(states, report).items()}
-    columns = [
-        (code_span(one.name), one.dtype, plain(one.unit), one.doc)
-        for one in states.table.schema.columns
-    ]
     return filled(
         "state_card.md",
         crossings=", ".join(map(str, sorted(set(states.nx.tolist())))),
@@ -99,90 +97,27 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         mujoco=report["mujoco"],
         engine=states.engine,
         seed=config["seed"],
-        holds=_holds(report),
-        made=_made(report),
+        source=plain(report["source"]),
+        attempts=report["attempts"],
+        passed=sum(map(len, report.get("passed_over", {}).values())),
+        demonstrations=report.get("demonstrations", 0),
+        lacking=_lacking(report),
         **{name.replace(" ", "_"): text for name, text in found.items()},
-        columns=table(("column", "type", "unit", "contents"), columns),
+        columns=states.table.schema.page(),
         config=json.dumps(config, indent=1, sort_keys=True),
     )
 
 
-def _made(report: Mapping[str, Any]) -> str:
-    """Say how many candidates were made, and which codes have no state or no demonstration."""
-    if report.get("source") in (PLAY, RANDOM_WALK):
-        says = f"Frames of {report['attempts']} ropes were examined."
-    else:
-        passed = sum(len(codes) for codes in report["passed_over"].values())
-        played = PLAY in report.get("source", "")
-        says = (
-            f"{report['attempts']} drawings {'and ropes ' * played}were made; {passed} codes were"
-            " passed over (`passed_over` in `manifest.json`)."
-        )
-    lacking = report.get("undemonstrated", [])
-    if lacking:
-        named = ", ".join(code_span(code or "loop") for code in lacking)
-        says += f"\n\nThe expert reached no goal of these codes: {named}."
-    return says
+def _lacking(report: Mapping[str, Any]) -> str:
+    """Say which codes have no demonstration."""
+    found = ", ".join(code_span(code or "loop") for code in report.get("undemonstrated", []))
+    return found and f"The expert reached no goal of these codes: {found}."
 
 
-_SOURCES = {
-    DRAWING: (
-        "They are drawn from their codes: a row's drawing is made again from its seed, laid in the"
-        " simulator, stirred and left to rest by the row's actions."
-    ),
-    PLAY: (
-        "They are frames of ropes that random and scripted policies pulled, those that are"
-        " readable, not over-twisted and new. A row's actions lead from its start to its state. All"
-        " frames of a rope are in one split."
-    ),
-    RANDOM_WALK: (
-        "They are states as uniform random actions reach them, not selected to be easier to read;"
-        " only over-twisted ones were left out. The actions of a row are drawn from its random"
-        " stream. All frames of a rope are in one split."
-    ),
-}
-
-
-def _made_by(report: Mapping[str, Any]) -> str:
-    """Say how the states were made, source by source."""
-    found = {one: text for one, text in _SOURCES.items() if one in report["source"].split(" and ")}
-    if len(found) < 2:
-        return "".join(found.values())
-    return " ".join(
-        f"Those with `source/policy` {one}: {text[0].lower()}{text[1:]}"
-        for one, text in found.items()
-    )
-
-
-def _holds(report: Mapping[str, Any]) -> str:
-    """Say where the states come from, and what else is in the folder."""
-    states = f"`states.h5` holds one row a state, at rest. {_made_by(report)}"
-    if not report.get("demonstrations"):
-        return states
-    return (
-        f"{states} `minari/` holds demonstrations: {report['demonstrations']} episodes of the"
-        " expert, each of which ends in the Gauss code of a state, its goal (train and test are"
-        " datasets of their own). `knotgym.loaders.arrays(FOLDER)` loads those of the train split,"
-        " and Minari finds all with `MINARI_DATASETS_PATH=FOLDER/minari`."
-    )
-
-
-def _counts(states: States, nx: int, existing: object) -> tuple[object, ...]:
-    rows = np.flatnonzero(states.nx == nx)
-    split, codes = states.split[rows], states.gauss_code[rows]
-    chiral = states.gauss_code_chiral[rows].tolist()
-    train, test = (codes[split == name].tolist() for name in STATE_SPLITS)
-    signs = [sign for code in chiral for sign in GaussCode.parse(code).signs]
-    actions: list[int] = []
-    if "steps" in states.source:
-        steps = states.source["steps"][rows]
-        actions = [int(steps.min()), int(np.median(steps)), int(steps.max())]
-    return (
-        *(nx, len(rows), len({*codes.tolist()}), existing, len({*chiral})),
-        *(len(train), len(test), len({*train} & {*test})),
-        f"{signs.count(1)} / {signs.count(-1)}",
-        " / ".join(map(str, actions)),
-    )
+def _more(states: States, nx: int, existing: Mapping[str, Any]) -> tuple[object, ...]:
+    codes = states.gauss_code_chiral[states.nx == nx].tolist()
+    signs = [sign for code in codes for sign in GaussCode.parse(code).signs]
+    return existing.get(str(nx), "?") or "many", f"{signs.count(1)} / {signs.count(-1)}"
 
 
 def _overlap(states: States, nx: int) -> tuple[object, ...]:

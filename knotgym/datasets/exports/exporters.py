@@ -2,18 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from knotgym.common.atomic_files import (
-    atomic_write,
-    require_apart,
-    require_output,
-    require_writable,
-)
+from knotgym.common.atomic_files import atomic_write, require_apart, require_output
 from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_dataset import expansion_digest, open_episodes, write_episodes
+from knotgym.datasets.episode_dataset import open_episodes, write_episodes
 from knotgym.datasets.episode_verification import Replay, expanded
-from knotgym.datasets.episodes import fitted
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.exports.ogbench_export import to_ogbench
@@ -37,51 +32,50 @@ def export(named: str, out: Path, form: str, replay: Replay, *, overwrite: bool 
     """
     if form not in EXPORTERS:
         raise InvalidInput(f"no format {form!r}; formats are {', '.join(EXPORTERS)}")
-    require_writable(out)
     given = locate_own(named)
     require_apart(out, [given.root])
-    if form in _OF_EPISODES and not given.episodes:
-        raise InvalidInput(f"{given.title} contains no trajectories")
+    is_file = form in _FILES and len(given.episodes) < 2
     if form in _FILES:
-        return _files(given, out, overwrite, form, replay)
-    return _OTHERS[form](given, out, overwrite)
-
-
-def _files(given: Located, out: Path, overwrite: bool, form: str, replay: Replay) -> str:
-    """Write files of episodes, without pictures; a folder of them for several datasets."""
-    datasets = [open_episodes(path) for path in given.episodes]
-    refuse_minaris_folder(out)
-    several = len(datasets) > 1
-    require_output(out, folder=several, overwrite=overwrite)
+        refuse_minaris_folder(out)
+    if form != "ogbench":
+        require_output(out, folder=not is_file, overwrite=overwrite)
+    needs = "episodes" if form in _OF_EPISODES else "pictures" if form in _OF_PICTURES else ""
+    if needs and not getattr(given, needs):
+        raise InvalidInput(f"{given.title} contains no {needs}")
+    if form == "ogbench":  # its files lie beside those of other datasets
+        return to_ogbench(given, out, overwrite)
     with atomic_write(out, overwrite=overwrite) as target:
-        if several:
+        if not is_file:
             target.mkdir()
-        for path, one in zip(given.episodes, datasets, strict=True):
-            facts = {**one.facts}
-            if form == "recording":
-                if not one.episodes.is_recording:
-                    facts["expansion"] = expansion_digest(fitted([one.episodes]))
-                elif "expansion" in one.attributes:
-                    facts["expansion"] = one.attributes["expansion"]
-                one = replace(one, episodes=one.episodes.recording())
-            elif one.episodes.is_recording:
-                one = expanded(one, replay)
-            # named by the end of its id, such as tie-nx3-demonstrations-v0
-            file = target / f"{'-'.join(path.with_suffix('').parts[-2:])}.h5" if several else target
-            write_episodes(file, [one.episodes], one.task, facts, pack=form != "columns")
-        files = sorted(target.iterdir()) if several else [target]
-        size = sum(file.stat().st_size for file in files)
+        write = _FOLDERS.get(form) or partial(_write_files, form=form, replay=replay)
+        return write(given, target)
+
+
+def _write_files(given: Located, target: Path, form: str, replay: Replay) -> str:
+    """Write a file of episodes without pictures, or several into a folder."""
+    datasets, size = [open_episodes(path) for path in given.episodes], 0
+    for path, one in zip(given.episodes, datasets, strict=True):
+        kept = {name: one.attributes[name] for name in {"expansion"} & one.attributes.keys()}
+        if form == "recording":
+            one = replace(one, episodes=one.episodes.recording())
+        elif one.episodes.is_recording:
+            one = expanded(one, replay)
+        # named by the end of its id, such as tie-nx3-demonstrations-v0
+        name = f"{'-'.join(path.with_suffix('').parts[-2:])}.h5"
+        file, facts = target / name if target.is_dir() else target, {**one.facts, **kept}
+        write_episodes(file, [one.episodes], one.task, facts, pack=form != "columns")
+        size += file.stat().st_size
     episodes = sum(one.episodes.episodes.rows for one in datasets)
-    return f"{episodes} episodes{f' in {len(datasets)} files' * several}, {size / 1e6:.1f} MB"
+    files = f" in {len(datasets)} files" if target.is_dir() else ""
+    return f"{episodes} episodes{files}, {size / 1e6:.1f} MB"
 
 
 _FILES = ("compact", "columns", "recording")  # one file, or a folder of them
-_OF_EPISODES = (*_FILES, "ogbench", "minari")
-_OTHERS: dict[str, Callable[[Located, Path, bool], str]] = {
-    "ogbench": to_ogbench,
+_FOLDERS: dict[str, Callable[[Located, Path], str]] = {
     "huggingface": to_huggingface,
     "minari": to_minari,
     "coco": to_coco,
     "webdataset": to_webdataset,
 }
-EXPORTERS = (*_FILES, *_OTHERS)
+_OF_EPISODES, _OF_PICTURES = (*_FILES, "ogbench", "minari"), ("coco", "webdataset")
+EXPORTERS = (*_FILES, "ogbench", *_FOLDERS)

@@ -11,17 +11,14 @@ dataset (`--to minari`) has everything that is needed to replay an episode. A fo
 ready to upload as it is: it has its card and Parquet files already.
 """
 
-import json
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.errors import InvalidInput
+from knotgym.common.tables import Table
 from knotgym.datasets.cards.citation import (
     citation_file,
     filled,
@@ -29,10 +26,10 @@ from knotgym.datasets.cards.citation import (
     write_text,
     yaml_string,
 )
+from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import distinct
-from knotgym.datasets.exports.croissant import croissant
 from knotgym.datasets.exports.parquet_tables import step_tables, write_parquet
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.image_table import arrow
@@ -43,65 +40,53 @@ from knotgym.states.state_file import read_states
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 
 
-class _File(NamedTuple):
-    """One Parquet file: config and split that it is of, its rows, and a page of its columns."""
-
-    config: str
-    split: str
-    rows: int
-    page: str
-
-
-def to_huggingface(source: Located, out: Path, overwrite: bool = False) -> str:
-    """Write the folder atomically, and return a one-line summary.
+def to_huggingface(source: Located, folder: Path) -> str:
+    """Write into an empty folder, and return a one-line summary.
 
     Raises:
         InvalidInput: the sources have no rows, or are pictures.
-        Occupied: `out` exists, and `overwrite` is False.
         MissingExtra: pyarrow isn't installed.
     """
     if source.pictures is not None:
         raise InvalidInput(f"{source.pictures} is ready to upload as it is: it has a card already")
-    require_output(out, folder=True, overwrite=overwrite)
     arrow()
-    with atomic_write(out, overwrite=overwrite) as folder:
-        folder.mkdir()
-        files = [file for file in _written(source, folder) if file.rows]
-        if not files:
-            raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
-        write_text(folder / "CITATION.cff", citation_file(source.title))
-        gallery = (folder / "gallery.png").is_file()
-        rows = Counter[str]()
-        for file in files:
-            rows[file.config] += file.rows
-        description = (
-            f"{', '.join(f'{count} {config}' for config, count in rows.items())} of a closed rope"
-            f" in MuJoCo, labelled with Gauss codes; made by knotgym {knotgym.__version__}."
+    rows, pages = dict[str, dict[str, int]](), dict[str, str]()  # by config, and split
+    for config, split, tables in _tables(source):
+        path = folder / f"data/{config}/{split}-00000-of-00001.parquet"
+        count, page = write_parquet(path, tables)
+        if count:
+            rows.setdefault(config, {})[split], pages[config] = count, page
+    if not rows:
+        raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
+    if "states" in rows and source.states is not None:
+        tiles = state_tiles(read_states(source.states, images=False))
+        write_gallery(folder / "gallery.png", tiles)
+    write_text(folder / "CITATION.cff", citation_file(source.title))
+    counts = {config: sum(splits.values()) for config, splits in rows.items()}
+    description = (
+        f"{', '.join(f'{count} {config}' for config, count in counts.items())} of a closed rope"
+        f" in MuJoCo, labelled with Gauss codes; made by knotgym {knotgym.__version__}."
+    )
+    for one in map(columns_of, source.episodes):
+        starts, goals, pairs = distinct(one.episodes.episodes).values()
+        task = one.task
+        description += (
+            f" Episodes of {task.task}, nx {task.nx}, split {task.split}: {starts} distinct"
+            f" starts and {goals} goals, in {pairs} pairs."
         )
-        for one in map(columns_of, source.episodes):
-            starts, goals, pairs = distinct(one.episodes.episodes).values()
-            task = one.task
-            description += (
-                f" Episodes of {task.task}, nx {task.nx}, split {task.split}: {starts} distinct"
-                f" starts and {goals} goals, in {pairs} pairs."
-            )
-        write_text(folder / "README.md", _card(source.title, description, files, gallery))
-        described = croissant(folder, source.title, description)
-        write_text(folder / "croissant.json", json.dumps(described, indent=1))
-    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    write_text(folder / "README.md", _card(source.title, description, rows, pages))
+    write_croissant(folder, source.title, description)
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     return f"{size / 1e6:.1f} MB to upload"
 
 
-def _written(source: Located, folder: Path) -> Iterator[_File]:
-    """Write tables and gallery; yield a description of each file."""
+def _tables(source: Located) -> Iterator[tuple[str, str, Iterable[Table]]]:
+    """Yield config, split and tables of each Parquet file."""
     if source.states is not None:
         states = read_states(source.states)
-        if len(states):
-            write_gallery(folder / "gallery.png", state_tiles(states))
         for split in STATE_SPLITS:
             part = states.taken(np.flatnonzero(states.split == split)).table
-            if part.rows:
-                yield _File("states", split, *write_parquet(_path(folder, "states", split), [part]))
+            yield "states", split, [part] if part.rows else []
     datasets = [columns_of(path) for path in source.episodes]
     if len({one.task.engine for one in datasets}) > 1:
         raise InvalidInput(
@@ -112,27 +97,24 @@ def _written(source: Located, folder: Path) -> Iterator[_File]:
     for split in dict.fromkeys(one.task.split for one in datasets):
         own = [one for one in datasets if one.task.split == split]
         tables = (part for one in own for part in step_tables(one, pictures))
-        named = split.replace("-", "_")  # Hugging Face's names of splits have no dashes
-        yield _File("steps", named, *write_parquet(_path(folder, "steps", named), tables))
+        yield "steps", split.replace("-", "_"), tables  # Hugging Face's splits have no dashes
 
 
-def _path(folder: Path, config: str, split: str) -> Path:
-    return folder / f"data/{config}/{split}-00000-of-00001.parquet"
-
-
-def _card(title: str, description: str, files: Sequence[_File], gallery: bool) -> str:
+def _card(
+    title: str,
+    description: str,
+    rows: Mapping[str, Mapping[str, int]],
+    pages: Mapping[str, str],
+) -> str:
     configs, tables = list[str](), list[str]()
-    for config in dict.fromkeys(file.config for file in files):
-        own = [file for file in files if file.config == config]
+    for config, splits in rows.items():
         configs += [f"- config_name: {config}", *([] if configs else ["  default: true"])]
         configs += ["  data_files:"]
-        for file in own:
-            where = f"data/{config}/{file.split}-*.parquet"
-            configs.append(f"  - split: {file.split}\n    path: {where}")
-        tables += ["", f"## {config}", ""]
-        tables += [*table(("split", "rows"), [(file.split, file.rows) for file in own]), ""]
-        tables.append(own[0].page)
-    total = sum(file.rows for file in files)
+        for split in splits:
+            configs.append(f"  - split: {split}\n    path: data/{config}/{split}-*.parquet")
+        tables += ["", f"## {config}", "", *table(("split", "rows"), splits.items()), ""]
+        tables.append(pages[config])
+    total = sum(sum(splits.values()) for splits in rows.values())
     return filled(
         "huggingface_card.md",
         pretty_name=yaml_string(title),
@@ -140,7 +122,7 @@ def _card(title: str, description: str, files: Sequence[_File], gallery: bool) -
         configs=configs,
         title=plain(title),
         description=description,
-        gallery="![pictures of the rope](gallery.png)" if gallery else "",
-        first=files[0].config,
+        gallery="![pictures of the rope](gallery.png)" if "states" in rows else "",
+        first=next(iter(rows)),
         tables=tables[1:],
     )

@@ -11,7 +11,7 @@ uploaded to hf://USER. All ids must begin with the same word, which Minari takes
 import json
 from pathlib import Path
 
-from knotgym.common.atomic_files import atomic_write, copy_file, require_output
+from knotgym.common.atomic_files import copy_file
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import table
@@ -24,15 +24,13 @@ from knotgym.datasets.minari_form import METADATA, dataset_files, metadata_of, w
 _HEAD = ("dataset", "episodes", "steps", "starts", "goals", "pairs", "policy")
 
 
-def to_minari(source: Located, out: Path, overwrite: bool) -> str:
-    """Write the folder atomically, and return a one-line summary.
+def to_minari(source: Located, root: Path) -> str:
+    """Write into an empty folder, and return a one-line summary.
 
     Raises:
         InvalidInput: one is not a Minari dataset, two have the same id, or the ids don't begin
             with the same word.
-        Occupied: `out` exists, and `overwrite` is False.
     """
-    require_output(out, folder=True, overwrite=overwrite)
     entries: dict[str, tuple[object, ...]] = {}
     sources: dict[str, Path] = {}
     for dataset in source.episodes:
@@ -54,20 +52,19 @@ def to_minari(source: Located, out: Path, overwrite: bool) -> str:
             "ids in one repository must begin with the same word, as knotgym/tie-nx2/expert-v0, got"
             f" {', '.join(sources)}"
         )
-    with atomic_write(out, overwrite=overwrite) as root:
-        repository = root / words.pop()
-        for name, data in sources.items():
-            (root / name / "data").mkdir(parents=True)
-            for file in dataset_files(data):
-                copy_file(file, root / name / "data" / file.name)
-            if not (data / METADATA).is_file():
-                write_minari(columns_of(root / name), root / name / "data")
-        namespace = {"description": "Closed ropes in MuJoCo, goals that are Gauss codes."}
-        listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
-        write_text(repository / "namespace_metadata.json", json.dumps(listed))
-        write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
-        write_gallery(repository / "gallery.png", episode_tiles([*sources.values()]))
-        write_text(repository / "README.md", _card(repository.name, entries))
+    repository = root / words.pop()
+    for name, data in sources.items():
+        (root / name / "data").mkdir(parents=True)
+        for file in dataset_files(data):
+            copy_file(file, root / name / "data" / file.name)
+        if not (data / METADATA).is_file():
+            write_minari(columns_of(root / name), root / name / "data")
+    namespace = {"description": "Closed ropes in MuJoCo, goals that are Gauss codes."}
+    listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
+    write_text(repository / "namespace_metadata.json", json.dumps(listed))
+    write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
+    write_gallery(repository / "gallery.png", episode_tiles([*sources.values()]))
+    write_text(repository / "README.md", _card(repository.name, entries))
     return f"a Minari root with {len(sources)} datasets; upload the folder in it"
 
 

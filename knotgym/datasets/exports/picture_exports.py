@@ -12,7 +12,6 @@ import io
 import json
 import tarfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.image_table import decode, file_stem, read_rows, shards
 from knotgym.datasets.located import Located
@@ -37,52 +35,49 @@ _CATEGORIES = [
 _TOLD = ("gauss_code_chiral", "canonical_code", "pd_code", "dt_code", "nx", "knot", "photo")
 
 
-def to_coco(source: Located, out: Path, overwrite: bool = False) -> str:
+def to_coco(source: Located, folder: Path) -> str:
     """Write photos and their annotations, a folder and a file for each split.
 
     Raises:
-        InvalidInput: there are no pictures, or they aren't photos, which alone have masks.
-        Occupied: `out` exists, and `overwrite` is False.
+        InvalidInput: the pictures aren't photos, which alone have masks.
     """
     counts = {"images": 0, "annotations": 0}
-    with _folder(source, out, overwrite) as folder:
-        for split, rows in _splits(source):
-            coco: dict[str, Any] = {"categories": _CATEGORIES, "images": [], "annotations": []}
-            (folder / split).mkdir()
-            for number, row in enumerate(rows):
-                if "photo" not in row:
-                    raise InvalidInput(
-                        f"{source.title} has no masks for COCO; knotgym images --style photo makes"
-                        " pictures with masks"
-                    )
-                name, size = f"{split}/{number:06d}.png", row["appearance"]["size"]
-                (folder / name).write_bytes(row["image"])
-                facts = {one: row[one] for one in _TOLD}
-                picture = {"id": number, "file_name": name, "width": size, "height": size}
-                coco["images"].append(picture | facts)
-                for annotation in _annotations(row):
-                    place = {"id": len(coco["annotations"]) + 1, "image_id": number}
-                    coco["annotations"].append(place | annotation)
-            (folder / f"{split}.json").write_text(json.dumps(coco), encoding="utf-8")
-            counts = {name: counts[name] + len(coco[name]) for name in counts}
+    for split, rows in _splits(source):
+        coco: dict[str, Any] = {"categories": _CATEGORIES, "images": [], "annotations": []}
+        (folder / split).mkdir()
+        for number, row in enumerate(rows):
+            if "photo" not in row:
+                raise InvalidInput(
+                    f"{source.title} has no masks for COCO; knotgym images --style photo makes"
+                    " pictures with masks"
+                )
+            name, size = f"{split}/{number:06d}.png", row["appearance"]["size"]
+            (folder / name).write_bytes(row["image"])
+            facts = {one: row[one] for one in _TOLD}
+            picture = {"id": number, "file_name": name, "width": size, "height": size}
+            coco["images"].append(picture | facts)
+            for annotation in _annotations(row):
+                place = {"id": len(coco["annotations"]) + 1, "image_id": number}
+                coco["annotations"].append(place | annotation)
+        (folder / f"{split}.json").write_text(json.dumps(coco), encoding="utf-8")
+        counts = {name: counts[name] + len(coco[name]) for name in counts}
     return f"{counts['images']} pictures, {counts['annotations']} annotations"
 
 
-def to_webdataset(source: Located, out: Path, overwrite: bool = False) -> str:
-    """Write pictures as tar files in the order of their rows; errors are those of `to_coco`."""
+def to_webdataset(source: Located, folder: Path) -> str:
+    """Write pictures as tar files in the order of their rows."""
     total = 0
-    with _folder(source, out, overwrite) as folder:
-        for split, rows in _splits(source):
-            done = 0
-            while few := [*islice(rows, _PER_SHARD)]:
-                with tarfile.open(folder / f"{split}-{done // _PER_SHARD:06d}.tar", "w") as tar:
-                    for number, row in enumerate(few, done):
-                        for end, data in _sample(row).items():
-                            entry = tarfile.TarInfo(f"{number:06d}.{end}")
-                            entry.size = len(data)
-                            tar.addfile(entry, io.BytesIO(data))
-                done += len(few)
-            total += done
+    for split, rows in _splits(source):
+        done = 0
+        while few := [*islice(rows, _PER_SHARD)]:
+            with tarfile.open(folder / f"{split}-{done // _PER_SHARD:06d}.tar", "w") as tar:
+                for number, row in enumerate(few, done):
+                    for end, data in _sample(row).items():
+                        entry = tarfile.TarInfo(f"{number:06d}.{end}")
+                        entry.size = len(data)
+                        tar.addfile(entry, io.BytesIO(data))
+            done += len(few)
+        total += done
     return f"{total} pictures"
 
 
@@ -91,17 +86,6 @@ def _sample(row: Mapping[str, Any]) -> dict[str, bytes]:
     facts = {name: value for name, value in row.items() if name not in ("image", "strands")}
     files = {"png": row["image"], "json": json.dumps(facts).encode()}
     return files | ({"strands.png": row["strands"]} if "strands" in row else {})
-
-
-@contextmanager
-def _folder(source: Located, out: Path, overwrite: bool) -> Iterator[Path]:
-    """Yield a new folder, which is published at the end."""
-    require_output(out, folder=True, overwrite=overwrite)
-    if source.pictures is None:
-        raise InvalidInput(f"{source.title} contains no pictures")
-    with atomic_write(out, overwrite=overwrite) as folder:
-        folder.mkdir()
-        yield folder
 
 
 def _splits(source: Located) -> Iterator[tuple[str, Iterator[dict[str, Any]]]]:
@@ -116,10 +100,7 @@ def _splits(source: Located) -> Iterator[tuple[str, Iterator[dict[str, Any]]]]:
 def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield rope, strands and crossings."""
     strands = decode(row["strands"])[..., 0]
-    boxes = {
-        one["strand"]: [one["x"], one["y"], one["width"], one["height"]] for one in row["boxes"]
-    }
-    for strand in (0, *boxes):
+    for strand in (0, *(one["strand"] for one in row["boxes"])):
         mask = strands == strand if strand else strands > 0
         y, x = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
         if not len(y):

@@ -50,18 +50,16 @@ def page_data(title: str, given: Located) -> dict[str, Any]:
     Raises:
         InvalidInput: there are no rows.
     """
-    rope = RopeConfig()
-    notices: list[str] = []
-    lists = ("measures", "words", "states", "episodes", "about")
+    rope, notices, about = RopeConfig(), list[str](), dict[str, Any]()
     data: dict[str, Any] = {
-        **{name: [] for name in lists},
+        **{name: [] for name in ("measures", "words", "states", "episodes")},
         **{"title": title, "unit": _UNIT, "points": "", "rejected": {}, "notices": notices},
         **{"radius": rope.radius, "maxForce": rope.max_force, "beads": rope.beads},
     }
     if given.episodes:
-        data |= _episodes(given.episodes, notices)
+        data |= _episodes(given.episodes, notices, about)
     if given.states is not None:
-        found = _states(given.states, notices)
+        found = _states(given.states, notices, about)
         if given.episodes and found["beads"] != data["beads"]:
             raise InvalidInput(
                 f"{title} has states of {found['beads']} beads and episodes of {data['beads']};"
@@ -69,8 +67,9 @@ def page_data(title: str, given: Located) -> dict[str, Any]:
             )
         data |= found
     if given.pictures is not None:
-        data |= _pictures(given.pictures, notices)
+        data |= _pictures(given.pictures, notices, about)
     data["colours"] = ["#" + bytes(colour).hex() for colour in bead_colours(data["beads"])]
+    data["about"] = [[name, _cut(value)] for name, value in about.items() if value]
     counts = [(len(data["states"]), "state"), (len(data["episodes"]), "episode")]
     contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
     if not contents:
@@ -109,7 +108,7 @@ def _sampled(count: int, most: int) -> list[int]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
 
 
-def _states(file: Path, notices: list[str]) -> dict[str, Any]:
+def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
     """Collect a state file and the report of the run in the manifest beside it."""
     states = read_states(file, images=False)
     report = read_manifest(file.parent)[0].get("report", {})
@@ -121,25 +120,17 @@ def _states(file: Path, notices: list[str]) -> dict[str, Any]:
     for name, column in made.items() if "dataset" in states.source else ():
         for shown, value in zip(found["states"], states.source[column][rows].tolist(), strict=True):
             shown[name] = value
-    about = {
-        "crossings": ", ".join(map(str, sorted(set(states.nx.tolist())))),
+    about |= {
         "states": len(states),
-        "codes": len(set(states.gauss_code.tolist())),
-        "train / test": f"{(states.split == 'train').sum()} / {(states.split == 'test').sum()}",
         "drawings made": report.get("attempts"),
-        "simulated actions": report.get("actions"),
         **_versions(states.attributes),
-        "configuration": _cut(json.dumps(states.attributes.get("config", {}))),
+        "configuration": states.attributes.get("config"),
     }
-    return {
-        **found,
-        "beads": states.points.shape[1],
-        "about": _pairs(about),
-        "rejected": {nx: counts for nx, counts in report.get("rejected", {}).items() if counts},
-    }
+    rejected = {nx: counts for nx, counts in report.get("rejected", {}).items() if counts}
+    return {**found, "beads": states.points.shape[1], "rejected": rejected}
 
 
-def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
+def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
     """Collect a perception table: states with their pictures."""
     table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image"])
     rows = _sampled(len(table), MOST_PICTURES)
@@ -154,11 +145,8 @@ def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
     ):
         encoded = base64.b64encode(image["bytes"]).decode("ascii")
         shown |= {"grade": grade, "image": f"data:image/png;base64,{encoded}"}
-    about = {
-        "pictures": len(table),
-        "configuration": _cut(read_manifest(source)[0].get("config", "")),
-    }
-    return {**found, "words": ["grade"], "about": _pairs(about)}
+    about |= {"pictures": len(table), "configuration": read_manifest(source)[0].get("config")}
+    return {**found, "words": ["grade"]}
 
 
 def _shapes(
@@ -185,7 +173,7 @@ def _shapes(
     }
 
 
-def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
+def _episodes(sources: Sequence[Path], notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
     """Collect episodes of datasets, sampled so that they have at most MOST_FRAMES states."""
     datasets = [columns_of(source) for source in sources]
     every = [(one, row) for one in datasets for row in range(one.episodes.episodes.rows)]
@@ -198,18 +186,14 @@ def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
     _notice(notices, rows, len(every), "episodes")
     if any(lengths[k] > MOST_STEPS for k in rows):
         notices.append(f"Longer episodes show their first {MOST_STEPS} steps.")
-    about = {
-        "task": _cut(as_json(datasets[0].task)),
+    about |= {
+        "task": as_json(datasets[0].task),
         "datasets": ", ".join(dict.fromkeys(one.name for one in datasets)),
         "episodes": len(every),
         "steps": sum(lengths),
         **_versions(datasets[0].attributes.get("versions") or {}),
     }
-    return {
-        "episodes": [_episode(*every[k]) for k in rows],
-        "about": _pairs(about),
-        "beads": datasets[0].task.beads,
-    }
+    return {"episodes": [_episode(*every[k]) for k in rows], "beads": datasets[0].task.beads}
 
 
 def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
@@ -284,10 +268,6 @@ def _versions(attributes: Mapping[str, Any]) -> dict[str, str]:
     return {name: str(attributes[name]) for name in ("knotgym", "mujoco") if name in attributes}
 
 
-def _cut(config: Any) -> str:
-    text = config if isinstance(config, str) else json.dumps(config)
+def _cut(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
     return text if len(text) < _LONGEST_TEXT else text[:_LONGEST_TEXT] + " ..."
-
-
-def _pairs(about: Mapping[str, Any]) -> list[list[str]]:
-    return [[name, str(value)] for name, value in about.items() if value not in (None, "")]

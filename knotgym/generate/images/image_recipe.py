@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import Failed, InvalidInput
 from knotgym.common.streams import Stream, generator
-from knotgym.datasets.finished_folders import finish_images
+from knotgym.datasets.cards import image_card
 from knotgym.datasets.image_rows import PictureRow, drawn
 from knotgym.datasets.image_table import arrow, shard_name
 from knotgym.generate.images.choice import Chooser, Quota
@@ -70,7 +70,7 @@ def make_images(
         made,
         options,
         progress,
-        prepare=lambda shown: compile_first(shown, config.engine, options.workers),
+        prepare=lambda shown, pool: compile_first(shown, config.engine, pool=pool),
         sources=source,
     )
 
@@ -146,7 +146,7 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     for path, result in zip(files, results, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
-    finish_images(place, waves.report(), made)
+    image_card.finish(place, waves.report(), made)
     return f"{len(waves.chooser.chosen)} pictures"
 
 

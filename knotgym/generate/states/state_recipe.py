@@ -5,7 +5,6 @@ rows = drawing and play | random-walk      (rows that pass the filter and are ne
 """
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import knotgym
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.control.policies import compile_planning
-from knotgym.datasets.finished_folders import finish_states
+from knotgym.datasets.cards import state_card
 from knotgym.generate.states.demonstrations import (
     demonstrated,
     demonstrated_nx,
@@ -64,10 +63,10 @@ def make_states(
         made_by,
         options,
         progress,
-        prepare=partial(
-            compile_first,
-            engine=config.engine_used,
-            workers=options.workers,
+        prepare=lambda shown, pool: compile_first(
+            shown,
+            config.engine_used,
+            pool=pool,
             draws=True,
             plan=compile_planning if config.demonstrations else None,
         ),
@@ -106,7 +105,7 @@ def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any
         report["undemonstrated"] = np.unique(rows["gauss_code"][lacking]).tolist()
     states = states_of(rows, split, engine, facts, **located)
     write_states(place / "states.h5", states)
-    finish_states(place, states, report, made_by)
+    state_card.finish(place, states, report, made_by)
     return _summary(states, report)
 
 

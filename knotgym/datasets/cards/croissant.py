@@ -6,35 +6,29 @@ every dataset: the context that mlcroissant writes, licence, and the responsible
 
 import json
 import re
-from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import sha256
-from knotgym.datasets.cards.citation import BIBTEX
+from knotgym.datasets.cards.citation import BIBTEX, write_text
 from knotgym.datasets.image_table import arrow
 
 _TYPES = {"string": "sc:Text", "bool": "sc:Boolean", "float": "sc:Float", "double": "sc:Float"}
 _PICTURE = "struct<bytes: binary"  # how Parquet files hold pictures
 
 
-def croissant(
-    folder: Path, name: str, description: str, facts: Mapping[str, str] | None = None
-) -> dict[str, Any]:
+def write_croissant(folder: Path, name: str, description: str, *, photos: bool = False) -> None:
     """Describe the tables data/CONFIG/SPLIT-*.parquet or data/SPLIT-*.parquet of a folder.
 
-    Args:
-        facts: replaces fields of `croissant.json`.
-
-    Returns:
-        What is written as JSON.
+    Writes `croissant.json`. Of photos other things are told, which are in `photos.json`.
     """
-    fixed = json.loads((files("knotgym.datasets.exports") / "croissant.json").read_text("utf-8"))
+    here = files("knotgym.datasets.cards")
+    texts = ("croissant.json", *(["photos.json"] if photos else []))
+    fixed = [json.loads((here / text).read_text("utf-8")) for text in texts]
     paths = [path.relative_to(folder) for path in sorted(folder.glob("data/**/*.parquet"))]
-    return {
-        **fixed,
-        **(facts or {}),
+    described = {
+        **{field: one for part in fixed for field, one in part.items()},
         "name": re.sub(r"[^\w-]+", "-", name),
         "description": description,
         "citeAs": BIBTEX,
@@ -52,6 +46,7 @@ def croissant(
         ],
         "recordSet": [_records(folder, path) for path in paths],
     }
+    write_text(folder / "croissant.json", json.dumps(described, indent=1))
 
 
 def _records(folder: Path, path: Path) -> dict[str, Any]:
