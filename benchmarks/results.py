@@ -58,10 +58,10 @@ Offline learners are trained on episodes like those of [the suite](suite.md).
 [Learners by libraries](library-learners.md) says on which, and what else was tried.
 
 On [`bench`](sets.md), with 256 starts and up to 256 goals a cell, 1,024 episodes make intervals of
-5 points to either side, or less. Its rows are in the chain engine. Learners of one size saw the
-same episodes, so the rows compare how an action is chosen: *bc* regresses where to pull and the
-forces, *discrete-bc* classifies the bead and regresses the forces, clones classify bead and strand.
-None of the learners had levelled ([updates](library-learners.md#on-bench)).
+5 points to either side, or less. Its rows are in the chain engine. Learners of one size, and the
+*dense* ones, saw the same episodes, so their rows compare how an action is chosen: *discrete-bc*
+classifies the bead and regresses the forces, clones classify bead and strand, the others regress
+where to pull and the forces. [Updates](library-learners.md#on-bench) says which have levelled.
 
 ## Intervals
 

@@ -11,9 +11,10 @@ seconds, so that what else runs on the machine hits both alike; medians over the
 
 A second table has the vector environment on one thread, for both engines: labels, rewards, infos,
 observations and autoreset, beside the same actions on the ropes alone. Episodes end at all times.
-A third has the chain engine's on more threads, in turn: steps a second of the wall's clock, and the
-share of the CPU time that one thread needs alone, which bounds what more threads can gain and can
-be measured on a busy machine too.
+A third has the chain engine's on more threads, in turn: steps a second of the wall's clock; and by
+what factor a step would take less time on so many cores, from the CPU time of its parts on one
+thread. That can be measured on a busy machine too: a call of `Threads.spread` then takes the nth
+part of its rows' time, or as long as what is done meanwhile, and everything else takes its time.
 """
 
 import argparse
@@ -35,6 +36,7 @@ from rich.console import Console
 from rich.table import Table
 
 import knotgym
+from knotgym.common.threads import Meanwhile, Threads, Work
 from knotgym.rope.engines import simulation
 from knotgym.rope.model import Rope
 
@@ -86,6 +88,30 @@ def measured(env: Any, actions: NDArray[np.float32]) -> tuple[float, float]:
     return ours / len(actions), theirs / len(actions)
 
 
+class Accounts(Threads):
+    """One thread, and the CPU seconds of its calls: of rows, and of what is done meanwhile."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self.calls = list[tuple[float, float]]()
+
+    def spread(
+        self,
+        work: Work,
+        rows: int,
+        unit: int = 1,
+        meanwhile: Meanwhile = None,
+        most: int | None = None,
+    ) -> list[Any]:
+        began, calls = time.process_time(), self.calls.copy()
+        if meanwhile is not None:
+            meanwhile()
+        between = time.process_time()
+        found = super().spread(work, rows, unit, None, most)
+        self.calls = [*calls, (time.process_time() - between, between - began)]
+        return found
+
+
 def vector(task: str, mode: str, engine: str, ropes: int, nx: int, threads: int = 1) -> Any:
     """Return a vector environment whose episodes are at random steps."""
     envs: Any = gym.make_vec(
@@ -106,22 +132,32 @@ def vector(task: str, mode: str, engine: str, ropes: int, nx: int, threads: int 
 def thread_rates(
     task: str, mode: str, ropes: int, steps: int, nx: int, counts: list[int]
 ) -> list[dict[str, Any]]:
-    """Steps a second by the wall's clock on each number of threads, and the share of one thread."""
-    every = {count: vector(task, mode, "chain", ropes, nx, count) for count in counts}
-    rng, times = np.random.default_rng(1), {count: list[list[float]]() for count in counts}
+    """Steps a second by the wall's clock on each number of threads, and the factor of as many cores
+    by CPU time.
+    """
+    every = {count: vector(task, mode, "chain", ropes, nx, count) for count in (*counts, 0)}
+    accounts = every[0].unwrapped.episodes.simulation.threads = Accounts()
+    rng, walls = np.random.default_rng(1), {count: list[float]() for count in every}
+    spent = list[tuple[float, list[tuple[float, float]]]]()
     for _ in range(steps + 1):
         actions = rng.uniform(-1, 1, (ropes, 6)).astype(np.float32)
         for count, envs in every.items():
-            clocks = time.perf_counter, time.thread_time, time.process_time
-            began = [clock() for clock in clocks]
+            accounts.calls, began, cpu = [], time.perf_counter(), time.process_time()
             envs.step(actions)
-            times[count].append([c() - b for c, b in zip(clocks, began, strict=True)])
+            walls[count].append(time.perf_counter() - began)
+        cpu = time.process_time() - cpu  # of the last, on one thread
+        spent.append((cpu - sum(map(sum, accounts.calls)), accounts.calls))
     rows = []
     for count in counts:
-        wall, own, cpu = np.median(times[count][1:], axis=0).tolist()
-        names = ("observation", "threads", "steps_per_second", "serial_share")
-        share = own / cpu if count > 1 else None  # the pool is idle
-        rows.append(dict(zip(names, (mode, count, ropes / wall, share), strict=True)))
+        needed = [
+            alone + sum(max((own + other) / count, other) for own, other in calls)
+            for alone, calls in spent[1:]
+        ]
+        whole = [alone + sum(map(sum, calls)) for alone, calls in spent[1:]]
+        factor = statistics.median(whole) / statistics.median(needed)
+        rate = ropes / statistics.median(walls[count][1:])
+        names = ("observation", "threads", "steps_per_second", "factor_by_cpu")
+        rows.append(dict(zip(names, (mode, count, rate, factor), strict=True)))
     return rows
 
 
@@ -243,11 +279,10 @@ def main() -> None:
             )
         )
     Console().print(many)
-    on_threads = Table("observation", "threads", "steps/s", "one thread's share of CPU time")
+    on_threads = Table("observation", "threads", "steps/s", "factor on as many cores, by CPU time")
     for cell in threaded:
-        name, count, per_second, serial = cell.values()
-        shown = "" if serial is None else f"{serial:.3f}"
-        on_threads.add_row(name, str(count), f"{per_second:.0f}", shown)
+        name, count, per_second, factor = cell.values()
+        on_threads.add_row(name, str(count), f"{per_second:.0f}", f"{factor:.2f}")
     Console().print(on_threads)
     versions = {
         "knotgym": knotgym.__version__,

@@ -23,6 +23,19 @@ def test_no_two_classes_have_one_name() -> None:
     assert classes and twice(classes) == []
 
 
+def test_what_a_module_says_to_run_is_there() -> None:
+    named = re.compile(
+        r"((?:tests|benchmarks)/[\w/]+\.py)(?![^`]*`?\s(?:#\s)?at\s(?:#\s)?[0-9a-f]{7})"
+    )
+    absent = {
+        f"{path.name}: {name}"
+        for path in FILES
+        for name in named.findall(path.read_text(encoding="utf-8"))
+        if not (ROOT / name).is_file()
+    }
+    assert absent == set()
+
+
 def plain_errors(module: ast.Module) -> list[ast.Raise]:
     """Where errors of Python's own are raised; not in a `try`, which makes ours of them."""
     caught = {

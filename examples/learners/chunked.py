@@ -163,7 +163,7 @@ def main() -> None:
     torch.manual_seed(given.seed)
     torch.set_default_device(given.device)
     training = Training(f"torch {torch.__version__}", given, given.datasets)
-    rows = read(given.datasets, given.chunk, given.copies, given.seed)
+    rows = read(given.datasets)
     if given.flow is None:
         flow = trained_flow(rows, given)
     else:

@@ -6,9 +6,8 @@ a decision: the observation where a macro-action began, the bead that it pulls, 
 it ended. A policy decides, pulls as it decided, and decides again; the environment gets six numbers
 at every step, as always.
 
-Everything is in the canonical frame of the marked observation. Of every successful episode, copies
-are learned from too, whose beads are numbered from other ones; the goal of a copy is the code that
-the rope shows at the end, read from there.
+Everything is in the canonical frame of the marked observation, in which all images of a state by
+the task's symmetries look alike.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ class Decisions(NamedTuple):
     Attributes:
         observations: float32 (N, size), see `observe`.
         beads: int64 (N,), the bead to pull.
-        chunks: float32 (N, 3 + 4 chunk): where that bead lies, times REACH; the forces; and for
+        chunks: float32 (N, 3 + 4 CHUNK): where that bead lies, times REACH; the forces; and for
             each pull 1, or -1 from the macro-action's end on.
         rewards: float32 (N,), sum until the next decision.
         terminals, ends: bool (N,), whether the episode terminated there; whether it ended.
@@ -77,8 +76,6 @@ class Decisions(NamedTuple):
 
 def decision_options(options: argparse.ArgumentParser) -> argparse.ArgumentParser:
     """Add the options of learning from decisions."""
-    options.add_argument("--chunk", type=int, default=CHUNK, help="pulls that a decision covers")
-    options.add_argument("--copies", type=int, default=0, help="per successful episode")
     options.add_argument("--rate", type=float, default=1e-3, help="learning rate")
     options.set_defaults(steps=3000, batch=64)
     return options
@@ -100,19 +97,16 @@ def parts(observations: Tensor) -> Inputs:
     return Inputs(beads.reshape(count, BEADS, 8), arcs.long(), codes.reshape(count, 2, -1, 14))
 
 
-def read(datasets: list[str], chunk: int, copies: int, seed: int) -> Decisions:
-    """Read the decisions of datasets; with `chunk` 1, each pull of a macro-action is one."""
-    rng, rows = np.random.default_rng(seed), list[_Row]()
+def read(datasets: list[str]) -> Decisions:
+    """Read the decisions of datasets."""
+    rows = list[_Row]()
     for dataset in datasets:
         episodes = columns_of(dataset).episodes
         if "macro_start" not in episodes.steps:
             raise SystemExit(f"{dataset} records no macro-actions; use a demonstrator's set")
         for number in range(episodes.episodes.rows):
-            count = copies * bool(episodes.episodes["success"][number])
-            others = rng.choice(np.arange(1, BEADS), count, replace=False)
-            for base in (0, *others.tolist()):
-                own = _decided(episodes, number, base, chunk)
-                rows += own + _in_hindsight(own)
+            own = _decided(episodes, number)
+            rows += own + _in_hindsight(own)
     columns = _Row(*zip(*rows, strict=True))
     points = np.stack(columns.points)
     observations, frames = observe(points, list(columns.goal))
@@ -149,39 +143,39 @@ class _Row(NamedTuple):
     hindsight: Any
 
 
-def _decided(episodes: Episodes, number: int, base: int, chunk: int) -> list[_Row]:
-    """Return the decisions of an episode whose beads are numbered from bead `base`."""
+def _decided(episodes: Episodes, number: int) -> list[_Row]:
+    """Return the decisions of an episode."""
     first, count = int(episodes.offsets[number]), int(episodes.episodes["length"][number])
     steps = episodes.steps.take(slice(first, first + count + 1))
     points = steps["observation"].astype(np.float64)
     # a pull is part of a macro-action where one has a side
     start, led = steps["macro_start"][:count], steps["macro_side"][:count] != 0
     won = bool(steps["terminated"][count - 1])
-    begun = np.flatnonzero(led if chunk == 1 else start).tolist()
-    shown = [label(np.roll(points[at], -base, axis=0)).plain for at in (*begun, count)]
-    goal = shown[-1] if base else gauss_code(episodes.episodes["goal_visits"][number]).plain
+    begun = np.flatnonzero(start).tolist()
+    shown = [label(points[at]).plain for at in (*begun, count)]
+    goal = gauss_code(episodes.episodes["goal_visits"][number]).plain
     ends = [*begun[1:], count][: len(begun)]  # none if the planner led from the start
     rows = []
     for row, (at, after) in enumerate(zip(begun, ends, strict=True)):
         # the macro-action ends where the next begins, or before a pull that is part of none
         stop = at + int(np.append(~led[at:after], True).argmax())
-        pulls = min(stop - at, chunk)
-        forces = np.zeros((chunk, 3))
+        pulls = min(stop - at, CHUNK)
+        forces = np.zeros((CHUNK, 3))
         forces[:pulls] = steps["force"][at : at + pulls]
         rows.append(
             _Row(
-                points=np.roll(points[at], -base, axis=0),
+                points=points[at],
                 goal=goal,
-                bead=(int(steps["bead"][at]) - base) % BEADS,
+                bead=int(steps["bead"][at]),
                 forces=forces,
-                going=np.where(np.arange(chunk) < pulls, 1.0, -1.0),
+                going=np.where(np.arange(CHUNK) < pulls, 1.0, -1.0),
                 before=shown[row],
                 after=shown[row + 1],
                 reward=steps["reward"][at:after].sum(),
                 terminal=won and after == count,
                 end=after == count,
                 chosen=won,
-                whole=stop == after or pulls == chunk,
+                whole=stop == after or pulls == CHUNK,
                 hindsight=False,
             )
         )
@@ -246,7 +240,7 @@ class ChunkPolicy(ABC):
         """Decide for lanes, given their observations and ropes (n, beads, 3) in the frame.
 
         Returns:
-            beads (n,), and the forces and signs of `Decisions.chunks`, (n, 4 chunk).
+            beads (n,), and the forces and signs of `Decisions.chunks`, (n, 4 CHUNK).
         """
 
     def begin(self, index: int, rng: np.random.Generator) -> None:

@@ -120,7 +120,7 @@ def main() -> None:
     for setting in given.agent:
         name, _, value = setting.partition("=")
         config[name] = type(config[name])(value)
-    rows = trajectories(read(given.datasets, given.chunk, given.copies, given.seed))
+    rows = trajectories(read(given.datasets))
     loader = getattr(data, config.dataset_class)(data.Dataset.create(**rows), config)
     draw = drawing(loader)
     first = draw(1)

@@ -7,8 +7,8 @@
 
 Needs d3rlpy, best in an environment of its own because it pins Gymnasium 1.0.0: pip install d3rlpy.
 The discrete learners choose the bead by classification; behaviour cloning then says how it is
-pulled. The others choose the position of the bead and the pulls as one vector of numbers. With
---chunk 1 each decision is a single pull. Writes `model.pt` and `evaluation.json`.
+pulled. The others choose the position of the bead and the pulls as one vector of numbers. Writes
+`model.pt` and `evaluation.json`.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ except ModuleNotFoundError as error:
     raise SystemExit("offline_rl.py needs d3rlpy: pip install d3rlpy") from error
 import torch
 from d3rlpy.dataset import MDPDataset
-from d3rlpy.models.encoders import EncoderFactory
+from d3rlpy.models.encoders import EncoderFactory, VectorEncoderFactory
 from decisions import (
     BEADS,
-    CHUNK,
     ChunkPolicy,
     Decisions,
     Eyes,
@@ -50,6 +49,7 @@ LEARNERS = {
     "cql": "CQLConfig",
     "dt": "DecisionTransformerConfig",
 }
+CLONED = "bc", "discrete-bc"
 RETURN = 5.0  # of an episode that reaches its goal
 
 
@@ -118,13 +118,15 @@ class BeadEncoderFactory(EncoderFactory):
 
 def trained(name: str, sees: str, given: Any, rows: Decisions, seen: Floats, acted: Any) -> Any:
     """Train a learner of d3rlpy on rows, in the order of their episodes."""
+    falling = d3rlpy.optimizers.CosineAnnealingLRFactory(T_max=given.steps)
     optimizer = d3rlpy.optimizers.AdamWFactory(
         weight_decay=0.02,
         clip_grad_norm=1.0,
-        lr_scheduler_factory=d3rlpy.optimizers.CosineAnnealingLRFactory(T_max=given.steps),
+        # what a critic is to learn changes with the critic until the end
+        lr_scheduler_factory=falling if name in (*CLONED, "dt") else None,
     )
     kind = getattr(d3rlpy.algos, LEARNERS[name])
-    eyes = BeadEncoderFactory(sees, given.width)
+    eyes = BeadEncoderFactory(sees, given.width) if given.width else VectorEncoderFactory()
     ours: dict[str, Any] = {"encoder_factory": eyes, "optim_factory": optimizer}
     ours |= {"learning_rate": given.rate, "target_update_interval": 200}
     settings = {
@@ -193,7 +195,9 @@ class LearnedPolicy(ChunkPolicy):
 
 def main() -> None:
     options = decision_options(parser(__doc__ or "", tuple(LEARNERS)))
-    options.add_argument("--width", type=int, default=64, help="of the attention over beads")
+    options.add_argument(
+        "--width", type=int, default=64, help="of the attention over beads; 0: two dense layers"
+    )
     options.add_argument("--device", default="cpu:0", help="where d3rlpy trains, such as cuda:0")
     given = options.parse_args()
     # d3rlpy logs every setting
@@ -201,10 +205,9 @@ def main() -> None:
     training = Training(f"d3rlpy {d3rlpy.__version__}", given, given.datasets)
     d3rlpy.seed(given.seed)
     torch.set_num_threads(1)
-    every = read(given.datasets, given.chunk, given.copies, given.seed)
-    cloned = given.learner in ("bc", "discrete-bc")
-    rows = imitated(every) if cloned else every.rows(~every.hindsight)
-    name = f"d3rlpy-{given.learner}" + f"-chunk{given.chunk}" * (given.chunk != CHUNK)
+    every = read(given.datasets)
+    rows = imitated(every) if given.learner in CLONED else every.rows(~every.hindsight)
+    name = f"d3rlpy-{given.learner}"
     puller, files = None, ["model.pt"]
     if given.learner.startswith("discrete"):
         beads = rows.beads[:, None].astype(np.int32)

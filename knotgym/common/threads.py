@@ -6,17 +6,16 @@ the rows beside it; then the number of threads changes nothing.
 
 from collections.abc import Callable
 from contextlib import suppress
-from operator import itemgetter
+from functools import partial
 from os import cpu_count
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any
 from weakref import finalize
 
+FEW = 16  # ropes that are worth a call of their own, to be read or drawn
 Work = Callable[[slice], Any]
 Meanwhile = Callable[[], None] | None
-# a part's number, what its call returned and what it raised
-_Result = tuple[int, Any, BaseException | None]
 
 
 class Threads:
@@ -57,12 +56,23 @@ class Threads:
         """
         size = min(-(-rows // (self._most * unit)) * unit, most or rows)
         parts = [slice(first, first + size) for first in range(0, rows, size or 1)]
-        workers = min(self._most, len(parts)) - 1
-        begun, done = SimpleQueue[None](), SimpleQueue[_Result]()
-        tasks = [(work, part, number, begun, done) for number, part in enumerate(parts)]
-        self._start(workers)
-        for task in tasks[1:]:
-            self._tasks.put(task)
+        workers, results = min(self._most, len(parts)) - 1, [None] * len(parts)
+        begun, done, errors = SimpleQueue[None](), SimpleQueue[None](), dict[int, BaseException]()
+
+        def do(number: int) -> None:
+            begun.put(None)
+            try:
+                results[number] = work(parts[number])
+            except BaseException as error:  # raised below
+                errors[number] = error
+            done.put(None)
+
+        while self._workers < workers:
+            Thread(target=_serve, args=(self._tasks,), daemon=True).start()
+            finalize(self, self._tasks.put, None)  # which ends it
+            self._workers += 1
+        for number in range(1, len(parts)):
+            self._tasks.put(partial(do, number))
         try:
             if meanwhile is not None:
                 # To begin, a thread needs the interpreter's lock, which code in Python hands over
@@ -71,40 +81,23 @@ class Threads:
                     begun.get()
                 meanwhile()
         finally:
-            own = tasks[:1]
+            own = [partial(do, 0)] if parts else []
             while own:
-                _do(*own.pop())
+                own.pop()()
                 with suppress(Empty):
                     own.append(self._tasks.get_nowait())
-            results = sorted((done.get() for _ in tasks), key=itemgetter(0))
-        for _, _, error in results:
-            if error is not None:
-                raise error
-        return [result for _, result, _ in results]
-
-    def _start(self, workers: int) -> None:
-        """Start threads until there are so many."""
-        for _ in range(self._workers, workers):
-            Thread(target=_serve, args=(self._tasks,), daemon=True).start()
-            finalize(self, self._tasks.put, None)  # which ends it
-        self._workers = max(self._workers, workers)
+            for _ in parts:
+                done.get()
+        if errors:
+            raise errors[min(errors)]
+        return results
 
 
 def _serve(tasks: SimpleQueue[Any]) -> None:
     """Do tasks until one is None."""
     while (task := tasks.get()) is not None:
-        _do(*task)
+        task()
         del task  # holds arrays
-
-
-def _do(
-    work: Work, part: slice, number: int, begun: SimpleQueue[None], done: SimpleQueue[_Result]
-) -> None:
-    begun.put(None)
-    try:
-        done.put((number, work(part), None))
-    except BaseException as error:  # raised again by `spread`
-        done.put((number, None, error))
 
 
 ALONE = Threads()

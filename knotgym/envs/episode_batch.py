@@ -7,17 +7,19 @@ What happens in an episode depends on its seed and its pulls, not on the episode
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.common.threads import Meanwhile
+from knotgym.common.threads import FEW, Meanwhile
 from knotgym.envs.observations import (
     SYMBOLS,
     alone,
     cut,
+    each,
     looks,
     observe,
     picture_config,
@@ -33,8 +35,6 @@ from knotgym.rope.reset_noise import least_clearance, start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
 from knotgym.topology.code_arrays import CodeArrays, code_texts, plain_codes, read_codes, visits_of
 from knotgym.topology.gauss import GaussCode
-
-_FEW = 16  # ropes, that are worth a thread of their own to be looked at
 
 Ids = NDArray[np.int64]
 Seed = int | np.random.Generator
@@ -122,7 +122,6 @@ class EpisodeBatch:
             return goals.rows
         code = str(self.starts.gauss_code[start])
         if (goals.nx, code) not in self._other_goals:
-            # a start of as many crossings may show a goal's code: nothing would be left to do
             differs = self.goals.gauss_code[goals.rows] != code
             self._other_goals[goals.nx, code] = goals.rows[differs]
         return self._other_goals[goals.nx, code]
@@ -262,12 +261,10 @@ class EpisodeBatch:
         self._read(ids)
         towed = np.zeros(len(ids), dtype=bool)
         if self.task.tow_limit is not None:
-            # from where the centre was at reset, not summed up along the way
             moved = distances_towed(self.simulation.points[ids], self.centre[ids])
             towed = moved > self.task.tow_limit
         self.towed[ids] = towed
         self.steps[ids] += 1
-        # beyond the limit on towing a shown goal doesn't count
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
         return outcome(self.task, self.successes(ids), self.steps[ids], failed, towed)
 
@@ -285,7 +282,6 @@ class EpisodeBatch:
         """
         if self.task.action == "pull":
             beads, _ = self.simulation.read_actions(actions, ids)
-            # `read_actions` has checked them, but for rounding beyond 1
             forces = np.clip(np.asarray(actions, dtype=np.float64)[:, 3:], -1.0, 1.0)
             return self.pull(ids, beads, forces, meanwhile)
         self.view.begin(actions, ids)
@@ -325,10 +321,7 @@ class EpisodeBatch:
 
     def observation(self, index: int) -> Any:
         """Return the observation of episode `index`, of the kind `task.observation`."""
-        seen = self.observations(np.array([index]))
-        if isinstance(seen, dict):
-            return {name: array[0] for name, array in seen.items()}
-        return seen[0]
+        return each(self.observations(np.array([index])), itemgetter(0))
 
     def observations(self, ids: Ids) -> Any:
         """Return the observations of the episodes `ids`: an array (n, ...), or a dict of such."""
@@ -339,7 +332,7 @@ class EpisodeBatch:
         def part(rows: slice) -> None:
             seen[rows] = self._observed(ids[rows])
 
-        self.simulation.threads.spread(part, len(ids), _FEW)
+        self.simulation.threads.spread(part, len(ids), FEW)
         return seen
 
     def _observed(self, ids: Ids) -> Any:
@@ -408,7 +401,6 @@ class EpisodeBatch:
         self._old_texts[ids] |= (codes.signs != self.signs[ids]).any(axis=1)
         self._old_texts[ids] |= (codes.visits != self.visits[ids]).any(axis=1)
         self.visits[ids], self.signs[ids], self.crossings[ids] = codes
-        # both are padded with 0 to one width, so rows are equal just if the codes are
         self.shown[ids] = (codes.visits == self.wanted[ids]).all(axis=1)
 
     def _widen(self, columns: int) -> None:
@@ -426,9 +418,9 @@ class EpisodeBatch:
             shown = looks(self.task, [(goal, rope[0])])
             self._goal_images[goal] = alone(rope, shown, self._picture)[0], shown[0]
         pictures = [self._goal_images[goal][0] for goal in goals]
-        each = [self._goal_images[goal][1] for goal in goals]
+        own_looks = [self._goal_images[goal][1] for goal in goals]
         points, threads = self.simulation.points[ids], self.simulation.threads
-        return pixels(points, pictures, self._picture, threads, each)
+        return pixels(points, pictures, self._picture, threads, own_looks)
 
     def _choose(
         self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator

@@ -1,13 +1,16 @@
 """A torch dataset over `Transitions`. Importing this needs torch."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
 from knotgym.common.streams import Stream, generator
+from knotgym.envs.observations import each
 from knotgym.loaders.transitions import Transitions
 
 _SEVERAL = ("pulls", "negatives")  # of one transition
@@ -30,7 +33,7 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int | Sequence[int]) -> dict[str, Any]:
         if not isinstance(index, (int, np.integer)):
             return self._batch(index)
-        return {name: _first(column) for name, column in self._batch([index]).items()}
+        return each(self._batch([index]), itemgetter(0))
 
     def _batch(self, index: Sequence[int]) -> dict[str, Any]:
         window, rng = self.transitions.window, None
@@ -40,19 +43,11 @@ class TransitionDataset(Dataset[dict[str, Any]]):
             rng = generator(Stream.SAMPLED_GOALS, window.goals.seed, drawn)
         several = self.transitions.batch(index, rng=rng)
         return {
-            name if name in _SEVERAL else name.removesuffix("s"): _tensor(column)
+            name if name in _SEVERAL else name.removesuffix("s"): each(column, _tensor)
             for name, column in several.items()
         }
 
 
-def _first(column: Any) -> Any:
-    if isinstance(column, dict):
-        return {name: _first(part) for name, part in column.items()}
-    return column[0]
-
-
-def _tensor(seen: Any) -> Any:
-    if isinstance(seen, dict):
-        return {name: _tensor(array) for name, array in seen.items()}
+def _tensor(seen: NDArray[Any]) -> torch.Tensor:
     held = np.ascontiguousarray(seen)
     return torch.from_numpy(held.astype(np.float32) if held.dtype == np.float64 else held)

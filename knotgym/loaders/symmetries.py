@@ -25,6 +25,7 @@ the image.
 """
 
 from collections.abc import Mapping
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.marked import mark
-from knotgym.envs.observations import SYMBOLS
+from knotgym.envs.observations import SYMBOLS, each
 from knotgym.rope.actions import chosen_forces, force_choices
 from knotgym.topology.code_arrays import plain_code
 from knotgym.topology.crossings import label_many
@@ -182,7 +183,7 @@ class Symmetries(Symmetry):
                 made[name] = np.asarray(values)
             else:
                 raise InvalidInput(f"no symmetry is known for {name!r} of a batch; leave it out")
-        return {name: _taken(values, kept) for name, values in made.items()}
+        return dict(each(made, itemgetter(kept)))
 
     @property
     def _quarters(self) -> NDArray[np.int64]:
@@ -194,8 +195,9 @@ class Symmetries(Symmetry):
 
     def observations(self, seen: Any) -> Any:
         """Map observations, as `applied` does."""
-        if isinstance(seen, dict):
-            return {name: self.observations(values) for name, values in seen.items()}
+        return each(seen, self._observations)
+
+    def _observations(self, seen: ArrayLike) -> Array:
         values = np.asarray(seen)
         if len(values) != len(self.turn):
             raise InvalidInput(f"{len(self.turn)} symmetries don't fit {len(values)} samples")
@@ -249,12 +251,6 @@ def multiplied(
     count = len(np.asarray(batch["actions"])) if "actions" in batch else 0
     copies = [Symmetries.drawn(count, rng, **kinds).applied(batch) for _ in range(times)]
     return {name: _joined([copy[name] for copy in copies]) for name in copies[0]}
-
-
-def _taken(values: Any, kept: NDArray[np.bool_]) -> Any:
-    if isinstance(values, dict):
-        return {name: _taken(one, kept) for name, one in values.items()}
-    return values[kept]
 
 
 def _joined(parts: list[Any]) -> Any:

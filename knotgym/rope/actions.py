@@ -11,7 +11,8 @@ A pull with a *quantized* force fits into four bytes: the bead, and three whole 
 of the largest force. Policies that pull beads quantize their forces, so that a recording of their
 episodes is the starts and four bytes a step.
 
-After a change run `pytest tests/rope/test_actions.py`: what was encoded must be decoded.
+After a change run `pytest tests/rope/test_simulations.py tests/envs/test_action_views.py`: what was
+encoded must be decoded.
 """
 
 from __future__ import annotations

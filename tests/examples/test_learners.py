@@ -68,7 +68,8 @@ def test_ppo_in_one_file_trains_and_acts(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_learner_of_d3rlpy_is_trained_and_measured(
     learner: str, dataset: Path, tmp_path: Path
 ) -> None:
-    words = (learner, dataset, dataset, *TINY, "--copies", 1, "--out", tmp_path / "out")
+    dense = ("--width", 0) if learner == "iql" else ()
+    words = (learner, dataset, dataset, *TINY, *dense, "--out", tmp_path / "out")
     run_script(FOLDER / "offline_rl.py", *words)
     check_scores(tmp_path / "out", f"d3rlpy-{learner}")
     assert (tmp_path / "out" / "model.pt").is_file()
@@ -77,7 +78,7 @@ def test_a_learner_of_d3rlpy_is_trained_and_measured(
 @no_torch
 def test_chunked_learners_are_trained_and_measured(dataset: Path, tmp_path: Path) -> None:
     for learner in ("flow", "qc"):
-        words = (learner, dataset, dataset, *TINY, "--copies", 1, "--out", tmp_path / learner)
+        words = (learner, dataset, dataset, *TINY, "--out", tmp_path / learner)
         flow = () if learner == "flow" else ("--flow", tmp_path / "flow" / "flow.pt")
         run_script(FOLDER / "chunked.py", *words, *flow)
         check_scores(tmp_path / learner, f"torch-{learner}")
@@ -88,9 +89,9 @@ def test_decisions_read_from_an_expert_and_acted_out_are_its_pulls(
     dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(FOLDER))
-    from decisions import CHUNK, ChunkPolicy, nearest, read
+    from decisions import ChunkPolicy, nearest, read
 
-    rows = read([str(dataset)], CHUNK, copies=0, seed=0)
+    rows = read([str(dataset)])
 
     class Remembering(ChunkPolicy):
         def choose(self, indices: list[int], seen: Any, points: Any) -> tuple[Any, Any]:

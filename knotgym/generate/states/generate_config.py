@@ -76,7 +76,7 @@ class PlayConfig:
 
 
 # The published regime: uniform actions until the rope's distribution no longer depends on its start
-# (`benchmarks/stationary.py`: walks from the coil and from the plain loop converge).
+# (`benchmarks/stationary.py` at 92001d60: walks from the coil and from the plain loop converge).
 PUBLISHED = PlayConfig(
     settle=0, random=900, opening=0, rounds=0, first=300, every=25, per_rope=1, ropes=16
 )

@@ -1,5 +1,6 @@
 import heapq
 import math
+from collections import defaultdict
 from pathlib import Path
 
 import h5py
@@ -72,15 +73,16 @@ def test_certain_moves_make_shortest_paths(seed: int) -> None:
         MoveRow(table.nodes[b], n, table.nodes[a], seen, tried)
         for n, (b, _, a, seen, tried) in enumerate(table.rows.tolist())
     )
-    far = {node: math.inf for node in single.nodes}
+    far, leading_to = {node: math.inf for node in single.nodes}, defaultdict(list)
+    for before, move, after, chance in edges(single):
+        leading_to[after].append((before, move, chance))
     queue = [(0.0, n, node) for n, node in enumerate(far) if node.code.matches(GOAL)]
     while queue:
         distance, _, node = heapq.heappop(queue)
         if distance < far[node]:
             far[node] = distance
-            for before, move, after, chance in edges(single):
-                if after == node:
-                    heapq.heappush(queue, (distance + 1 / chance, len(far) + move, before))
+            for before, move, chance in leading_to[node]:
+                heapq.heappush(queue, (distance + 1 / chance, len(far) + move, before))
     cost = single.tried / single.seen
     shown = single.shown(GOAL, 0.0, -math.inf)
     found = single.values(shown, -cost, np.ones(len(cost)), 1000)
