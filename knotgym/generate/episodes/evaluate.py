@@ -73,13 +73,6 @@ def _evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
     return results, parts[len(calls) :]
 
 
-def evaluate(config: EvaluateConfig, workers: int = 1) -> list[Result]:
-    """Play every setup and write nothing; return the results in the order of `config.setups`."""
-    _require_playable(config)
-    with executor(workers) as pool:
-        return compute(_evaluation(config), pool=pool)[0]
-
-
 def _require_playable(config: EvaluateConfig) -> None:
     """Refuse setups whose policies don't fit, before any work is done.
 
