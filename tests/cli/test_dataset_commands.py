@@ -5,6 +5,7 @@ from pathlib import Path
 import h5py
 import pytest
 from PIL import Image
+from synthetic_episodes import TINY
 
 from knotgym.states.state_file import shipped
 
@@ -50,12 +51,12 @@ def test_verify_says_what_it_checked(
 
 
 def test_verify_names_each_fault_with_status_1(
-    collected: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     copy = tmp_path / "a.h5"
-    copy.write_bytes(STATES.read_bytes())
+    copy.write_bytes(TINY["random"].read_bytes())
     with h5py.File(copy, "a") as file:
-        file["nx"][0] += 1
+        file["episodes/planned"][0] = -1
     assert knotgym("dataset", "verify", copy, "--quiet") == 1
     assert capfd.readouterr().out.startswith("fault: ")
 
