@@ -30,7 +30,7 @@ from rich.console import Console
 from knotgym.control.recorded_policy import RecordedPolicy
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.evaluate import evaluate
+from knotgym.generate.episodes.evaluate import run
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.recordings import recordings
 from knotgym.rope.chain.chain_simulation import ChainSimulation
@@ -39,6 +39,7 @@ from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
 from knotgym.runs.intervals import wilson
+from knotgym.runs.run_options import RunOptions
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import label_many
 
@@ -172,7 +173,7 @@ def policy(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]
             seed=part,
             task=TaskConfig(task=task, observation="state", states=name, engine=engine),
         )
-        done.append(evaluate(config)[0].successes)
+        done.append(run(config, RunOptions(workers=1, quiet=True))[0].successes)
         told = {"part": PART, "successes": found, "table": compared(found)}
         args.out.write_text(json.dumps({"results": told}, indent=1) + "\n", encoding="utf-8")
     return {"part": PART, "successes": found, "table": compared(found)}

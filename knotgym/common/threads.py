@@ -13,6 +13,7 @@ from threading import Thread
 from typing import Any
 from weakref import finalize
 
+FEW = 16  # ropes that are worth a call of their own, to be read or drawn
 Work = Callable[[slice], Any]
 Meanwhile = Callable[[], None] | None
 

@@ -46,7 +46,10 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     Raises:
         InvalidFile: a recording's pulls aren't those that were written, or lead to other states.
     """
-    parts, task = [], dataset.found_task
+    parts, task, told = [], dataset.found_task, dataset.attributes
+    is_whole = dataset.rows is None and not dataset.parts
+    if is_whole and told.get("digest") != content_digest(dataset.episodes):
+        raise InvalidFile(f"{dataset.path}: its starts and pulls don't match its digest")
     for first in range(0, dataset.episodes.episodes.rows, _BLOCK):
         count("episodes played again", first, dataset.episodes.episodes.rows)
         some = dataset.episodes.select(
@@ -56,14 +59,11 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
         own = made.episodes.replaced(planned=some.episodes["planned"])
         parts.append(made._replace(episodes=own))
     whole = merged(parts) if parts else dataset.episodes
-    if dataset.episodes.is_recording and dataset.rows is None and parts:
-        told, path = dataset.attributes, dataset.path
-        if told.get("digest") != content_digest(dataset.episodes):
-            raise InvalidFile(f"{path}: its starts and pulls don't match its digest")
+    if is_whole and dataset.episodes.is_recording and parts:
         if told.get("expansion", found := expansion_digest([whole])) != found:
             raise InvalidFile(
-                f"{path} can't be expanded to the bit: played again, its pulls lead to other states"
-                " here than where it was recorded"
+                f"{dataset.path} can't be expanded to the bit: played again, its pulls lead to"
+                " other states here than where it was recorded"
             )
     return replace(dataset, episodes=whole)
 
@@ -141,8 +141,6 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
             f"{dataset.path}: generated with rope model {dataset.attributes.get('rope')}, this"
             f" version has {rope.fingerprint}"
         )
-    if dataset.rows is None and dataset.attributes.get("digest") != content_digest(episodes):
-        yield f"{dataset.path}: its starts and pulls don't match its digest"
     for table in episodes:
         for name, column in table.items():
             if column.dtype.kind == "f" and not np.isfinite(column).all():

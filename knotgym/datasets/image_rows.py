@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import Failed
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.image_table import encode, parquet, table_of
 from knotgym.quality.difficulty import grade
@@ -25,7 +24,6 @@ from knotgym.rendering.picture import crossing_pixels
 from knotgym.rope.model import Array
 from knotgym.states.derivation import derived_row
 from knotgym.topology.crossings import find_crossings
-from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import diagram_form
 
 _RGB = ("first", "last", "background")
@@ -56,11 +54,7 @@ def drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> dict[str, NDA
 
 
 def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
-    """Return all columns of a row by name, `image` as PNG bytes.
-
-    Raises:
-        Failed: two labellers read different codes.
-    """
+    """Return all columns of a row by name, `image` as PNG bytes."""
     source = row.source
     rng = generator(Stream.IMAGE_APPEARANCE, source["seed"], source["row"])
     if config.style == "photo":
@@ -70,11 +64,6 @@ def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
         look: Appearance = shot.look
     else:
         shot, look = None, appearance(row.points, config, rng)
-    code, second = find_crossings(row.points).code, pyknotid_code(row.points)
-    if code != second:
-        raise Failed(
-            f"row {source['row']}: our labeller reads {code.chiral}, pyknotid reads {second.chiral}"
-        )
     return {
         **derived(row.points, look, shot),
         "points": row.points.ravel().tolist(),

@@ -40,12 +40,6 @@ _ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be re
 _LEAST_ROW = 64  # bytes; every row stores more, because it has its own picture
 _MOST_EXPANDED = 1000  # limit of uncompressed bytes per stored byte
 _LARGEST = 4096  # pixels, side of the largest picture that is decoded
-# metadata by which Hugging Face reads the column `image` as pictures
-_FEATURES = {name: {"_type": "Image"} for name in ("image", "strands")}
-SHOWS_IMAGE, _SHOWS_BOTH = (
-    {"huggingface": json.dumps({"info": {"features": {name: _FEATURES[name] for name in names}}})}
-    for names in (("image",), ("image", "strands"))
-)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 # `columns.toml` has the types of Arrow, from which the schema of pyarrow is made
@@ -67,10 +61,16 @@ def arrow(module: str = "pyarrow") -> Any:
         raise MissingExtra(module, install_command("huggingface"), "Parquet") from error
 
 
+def shown(*names: str) -> dict[str, str]:
+    """Return the metadata by which Hugging Face reads columns as pictures."""
+    features = {name: {"_type": "Image"} for name in names}
+    return {"huggingface": json.dumps({"info": {"features": features}})}
+
+
 def _schema(photos: bool) -> Any:
     """Return the pyarrow schema of a perception table, with or without the columns of photos."""
     types = [(name, _arrow_type(kind)) for name, kind in (_ALL if photos else COLUMNS).items()]
-    return arrow().schema(types, metadata=_SHOWS_BOTH if photos else SHOWS_IMAGE)
+    return arrow().schema(types, metadata=shown("image", *["strands"] * photos))
 
 
 def picture_column(pictures: Iterable[bytes]) -> Any:

@@ -222,8 +222,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
                 " reset_mask) before the next step"
             )
         rewards = np.zeros(self.num_envs)
-        terminated = np.zeros(self.num_envs, dtype=bool)
-        truncated = np.zeros(self.num_envs, dtype=bool)
+        terminated, truncated = np.zeros((2, self.num_envs), dtype=bool)
         running, ended = np.flatnonzero(~done), np.flatnonzero(done)
         # next_step: what ended in the step before is reset in this one, and its action ignored
         restart = partial(self._begin, ended) if len(ended) else None

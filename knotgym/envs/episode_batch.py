@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.common.threads import Meanwhile
+from knotgym.common.threads import FEW, Meanwhile
 from knotgym.envs.observations import (
     SYMBOLS,
     alone,
@@ -35,8 +35,6 @@ from knotgym.rope.reset_noise import least_clearance, start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
 from knotgym.topology.code_arrays import CodeArrays, code_texts, plain_codes, read_codes, visits_of
 from knotgym.topology.gauss import GaussCode
-
-_FEW = 16  # ropes, that are worth a thread of their own to be looked at
 
 Ids = NDArray[np.int64]
 Seed = int | np.random.Generator
@@ -334,7 +332,7 @@ class EpisodeBatch:
         def part(rows: slice) -> None:
             seen[rows] = self._observed(ids[rows])
 
-        self.simulation.threads.spread(part, len(ids), _FEW)
+        self.simulation.threads.spread(part, len(ids), FEW)
         return seen
 
     def _observed(self, ids: Ids) -> Any:
@@ -420,9 +418,9 @@ class EpisodeBatch:
             shown = looks(self.task, [(goal, rope[0])])
             self._goal_images[goal] = alone(rope, shown, self._picture)[0], shown[0]
         pictures = [self._goal_images[goal][0] for goal in goals]
-        each = [self._goal_images[goal][1] for goal in goals]
+        own_looks = [self._goal_images[goal][1] for goal in goals]
         points, threads = self.simulation.points[ids], self.simulation.threads
-        return pixels(points, pictures, self._picture, threads, each)
+        return pixels(points, pictures, self._picture, threads, own_looks)
 
     def _choose(
         self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator

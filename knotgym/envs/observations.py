@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.threads import ALONE, Threads
+from knotgym.common.threads import ALONE, FEW, Threads
 from knotgym.envs.marked import join, mark
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.camera import PictureConfig, picture_of
@@ -22,7 +22,6 @@ from knotgym.topology.code_arrays import plain_codes
 if TYPE_CHECKING:
     from knotgym.rendering.appearance import Appearance
 
-_MANY = 16  # pictures that a thread draws at once
 SYMBOLS = 64  # visits of a code in an observation, two per crossing
 
 
@@ -105,7 +104,7 @@ def pixels(
         goals = np.concatenate(goal_pictures[rows])
         seen[rows, :, size:] = goals.reshape(-1, height, size, picture.channels)
 
-    (ALONE if picture.renderer == "mujoco" else threads).spread(part, len(seen), most=_MANY)
+    (ALONE if picture.renderer == "mujoco" else threads).spread(part, len(seen), most=FEW)
     return seen
 
 

@@ -5,6 +5,7 @@ them; a training that is interrupted continues from its one checkpoint.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -91,9 +92,9 @@ def train(
         yield from _train_reader(opened, config, place, card, shown)
         return f"{config.steps} steps"
 
-    def prepare(progress: Progress) -> None:
+    def prepare(progress: Progress, pool: Executor) -> None:
         if getattr(config, "demonstrations", 0):
-            compile_first(progress, "chain", options.workers)
+            compile_first(progress, "chain", pool=pool)
 
     return run(
         recipe,

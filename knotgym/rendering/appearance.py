@@ -8,6 +8,9 @@ base bead is marked, so the code and the code of the reversed rope fit the pictu
 Style "knotbench" draws the diagram as a line with gaps, as printed ones and those of KnotBench
 (arXiv 2605.09900) are. It marks neither base nor direction, so a PD code fits the picture from any
 base point and in both directions.
+
+After a change run `pytest tests/rendering/test_appearance.py`: without variation a picture must be
+the published one, and crossings lie where it says.
 """
 
 import math
@@ -83,6 +86,7 @@ class Appearance:
 
 def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator) -> Appearance:
     """Sample an appearance for a configuration (beads, 3), metres."""
+    # The order of the draws is part of every table: a new one belongs at the end.
     vary, plain = set(config.vary), Appearance()
     size = config.sizes[int(rng.integers(len(config.sizes)))]
     turn = float(rng.uniform(-math.pi, math.pi)) if "turn" in vary else 0.0
@@ -94,9 +98,11 @@ def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator
     if "zoom" in vary:
         most = _largest_zoom(points, turn, width)
         low, high = config.zoom
+        # a rope larger than the range allows for is shown as large as fits
         zoom = float(rng.uniform(min(low, most), min(high, most)))
     if "colours" in vary:
         kind = ("published", "single", "gradient")[int(rng.integers(3))]
+    # dark, as every rope has a channel of 150 or more along all of it
     background = _rgb(rng.integers(0, 81, 3)) if "background" in vary else plain.background
     first, last = _rgb(rng.integers(150, 256, 3)), plain.last
     # a gradient ends dark but with one channel of 150 or more, so that it differs in hue from the
@@ -135,6 +141,7 @@ def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
         image = draw_lines(points, look.picture())
     else:
         image = draw(points, look.picture(), colours=look.bead_colours(len(points)))
+    # the lens before the sensor: noise isn't blurred
     if look.blur > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), look.blur), dtype=np.uint8)
     if look.noise > 0:
@@ -146,6 +153,7 @@ def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
 def _largest_zoom(points: Array, turn: float, width: float) -> float:
     """Return the zoom at which the rope is MARGIN away from the picture's edge."""
     plain = PictureConfig(turn=turn, width=width)
+    # in metres, from the middle to the rope's own edge
     outermost = np.abs(project(points, plain) - plain.size / 2).max() / plain.pixels_per_metre
     outermost += plain.drawn_radius
     return float((plain.size / 2 - MARGIN) / plain.pixels_per_metre / outermost)

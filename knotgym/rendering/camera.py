@@ -11,6 +11,9 @@ Every view is drawn as the top view of a rotated rope (`seen_from`), so the rest
 deals with the top view only. Pixel coordinates are continuous, x to the right and y down: pixel
 (row, column) covers [column, column + 1) x [row, row + 1); its centre is (column + 0.5, row + 0.5).
 Source: arXiv 2505.18028 (camera of the top view, colours).
+
+After a change run `pytest tests/rendering/test_picture.py`: the perspective camera must be the
+published one, and beads be drawn where they are projected.
 """
 
 import math
@@ -28,6 +31,7 @@ RGB = tuple[int, int, int]
 Level = Annotated[Int, Field(ge=0, le=255)]
 Colour = Annotated[tuple[Level, Level, Level], ListToo]  # an RGB in a configuration
 
+# Each is a rotation (determinant +1): a reflection would exchange the signs of all crossings.
 # view -> world axes that point right, up and towards the camera, and their signs
 _AXES = {
     "top": ((0, 1, 2), (1.0, 1.0, 1.0)),
@@ -95,6 +99,7 @@ class PictureConfig:
         """Scale of the picture; in perspective, at the height of the centre of mass."""
         if self.camera == "orthographic":
             return self.zoom * self.size / self.view
+        # pictures are square, so one angle holds for both axes
         visible = 2.0 * self.camera_height * math.tan(math.radians(FOVY) / 2.0)  # metres
         return self.zoom * self.size / visible
 
@@ -132,6 +137,7 @@ def bead_colours(beads: int) -> NDArray[np.uint8]:
     phase = np.arange(beads)[:, None] / beads
     wave = 0.5 + 0.5 * np.sin(2.0 * np.pi * (phase + np.array([0.0, 0.33, 0.67])))
     colours: NDArray[np.uint8] = np.rint(255.0 * wave).astype(np.uint8)
+    # where the code begins; the circle of colours has no beginning of its own
     colours[:1] = 255
     return colours
 
@@ -165,6 +171,7 @@ def project(
     middle = points.mean(axis=-2, keepdims=True) if center is None else np.asarray(center)
     offset = points - middle
     right, up = offset[..., 0], offset[..., 1]
+    # The camera turns anticlockwise, so the picture turns the other way: a rotation by -turn.
     if config.turn != 0.0:
         cos, sin = math.cos(config.turn), math.sin(config.turn)
         right, up = cos * right + sin * up, cos * up - sin * right
@@ -180,6 +187,8 @@ def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> N
     """
     if config.camera == "orthographic":
         return np.full(offset.shape[:-1], config.pixels_per_metre)
+    # Similar triangles: at the centre of mass the scale is `pixels_per_metre`, at half its distance
+    # from the camera twice that.
     depth = config.camera_height - offset[..., 2]
     return config.pixels_per_metre * config.camera_height / np.where(depth > _NEAR, depth, np.nan)
 

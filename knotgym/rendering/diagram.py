@@ -8,6 +8,9 @@ The rope is painted as in `picture`, from the lowest piece to the highest. At ea
 in the background colour, wider than the rope, is painted along the over strand before the over
 strand itself. It makes the gap in the under strand. The band covers parts of the over strand too,
 which are therefore painted once more.
+
+After a change run `pytest tests/rendering/test_diagram.py`: gaps must be where strands go under,
+and smoothing must leave the code alone.
 """
 
 from collections.abc import Sequence

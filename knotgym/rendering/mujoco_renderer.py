@@ -7,6 +7,9 @@ has drawn is refused, because drivers hang there.
 
 The backend is the user's MUJOCO_GL; if that is unset, EGL if installed, otherwise OSMesa, otherwise
 a window system. The environment variable itself is never written.
+
+After a change run `pytest tests/rendering/test_picture.py` where OpenGL works: both renderers must
+draw the same picture.
 """
 
 import atexit
@@ -29,6 +32,8 @@ from knotgym.rendering.rasterizer import average
 _NEAR = 0.01  # near plane of the camera, metres
 _MARGIN = 0.5  # free space above and below the rope, metres
 
+# Only ambient light, so that colours are flat; no multisampling (offsamples), because `average`
+# smooths the pictures of both renderers alike.
 _STAGE = """
 <mujoco>
   <visual>
@@ -71,6 +76,7 @@ class _Painter:
             ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._model, self._side = model, side
+        # room for most ropes and the floor; `paint` makes more for longer ones
         self._scene = _stage(model, 256)
 
     def paint(
@@ -97,6 +103,7 @@ class _Painter:
         capsule = mujoco.mjtGeom.mjGEOM_CAPSULE.value
         geoms = self._scene.geoms
         for bead in range(beads):
+            # only the colour counts here: the connector sets size, place and direction
             mujoco.mjv_initGeom(geoms[bead], capsule, nowhere, nowhere, upright, rgba[bead])
             mujoco.mjv_connector(
                 geoms[bead], capsule, config.drawn_radius, points[bead], points[(bead + 1) % beads]
@@ -113,22 +120,26 @@ class _Painter:
                 geoms[beads], mujoco.mjtGeom.mjGEOM_BOX.value, floor, below, upright, shade
             )
             self._scene.ngeom = beads + 1
+        # a painter of another size may have been the current one of this thread
         self._gl.make_current()
         canvas = np.empty((self._side, self._side, 3), dtype=np.uint8)
         view = mujoco.MjrRect(0, 0, self._side, self._side)
         mujoco.mjr_render(view, self._scene, self._context)
         mujoco.mjr_readPixels(canvas, None, view, self._context)
+        # OpenGL's first row is the bottom one
         return np.ascontiguousarray(canvas[::-1])
 
     def _look(self, points: NDArray[np.float64], config: PictureConfig) -> None:
         """Place the camera as config says; points are relative to their mean."""
         if config.camera == "orthographic":
+            # rays are parallel, so any height above the rope shows the same
             height = float(points[:, 2].max()) + _MARGIN
             half = 0.5 * config.view / config.zoom
         else:
             height = config.camera_height
             # MuJoCo's frustum is given at the near plane
             half = _NEAR * math.tan(0.5 * math.radians(FOVY)) / config.zoom
+        # a scene has two cameras, one for each eye; MuJoCo draws from between them
         for camera in self._scene.camera:
             camera.pos = [0.0, 0.0, height]
             camera.forward = [0.0, 0.0, -1.0]
@@ -143,6 +154,7 @@ class _Painter:
         """Free the context; may be called twice."""
         if self._context is not None:
             self._gl.make_current()
+            # the context first, as it can only be freed while its canvas is there
             self._context.free()
             self._gl.free()
         self._context = self._gl = None

@@ -4,6 +4,9 @@
 a person can decide every crossing (`LIMITS`); `take` makes the same picture again from the points
 and the appearance. The camera is orthographic. From `tilted` on, points are in its axes: x right, y
 up, z towards the camera. The Gauss code, the crossings and all answers are what it sees.
+
+After a change run `pytest tests/rendering/test_photo.py`, and the same file as a script with a
+count of photos: no answer may differ from those of an outside computation.
 """
 
 import math
@@ -62,6 +65,7 @@ def photograph(
         None if no camera of several shows a legible picture.
     """
     for _ in range(_TRIES):
+        # from many directions strands touch or fold, whatever the appearance; then another is tried
         lean, heading = drawn_camera(rng, tilt)
         seen = PhotoRope(tilted(points, lean, heading), size)
         shot = _drawn(seen, size, rng, lean, heading, marked)
@@ -81,6 +85,7 @@ def drawn_photo(
     """
     rope = PhotoRope(points, size)
     for attempt in range(_TRIES):
+        # a crossing may hide the base from here; then, after half of the tries, there is no tape
         wanted = marked and attempt < _TRIES // 2
         shot = _drawn(rope, size, rng, tilt, heading, wanted)
         if shot is not None:
@@ -92,12 +97,15 @@ def clearest(points: Array, size: int, tilt: float = 0.0, heading: float = 0.0) 
     """Take the plainest photo: a narrow white rope on a dark surface, as large as the picture."""
     rope = PhotoRope(points, size)
     look = _framed(rope, size, 0.0, 1.0, np.zeros(2), tilt, heading)
+    # as narrow as allowed, which leaves most background between strands
     width = WIDTHS[0] / (2 * DEFAULT.rope_radius * look.scale)
     return take(points, replace(look, width=width, first=(235, 230, 220), last=(235, 230, 220)))
 
 
 def drawn_camera(rng: np.random.Generator, tilt: float = TILT) -> tuple[float, float]:
     """Draw tilt and heading, degrees, evenly over the directions up to a tilt."""
+    # the area of a cap is proportional to its height (Archimedes), so an even cosine is an even
+    # direction
     lean = math.degrees(math.acos(rng.uniform(math.cos(math.radians(tilt)), 1.0)))
     return lean, float(rng.uniform(0.0, 360.0))
 
@@ -120,7 +128,9 @@ def take(points: Array, look: Photo) -> Shot:
     """Take the photo of points (beads, 3) in the camera's axes with an appearance."""
     rope = PhotoRope(points, look.size)
     rng = generator(Stream.IMAGE_GRAIN, look.seed)
+    # random numbers are taken in the order of `_drawn`: first the ground, then what lies on it
     view, (texture, ground) = PhotoView(rope, look), ground_of(look, rng)
+    # `region` stamps only what may be legible; a given appearance is shown in any case
     region = view.region(2 * look.radius)
     if not region:
         view.stamp(look.radius)
@@ -168,8 +178,10 @@ def _drawn(
     hidden = view.base_spacing < 1.5 * width
     if marked and hidden:
         return None
+    # from pixels to a factor on the width of the real rope
     width /= 2 * DEFAULT.rope_radius * look.scale
     look = replace(look, width=width, marked=wanted and not hidden)
+    # another appearance costs less than another camera; four weren't measured against other numbers
     for _ in range(4):
         look = drawn_look(look, rng)
         grain = generator(Stream.IMAGE_GRAIN, look.seed)
@@ -178,6 +190,7 @@ def _drawn(
         shot = painted(rope, view, look, region, texture, ground, grain)
         if shot.legible:
             return replace(shot, image=exposed(shot.image, look))
+        # they were stamped beside the rope, and the next appearance has others
         if look.others:
             view.stamp(look.radius)
     return None
@@ -194,8 +207,10 @@ def _framed(
     """
     flat = projected(rope.curve, turn, size / DEFAULT.view)[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
+    # half of the widest rope is beyond its axis on either side, and a pixel is left to the edge
     room = size - WIDTHS[1] - 2.0
     zoom = fill * room / float((high - low).max())
+    # a share of what is left free, and what brings the middle of the drawing to the picture's
     right, down = 0.5 * (room - zoom * (high - low)) * place - 0.5 * zoom * (low + high)
     frame: dict[str, Any] = {"zoom": zoom, "right": float(right), "down": float(down)}
     return Photo(size=size, turn=turn, tilt=tilt, heading=heading, **frame)
@@ -208,6 +223,8 @@ def _coloured(look: Photo, view: PhotoView, ground: Array, rng: np.random.Genera
     """
     _, (x, y) = (one.T for one in view.beside())
     dyes = drawn_dyes(rng, 24)
+    # what shading leaves of a dye on the average, less with the grooves of a twist; no record says
+    # how these, 6 and 2.6 below were set
     rope = lab((0.66 if look.twisted else 0.8) * dyes)
     behind = ground[y[::3], x[::3]].astype(np.float64)
     lit, shaded = lab(behind), lab((1 - 0.55 * look.shadow) * behind)

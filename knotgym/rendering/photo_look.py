@@ -1,4 +1,8 @@
-"""What a photo looks like: rope, surface, things on it, light; drawn from a generator."""
+"""What a photo looks like: rope, surface, things on it, light; drawn from a generator.
+
+After a change run `pytest tests/rendering/test_photo.py`: a photo must be taken again from its
+points and appearance to the byte.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -120,15 +124,19 @@ class Photo(Appearance):
 
 def drawn_look(look: Photo, rng: np.random.Generator) -> Photo:
     """Draw everything but the frame and the rope's colours."""
+    # The order of the draws is part of every photo: a new one belongs at the end.
     kind = BACKGROUNDS[rng.integers(len(BACKGROUNDS))]
     surface = kind if kind in SURFACES else SURFACES[rng.integers(len(SURFACES))]
     if surface == "wood":
         first = _hsv(rng.uniform(18, 36), rng.uniform(0.3, 0.65), rng.uniform(0.3, 0.9))
+        # grain of the same hue, darker
         last = first * rng.uniform(0.55, 0.8)
     else:
+        # the power makes pale surfaces more frequent than coloured ones
         first = _hsv(rng.uniform(0, 360), 0.65 * rng.random() ** 1.6, rng.uniform(0.15, 0.95))
         last = first * rng.uniform(0.5, 0.92)
     grains = {"cloth": (2.5, 6.0), "wood": (5.0, 14.0), "gradient": (256, 256), "noise": (8, 60)}
+    # the upper end is excluded: 2 to 8 things, 1 to 4 ropes
     count = {"clutter": (2, 9), "ropes": (1, 5)}
     return replace(
         look,
@@ -160,6 +168,7 @@ def drawn_look(look: Photo, rng: np.random.Generator) -> Photo:
 def light_of(look: Photo) -> Array:
     """Return the direction towards the light, (3,); y points down."""
     turn, height = math.radians(look.light_turn), math.radians(look.light_height)
+    # spherical coordinates
     flat = math.cos(height)
     return np.array([flat * math.cos(turn), flat * math.sin(turn), math.sin(height)])
 
@@ -179,6 +188,8 @@ def drawn_dyes(rng: np.random.Generator, count: int) -> Array:
 
 def _hsv(hue: Any, saturation: Any, value: Any) -> Array:
     """Return the RGB, 0 to 255, of a hue in degrees."""
+    # Per channel V - V S max(0, min(k, 4 - k, 1)), k = (n + hue / 60) mod 6, n = 5, 3, 1 for R, G,
+    # B.
     part = (hue / 60.0 + np.array([5.0, 3.0, 1.0])) % 6.0
     return 255 * value * (1 - saturation * np.clip(np.minimum(part, 4 - part), 0, 1))
 
@@ -191,6 +202,7 @@ def levels_of(colour: Array) -> RGB:
 
 def lab(colours: Array) -> Array:
     """Return CIELAB (n, 3) of RGB levels (n, 3), with a and b at half weight."""
+    # OpenCV keeps L, which is 0 to 100, in 0 to 255
     levels = np.minimum(np.maximum(colours, 0), 255).astype(np.uint8)
     return cv2.cvtColor(levels[None], cv2.COLOR_RGB2LAB)[0] * np.array([100 / 255, 0.5, 0.5])
 
@@ -202,5 +214,7 @@ def lengths(vectors: Array) -> Array:
 
 def low_of(values: Array) -> Array:
     """Return the value that a twentieth of the last axis is below."""
+    # a twentieth may be dark, such as specks and ends of clutter; only one order statistic, so no
+    # sort
     k = values.shape[-1] // 20
     return np.partition(values, k, axis=-1)[..., k]

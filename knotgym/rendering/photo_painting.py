@@ -3,6 +3,9 @@
 The rope is painted in two layers. Cut half-way between visits, it falls into arcs that each visit
 one crossing; arcs that go over are the upper layer, arcs that go under are the lower one. Arcs of a
 layer don't cross, so that the nearest piece at a pixel is all that is needed of each layer.
+
+After a change run `pytest tests/rendering/test_photo.py`: answers must be those of an outside
+computation, at every size.
 """
 
 import math
@@ -100,6 +103,7 @@ class PhotoView:
         self.visits, self.goes_over = places[order], order < len(self.over)
         flat = self.curve[:, :2]
         step = flat[self.after] - flat
+        # after - 2 is the index before, which wraps to the last
         self.along = step + step[self.after - 2]  # about twice the direction at each point
         self.along /= np.sqrt((self.along**2).sum(axis=1))[:, None]
         walked = np.append(0.0, np.cumsum(np.sqrt((step**2).sum(axis=1))))
@@ -128,6 +132,7 @@ class PhotoView:
             return 0.0
         # a fold whose arms touch can't be told from a small kink
         length = self.walked[-1]
+        # the piece two widths further along; below, -0.85 is a turn by 148 degrees on the way
         further = np.searchsorted(self.walked, (self.walked[:-1] + 2.0 * width) % length) - 1
         if ((self.along * self.along[further]).sum(axis=1) < -0.85).any():
             return 0.0
@@ -137,11 +142,15 @@ class PhotoView:
             return 0.0
         self.stamp(0.5 * width)
         near = (self.radius + 0.5 * gap) ** 2
+        # with some pixels to spare, so that the outside stays in one piece
         low = np.maximum(self.curve[:, :2].min(axis=0) - self.radius - 4, 0).astype(int)
         high = (self.curve[:, :2].max(axis=0) + self.radius + 5).astype(int)
         square = self.square[:, low[1] : high[1], low[0] : high[0]]
         free = ((square[0] > near) & (square[1] > near)).view(np.uint8)
+        # label 0 is the rope
         areas = cv2.connectedComponentsWithStats(free, connectivity=8, ltype=cv2.CV_16U)[2][1:, -1]
+        # By Euler a closed curve with nx crossings has nx + 2 faces; with fewer, the rope fills
+        # one, with more, it cuts one in two.
         least = float(areas.min()) / self.unit**2
         return least if len(areas) == len(self.over) + 2 and least >= LIMITS.region else 0.0
 
@@ -177,15 +186,18 @@ def projected(offset: Array, turn: float, scale: float) -> Array:
 
 def ground_of(look: Photo, rng: np.random.Generator) -> tuple[Array, Array]:
     """Paint the surface with its clutter; return the random texture of all patterns, too."""
+    # drawn for gradients too, so that what follows is the same on every surface
     texture = rng.random((64, 64), dtype=np.float32)
     small = min(look.size, 256)  # surfaces are no finer than that
     cell = look.grain * small / 256
     lean = math.radians(look.heading) - look.turn  # in the picture, y up
     c, s, tilt = math.cos(lean), math.sin(lean), math.cos(math.radians(look.tilt))
+    # a surface seen at a slant is shortened along the leaning, so its pattern is, too
     flat = np.array([[c / tilt, -s / tilt], [s, c]])  # along the leaning, stretched; across it
     turn = math.radians(look.grain_turn) + lean
     axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     axes = axes @ flat / cell
+    # a gradient has its middle in the middle of the picture; other patterns begin anywhere
     start = rng.uniform(0, 64, 2) * (look.surface != "gradient") - axes.sum(axis=1) * small / 2
     picture = np.empty((small, small, 3), np.uint8)
     ends = [np.array(one, np.float32) for one in (look.background, look.ground)]
@@ -213,6 +225,8 @@ def _lay(
     for outline, far in zip(outlines, reach, strict=True):
         corners = (3, 4, 4, 5, 6, 12)[rng.integers(6)]
         angles = rng.uniform(0, 2 * np.pi) + 2 * np.pi * (np.arange(sides) % corners) / corners
+        # A regular polygon's sides are cos(pi / corners) of its reach from the middle; with twelve,
+        # 0.97, it passes for a disc.
         off = (
             far
             * (math.cos(math.pi / corners) if corners < 12 else 0.97)
@@ -248,13 +262,16 @@ def painted(
     tangent /= np.maximum(np.sqrt((tangent**2).sum(axis=1)), 1e-6)[:, None]
     light = light_of(look)
     grown = 3.0 * view.radius * n / length[n]
+    strengths = view.radius, look.gloss, look.ambient, look.shadow
+    radius, gloss, ambient, shadow = np.array(strengths, np.float32)
     kernels.compose(
         picture, strands, view.visits, view.square, view.place, curve, after,
         tangent.astype(np.float32),
-        (length * turns / length[n]).astype(np.float32), colours, view.radius, look.twisted,
-        look.gloss, look.ambient, look.shadow, light.astype(np.float32), texture, grown, n,
+        (length * turns / length[n]).astype(np.float32), colours, radius, look.twisted,
+        gloss, ambient, shadow, light.astype(np.float32), texture, grown, n,
     )  # fmt: skip
     if look.occluders:
+        # what is covered is visible no more
         strands[_occlude(view, look, picture, rng) > 0] = 0
     if look.blur > 0.2:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), look.blur))
@@ -293,8 +310,11 @@ def _with_others(
         bends = np.cumsum(0.3 * rng.uniform(-1, 1, 60)) * 0.3 + rng.uniform(-0.6, 0.6)
         angles = math.pi / 2 * (1 + side) + np.cumsum(0.08 * bends)
         steps = 0.014 * size * np.column_stack([np.cos(angles), np.sin(angles)])
+        # it begins outside the picture
         path = np.array([x, y]) * size - 2 * steps[0] + np.cumsum(steps, axis=0)
         apart = np.linalg.norm(path[:, None] - curve[None, :, :2], axis=2).min(axis=1)
+        # up to the first point that is too near anything; the 0 behind the last is for paths that
+        # never are
         path = path[: int(np.argmax(np.append(apart, 0.0) < space))]
         if len(path) < 8:
             continue
@@ -303,6 +323,7 @@ def _with_others(
         curve = curve.astype(np.float32)
         after = np.concatenate([after, np.arange(n + 1, last), [-1]])
         colours = np.concatenate([colours, np.tile(dye, (len(path), 2, 1)).astype(np.float32)])
+    # only the new pieces are stamped; where they and the rope are near, nearest wins
     new = np.where(np.arange(len(curve)) < len(view.curve), -1, after)
     flags = np.full(len(curve), kernels.UNDER, np.uint8)
     kernels.stamp(curve, new, flags, _reach(view.radius), view.square, view.place)
@@ -312,6 +333,7 @@ def _with_others(
 def _occlude(view: PhotoView, look: Photo, picture: Array, rng: np.random.Generator) -> Array:
     """Lay things on single straight strands; return where they are."""
     flat, n, chosen = view.curve[:, :2], len(view.curve), list[tuple[int, float]]()
+    # eight places are tried for each thing; if none is fit, there are fewer
     for _ in range(8 * look.occluders):
         k, reach = int(rng.integers(n)), float(rng.uniform(1.2, 2.0)) * view.radius + 3.0
         clear = 1.5 * (reach + view.radius + 3.0)

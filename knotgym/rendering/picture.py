@@ -7,6 +7,9 @@ Depth is the depth of the rope's axis, accurate to 3.4 mm: beads are drawn in pi
 most 6.7 mm of depth, and each piece has the depth of its middle. A pixel takes the nearest of its
 samples instead of their average. Under the perspective camera, depth is distance along the line of
 sight.
+
+After a change run `pytest tests/rendering/test_picture.py` and `python benchmarks/truth.py`:
+pictures must be a ray tracer's but for edges, and the strand on top the one labelled over.
 """
 
 import numpy as np
@@ -99,11 +102,13 @@ def _draw_all(
     views, size = len(config.views), config.size
     if out is None:
         out = np.empty((frames, views * size, size, config.channels), dtype=np.uint8)
+    # `reshape` below would copy a strided array, and the background be written to the copy
     require(out.flags.c_contiguous, "out must be contiguous", out.strides)
     if config.renderer == "mujoco":
         # imported only here, because the module searches for OpenGL
         from knotgym.rendering import mujoco_renderer
 
+        # one rope after another, as OpenGL draws no batch
         for image, rope in zip(out[:, :, :size], points, strict=True):
             for square, view in zip(np.split(image, views), config.views, strict=True):
                 square[:] = mujoco_renderer.draw(seen_from(view, rope), colours, config)
@@ -112,6 +117,8 @@ def _draw_all(
     # whole rows: NumPy assigns three channels at a time forty times more slowly
     row = np.tile(np.array((*config.background, 0)[: config.channels], dtype=np.uint8), size)
     out.reshape(*out.shape[:2], out.shape[2] * config.channels)[:, :, : row.size] = row
+    # height of the centre of mass, or its distance from the camera: the depth that becomes level
+    # 128
     middle = 0.0 if config.camera == "orthographic" else -config.camera_height
     for number, view in enumerate(config.views):
         placed = _on_canvas(seen_from(view, points), config)
@@ -135,6 +142,9 @@ def _on_canvas(
     if config.camera == "orthographic":
         height = np.ascontiguousarray(offset[..., 2])
     else:
+        # negative, so that nearer is higher under both cameras
         height = -np.linalg.norm(offset - np.array([0.0, 0.0, config.camera_height]), axis=-1)
+    # Each vertex has a radius of its own, as perspective widens what is near. OpenCV fills EDGE too
+    # wide, see `rasterizer`.
     radius = config.supersampling * config.drawn_radius * pixels_per_metre_at(offset, config)
     return pixels, height, np.maximum(radius - EDGE, EDGE)

@@ -1,4 +1,7 @@
-"""How near the strands of a drawn rope come without crossing."""
+"""How near the strands of a drawn rope come without crossing.
+
+After a change run `pytest tests/quality`: measures of states must be those computed plainly.
+"""
 
 from typing import Any
 
@@ -23,6 +26,8 @@ def strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> flo
         x, y = pixels[(i + 1) % beads, 0] - pixels[i, 0], pixels[(i + 1) % beads, 1] - pixels[i, 1]
         along[i + 1] = along[i] + np.sqrt(x * x + y * y)
     total = along[beads]
+    # a way that turns at crossings reaches j straight from the last of them, so distances with
+    # turns are needed from i alone
     to_visit, from_bead = _walks_to_visits(along, over, under)
     nearest = np.inf
     # from cheap to expensive: along the rope, in the picture, then through any crossing
@@ -60,6 +65,7 @@ def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Ar
     at = np.empty(visits)
     for k in range(len(over)):
         for side, place in enumerate((over[k], under[k])):
+            # a place may be `beads`, the end of the closing edge
             i = min(int(place), beads - 1)
             at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
     # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same

@@ -1,9 +1,11 @@
 """Compilation before a run, so that its processes don't all wait for the same kernels."""
 
+import gc
 from collections.abc import Callable
+from concurrent.futures import Executor
 
 from knotgym.rope.engines import CHAIN, MUJOCO, compile_engine, is_compiled
-from knotgym.runs.executors import cores, executor
+from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress
 
 _PICTURES, _DRAWINGS, _MEASURES = "pictures", "drawings", "measures"
@@ -12,29 +14,28 @@ _PICTURES, _DRAWINGS, _MEASURES = "pictures", "drawings", "measures"
 def compile_first(
     progress: Progress,
     engine: str = MUJOCO,
-    workers: int = 1,
+    pool: Executor | None = None,
     *,
     draws: bool = False,
     plan: Callable[[], None] | None = None,
 ) -> None:
     """Compile an engine's kernels, if they aren't; beside them, those that paint pictures.
 
-    Both take about as long, so two processes compile them; with one worker (0: one per core),
-    pictures wait until one is painted. A run that draws states also needs the kernels that draw
-    and measure them, and one that plans in the chain engine those that `plan`, a function of a
-    module, uses; otherwise each of its workers would compile them.
+    Both take about as long, so two processes of the pool compile them. In this process alone,
+    which is the default, pictures wait until one is painted. A run that draws states also needs
+    the kernels that draw and measure them, and one that plans in the chain engine those that
+    `plan`, a function of a module, uses; otherwise each of its workers would compile them.
     """
     engines = [CHAIN, engine] if plan is not None and engine != CHAIN else [engine]
     if not all(map(is_compiled, engines)):
         progress.stage("compiling, only on the first run")
-        count = min(2, workers or cores())
-        others = [_DRAWINGS, _MEASURES, _PICTURES] if draws else [_PICTURES]
-        with executor(count) as pool:
-            # the chain engine takes longest, so it comes first, with what needs it
-            first, *more = engines
-            later = [*others, *more] if count > 1 else more
-            tasks = [(first, plan), *((name, None) for name in later)]
-            list(pool.map(_compile, *zip(*tasks, strict=True)))
+        pool = pool or InProcess()
+        # the chain engine takes longest, so it comes first, with what needs it
+        first, *later = engines
+        if not isinstance(pool, InProcess):
+            later = [*([_DRAWINGS, _MEASURES] if draws else []), _PICTURES, *later]
+        tasks = [(first, plan), *((name, None) for name in later)]
+        list(pool.map(_compile, *zip(*tasks, strict=True)))
     progress.stage("starting")
 
 
@@ -43,6 +44,7 @@ def _compile(kernels: str, then: Callable[[], None] | None) -> None:
 
     from knotgym.rope.model import Rope
 
+    gc.disable()  # it finds nothing meanwhile, and takes a twentieth of the time
     rope, rng = Rope(), np.random.default_rng(0)
     if kernels == _PICTURES:
         from knotgym.rendering.picture import draw
@@ -55,14 +57,17 @@ def _compile(kernels: str, then: Callable[[], None] | None) -> None:
         drawn_curve(GaussCode.parse("1+,1-"), rng, rope)
     elif kernels == _MEASURES:
         from knotgym.quality.measures import measure, noise_survival
+        from knotgym.topology.reference_labeller import pyknotid_code
 
         t = np.linspace(0, 2 * np.pi, 200, endpoint=False)
         eight = np.stack([0.3 * np.sin(t), 0.15 * np.sin(2 * t), 0.01 * np.cos(t)], axis=1)
         points = rope.from_curve(eight)
         measure(points)
         noise_survival(points, 0.015, rng, draws=2)
+        pyknotid_code(points)
         rope.qpos(points)
     else:
         compile_engine(kernels)
     if then is not None:
         then()
+    gc.enable()

@@ -106,7 +106,7 @@ class Progress:
         if due and (self._lines or (self._waits and now - self._began >= _LINE_EVERY)):
             self._shown, left = now, self._task.time_remaining
             more = f"; time left {timedelta(seconds=round(left))}" if left else ""
-            self._tell(f"{name} {shown}{more}")
+            self._tell(f"{name}: {shown}{more}")
 
 
 def narrow_table(

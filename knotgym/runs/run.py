@@ -122,7 +122,7 @@ def run(
     progress: Progress | None = None,
     *,
     is_folder: bool = True,
-    prepare: Callable[[Progress], None] | None = None,
+    prepare: Callable[[Progress, Executor], None] | None = None,
     pool: Callable[[], AbstractContextManager[Executor]] | None = None,
     count: Callable[[Result], Mapping[str, int]] | None = None,
     sources: Callable[[], Any] | None = None,
@@ -135,7 +135,7 @@ def run(
             text, that is the summary to show. Nothing else may be done there; files that later
             calls need may be written beside it.
         identity: everything that determines the output, see `identity.identity`.
-        prepare: called before the work, for example to compile kernels.
+        prepare: called with the executor before the work, for example to compile kernels.
         pool: opens the executor; by default that of the options.
         count: result -> numbers to add up and show, such as {"reached the goal": 3}.
         sources: returns the digests of the files that are read; the output is only published if
@@ -161,10 +161,10 @@ def run(
         with staged(out, identity, options, shard) as (folder, journal):
             if options.resume and journal.is_empty and not (folder / CHECKPOINT).exists():
                 shown.say(f"{out}: there is nothing to resume, starting from the beginning")
-            if prepare is not None:
-                prepare(shown)
             place, show = folder / "made" / out.name, _shown_on(shown, count)
             with (pool or partial(executor, options.workers, options.scheduler))() as workers:
+                if prepare is not None:
+                    prepare(shown, workers)
                 try:
                     summary = compute(recipe(place), journal, workers, shard, show)
                 except _Missing as missing:

@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.common.threads import ALONE, Threads
+from knotgym.common.threads import ALONE, FEW, Threads
 from knotgym.topology.crossing_kernel import scan_rows
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
 FINITE = "every x, y, z must be a finite number"
-_FEW = 16  # ropes, that are worth a thread of their own
 WIDTH = 32  # crossings that arrays have room for at first
 
 
@@ -67,7 +66,7 @@ def read_codes(
         visits = np.empty((count, 2 * width), dtype=np.int16)
         signs = np.empty((count, width), dtype=np.int8)
         scan = partial(_scan, points, (which, visits, signs, crossings))
-        most = max(threads.spread(scan, count, _FEW), default=0)
+        most = max(threads.spread(scan, count, FEW), default=0)
         if count and crossings.min() < 0:
             raise InvalidInput(
                 f"no closed rope: a coordinate of rope {int(crossings.argmin())} is not finite;"

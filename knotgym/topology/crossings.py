@@ -112,6 +112,7 @@ def count_crossings(points: ArrayLike, most: int) -> int:
     Args:
         points: finite; otherwise as for `find_crossings`.
     """
+    # the kernel stops at the first hit too many
     return len(find_hits(_checked(points, 2), most))
 
 
@@ -152,6 +153,7 @@ def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 
 
 def _gauss_code(visits: NDArray[Any], signs: NDArray[Any]) -> GaussCode:
+    # what the kernel found needs no check that each label comes once over and once under
     return trusted_code(
         tuple(visits.tolist()),
         "".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs.tolist()]),

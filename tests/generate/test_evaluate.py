@@ -18,7 +18,7 @@ from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
 from knotgym.generate.episodes.blocks import from_result
-from knotgym.generate.episodes.evaluate import evaluate, film, report, run, sources_of
+from knotgym.generate.episodes.evaluate import film, report, run, sources_of
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import show
 from knotgym.rope.model import RopeConfig
@@ -46,14 +46,14 @@ def printed(results: Any, engine: str = "mujoco") -> str:
 
 def test_every_setup_gets_its_row_in_order() -> None:
     tasks, splits = ("unknot", "tie"), ("train", "test")
-    results = evaluate(config(tasks=tasks, nx=(1, 2), splits=splits, episodes=1))
+    results = run(config(tasks=tasks, nx=(1, 2), splits=splits, episodes=1), QUIET)
     found = [(one.task, one.split, one.nx) for one in results]
     assert found == [(task, split, nx) for task in tasks for split in splits for nx in (1, 2)]
 
 
 def test_an_expert_beats_random_and_says_what_planning_took() -> None:
     task = replace(CHAIN, horizon=25)
-    worse, better = evaluate(config(policies=("random", "expert"), task=task, episodes=12))
+    worse, better = run(config(policies=("random", "expert"), task=task, episodes=12), QUIET)
     assert better.success_rate > 0.8 > worse.success_rate
     assert better.planned_actions > 0 == worse.planned_actions
     assert better.mean_return == pytest.approx(10 * better.success_rate - 5)
@@ -74,9 +74,9 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(tmp_path: Path) -
 
 
 def test_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = evaluate(config())
+    one = run(config(), QUIET)
     monkeypatch.setattr(evaluating, "blocks", lambda *_: [range(4), range(4, 9)])
-    assert one == evaluate(config())
+    assert one == run(config(), QUIET)
 
 
 def test_a_shard_and_resuming_need_an_output() -> None:
@@ -105,13 +105,13 @@ def test_what_does_not_fit_is_refused_before_any_work(tmp_path: Path, monkeypatc
 def test_the_result_says_whose_states_were_used(states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "nx1.h5", states.taken(np.flatnonzero(states.nx == 1)))
     task = TaskConfig(task="unknot", states=str(tmp_path / "nx1.h5"), observation="state")
-    results = evaluate(config(tasks=("unknot",), task=replace(task, horizon=2), episodes=1))
+    results = run(config(tasks=("unknot",), task=replace(task, horizon=2), episodes=1), QUIET)
     assert (results[0].start_states, results[0].goal_states) == ("own", "shipped")
     assert "unknot nx 1: the state file has no plain loops" in printed(results)
 
 
 def test_a_result_says_in_which_view_the_policy_acted() -> None:
-    results = evaluate(config(task=replace(CHAIN, action="macro"), episodes=1))
+    results = run(config(task=replace(CHAIN, action="macro"), episodes=1), QUIET)
     assert results[0].action == "macro" and "random (macro)" in printed(results)
     assert "engine chain, not the reference engine" in printed(results, "chain")
 

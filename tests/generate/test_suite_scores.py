@@ -14,7 +14,7 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import as_text, report, sources_of
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.episodes.suite_scores import read_scores, score_tables
+from knotgym.generate.episodes.suite_scores import read_scores, score_table
 from knotgym.runs.intervals import cluster_interval
 
 STARTS = 8
@@ -90,19 +90,19 @@ def test_what_was_played_otherwise_is_never_in_one_row(
     files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 2, 80, 192)]
     changed(files[1], *place, value=value)
     assert sorted(row["episodes"] for row in read_scores(files)) == [64, 192]
-    page = score_tables(read_scores(files))
+    page = score_table(read_scores(files))
     assert len([line for line in page if line.startswith("| random |")]) == 2
 
 
 def test_budgets_and_rules_that_differ_stand_in_the_table(tmp_path: Path) -> None:
-    page = score_tables(read_scores([told(tmp_path / "a", 1, 16, 64, budget=7, horizon=20)]))
+    page = score_table(read_scores([told(tmp_path / "a", 1, 16, 64, budget=7, horizon=20)]))
     assert any("| random | horizon=20; planner.budget=7 |" in line for line in page)
 
 
 def test_a_learner_s_training_stands_beside_its_scores(tmp_path: Path) -> None:
     path = told(tmp_path / "a", 1, 16, 64)
     changed(path, "learners", value={"random": {"seconds": 766}})
-    page = "\n".join(score_tables(read_scores([path])))
+    page = "\n".join(score_table(read_scores([path])))
     assert re.search(r"\| random \|.*\| 766 \|$", page, re.M)
 
 
@@ -129,14 +129,3 @@ def test_what_no_evaluation_says_is_refused(
     changed(path, *place, value=value)
     with pytest.raises(InvalidFile, match="isn't a file of `knotgym evaluate --out`"):
         read_scores([path])
-
-
-def test_scores_of_macro_actions_never_stand_beside_published_ones(tmp_path: Path) -> None:
-    files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 1, 48, 64, action="macro")]
-    page = score_tables(read_scores(files))
-    own = page.index(next(line for line in page if line.endswith("test split, macro-actions")))
-    pulls, macros = page[:own], page[own:]
-    assert any("published" in line for line in pulls)
-    assert not any("published" in line for line in macros)
-    (line,) = [line for line in macros if "random" in line]
-    assert line.startswith('| random | action="macro"')

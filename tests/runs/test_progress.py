@@ -80,4 +80,4 @@ def test_a_long_run_whose_output_is_a_result_tells_on_standard_error(
     progress = Progress(lines=False, clock=lambda: now[0])
     for done, now[0] in enumerate((1.0, 5.0, 12.0, 13.0)):
         progress.stage("playing", done, 4)
-    assert capfd.readouterr() == ("", "   12 s  playing 2 of 4; time left 0:00:14\n")
+    assert capfd.readouterr() == ("", "   12 s  playing: 2 of 4; time left 0:00:14\n")

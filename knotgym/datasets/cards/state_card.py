@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.datasets.cards.citation import code_span, filled, plain, write_text
-from knotgym.datasets.cards.fact_tables import CardTable, counted, measured, table
+from knotgym.datasets.cards.fact_tables import CardTable, counted, measured
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.manifest import write_manifest
 from knotgym.states.split_names import STATE_SPLITS
@@ -88,10 +88,6 @@ def finish(
 def _card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
     found = {name: one.markdown() for name, one in tables(states, report).items()}
-    columns = [
-        (code_span(one.name), one.dtype, plain(one.unit), one.doc)
-        for one in states.table.schema.columns
-    ]
     return filled(
         "state_card.md",
         crossings=", ".join(map(str, sorted(set(states.nx.tolist())))),
@@ -107,7 +103,7 @@ def _card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) 
         demonstrations=report.get("demonstrations", 0),
         lacking=_lacking(report),
         **{name.replace(" ", "_"): text for name, text in found.items()},
-        columns=table(("column", "type", "unit", "contents"), columns),
+        columns=states.table.schema.page(),
         config=json.dumps(config, indent=1, sort_keys=True),
     )
 

@@ -5,12 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from knotgym.common.atomic_files import (
-    atomic_write,
-    require_apart,
-    require_output,
-    require_writable,
-)
+from knotgym.common.atomic_files import atomic_write, require_apart, require_output
 from knotgym.common.errors import InvalidInput
 from knotgym.datasets.episode_dataset import open_episodes, write_episodes
 from knotgym.datasets.episode_verification import Replay, expanded
@@ -37,7 +32,6 @@ def export(named: str, out: Path, form: str, replay: Replay, *, overwrite: bool 
     """
     if form not in EXPORTERS:
         raise InvalidInput(f"no format {form!r}; formats are {', '.join(EXPORTERS)}")
-    require_writable(out)
     given = locate_own(named)
     require_apart(out, [given.root])
     is_file = form in _FILES and len(given.episodes) < 2

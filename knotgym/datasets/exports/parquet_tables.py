@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from knotgym.common.tables import Column, Schema, Table
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import STEPS, gauss_codes, goal_reached, ranges
-from knotgym.datasets.image_table import SHOWS_IMAGE, arrow, encode, picture_column
+from knotgym.datasets.image_table import arrow, encode, picture_column, shown
 
 _AT_ONCE = 256  # episodes converted at once
 _TEXTS = (
@@ -108,4 +108,4 @@ def _arrow_table(table: Table) -> Any:
         else:
             column = pa.array(values.tolist() if values.dtype.kind == "U" else values)
         columns[name.replace("/", "_")] = column
-    return pa.table(columns, metadata=SHOWS_IMAGE if "image" in columns else None)
+    return pa.table(columns, metadata=shown("image") if "image" in columns else None)

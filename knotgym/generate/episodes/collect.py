@@ -115,10 +115,10 @@ def collect(
         identity(config, source),
         options,
         progress,
-        prepare=lambda shown: compile_first(
+        prepare=lambda shown, pool: compile_first(
             shown,
             config.task.engine,
-            options.workers,
+            pool=pool,
             plan=compile_planning if config.policy.plans else None,
         ),
         count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},

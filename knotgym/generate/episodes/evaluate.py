@@ -8,7 +8,6 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -72,13 +71,6 @@ def _evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
         played = merged(parts[setup * len(numbers) : (setup + 1) * len(numbers)])
         results.append(_result_of(*one, played.episodes))
     return results, parts[len(calls) :]
-
-
-def evaluate(config: EvaluateConfig, workers: int = 1) -> list[Result]:
-    """Play every setup and write nothing; return the results in the order of `config.setups`."""
-    _require_playable(config)
-    with executor(workers) as pool:
-        return compute(_evaluation(config), pool=pool)[0]
 
 
 def _require_playable(config: EvaluateConfig) -> None:
@@ -149,10 +141,9 @@ def run(
             place.write_text(text, encoding="utf-8")
         return f"{len(results)} results of {config.episodes} episodes each"
 
-    prepare = partial(compile_first, engine=config.task.engine, workers=options.workers)
     if out is None:
-        prepare(progress)
         with executor(options.workers) as pool:
+            compile_first(progress, config.task.engine, pool=pool)
             compute(recipe(None), pool=pool)
     else:
         run_recipe(
@@ -162,7 +153,7 @@ def run(
             options,
             progress,
             is_folder=False,
-            prepare=prepare,
+            prepare=lambda shown, pool: compile_first(shown, config.task.engine, pool=pool),
             sources=lambda: sources_of(config),
         )
         if not options.shard.is_whole:

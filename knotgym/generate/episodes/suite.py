@@ -19,16 +19,17 @@ from typing import Any
 import knotgym
 from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.common.configuration import read_json
-from knotgym.common.errors import Failed, InvalidFile
+from knotgym.common.errors import Failed, InvalidFile, InvalidInput, KnotgymError, one_line
 from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.datasets.cards.fact_tables import table
-from knotgym.generate.episodes.collect import collect, require_collectable
+from knotgym.datasets.episode_dataset import content_digest, open_episodes
+from knotgym.datasets.episodes import distinct
+from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
 from knotgym.generate.episodes.collect_config import CollectConfig
-from knotgym.generate.episodes.recordings import Recording, recordings
+from knotgym.generate.episodes.recordings import Recording, first_difference, recordings
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_config import BENCH, SIZES, SUITE, SuiteConfig
-from knotgym.generate.episodes.suite_facts import describe_set
-from knotgym.generate.episodes.suite_scores import read_scores, score_tables
+from knotgym.generate.episodes.suite_scores import read_scores, score_table
 from knotgym.rope.engines import ENGINES
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
@@ -37,7 +38,6 @@ from knotgym.states.state_file import minari_root
 SETUPS = tuple(product(SUITE["tasks"], SUITE["nx"]))
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
-_PLAY = ("id", "reached the goal, %", "goal codes, train", "test", "in both", "classes in both")
 
 
 def make_suite(
@@ -129,6 +129,50 @@ def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
     return {name: describe_set(root / name) for name in ids if (root / name).exists()}
 
 
+def describe_set(made: Path) -> dict[str, Any]:
+    """Describe a finished dataset that `collect` or the suite made.
+
+    Args:
+        made: folder of the dataset.
+
+    Returns:
+        Its settings and size; `sha256`, of its starts and pulls; `recorded`: "no" recording,
+        "same", or "differs from episode k".
+
+    Raises:
+        InvalidInput: it isn't such a dataset.
+    """
+    try:
+        dataset = open_episodes(made)
+        config, versions = run_facts(made)["config"], run_facts(made)["versions"]
+        policy, seed = config["policy"]["policy"], config["seed"]
+    except (KnotgymError, KeyError, TypeError) as error:
+        raise InvalidInput(
+            f"{made} is none of the suite's sets ({one_line(error)}); remove it"
+        ) from error
+    task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
+    recording = recordings().get(dataset.name)
+    agreement = "no"
+    if recording is not None:
+        first = first_difference(episodes, recording)
+        agreement = "same" if first is None else f"differs from episode {first}"
+    files = [file for file in (made / "data").iterdir() if file.is_file()]
+    return {
+        **{name: getattr(task, name) for name in ("task", "nx", "split", "endless", "engine")},
+        "states": task.states or "readable",
+        "policy": policy,
+        "seed": seed,
+        "episodes": rows.rows,
+        "succeeded": int(rows["success"].sum()),
+        "steps": int(rows["length"].sum()),
+        **distinct(rows),
+        "bytes": sum(file.stat().st_size for file in files),
+        "sha256": content_digest(episodes),
+        "versions": versions,
+        "recorded": agreement,
+    }
+
+
 def _write_card(
     sets: Mapping[str, Any], results: Sequence[Mapping[str, Any]], seed: int, folder: Path
 ) -> None:
@@ -151,21 +195,19 @@ def _card_of(report: Mapping[str, Any]) -> str:
     """Return the card of the benchmark as Markdown; `report` is the content of suite.json."""
     sets = report["sets"]
     columns = "id states split engine policy seed episodes steps starts goals pairs".split()
-    head = (*columns, "MB", "as recorded", "SHA-256 of starts and pulls")
-    rows, played = [], []
+    head = (*columns, "reached, %", "MB", "as recorded", "SHA-256 of starts and pulls")
+    rows = []
     for name, one in sorted(sets.items()):
         size, digest = f"{one['bytes'] / 1e6:.1f}", f"`{one['sha256'][:16]}...`"
         own = (plain(one[key]) for key in columns[1:])
-        rows.append((code_span(name), *own, size, plain(one["recorded"]), digest))
-        reached = 100 * one["succeeded"] / max(one["episodes"], 1)
-        codes = one["codes"] or {}
-        counts = (codes.get(key, "") for key in ("train", "test", "shared", "shared_classes"))
-        played.append((code_span(name), "" if one["endless"] else f"{reached:.1f}", *counts))
+        share = f"{100 * one['succeeded'] / max(one['episodes'], 1):.1f}"
+        reached = "" if one["endless"] else share
+        rows.append((code_span(name), *own, reached, size, plain(one["recorded"]), digest))
     references = [
         (setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
         for setup, one in reference_scores().items()
     ]
-    none = ["", "None yet: no evaluation file lies in `evaluations`."]
+    none = ["None yet: no evaluation file lies in `evaluations`."]
     return filled(
         "suite_card.md",
         count=len(sets),
@@ -174,7 +216,6 @@ def _card_of(report: Mapping[str, Any]) -> str:
         version=report["knotgym"],
         seed=report["seed"],
         sets=table(head, rows),
-        play=table(_PLAY, played),
         references=table(("set-up", "random", "expert", "episodes"), references),
-        results=score_tables(report["results"], "###") or none,
+        results=score_table(report["results"]) if report["results"] else none,
     )

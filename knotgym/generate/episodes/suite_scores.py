@@ -1,9 +1,8 @@
-"""Read files of `knotgym evaluate --out` and tabulate them beside the published scores."""
+"""Read files of `knotgym evaluate --out` and tabulate their scores."""
 
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,9 @@ from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, evaluation_in
-from knotgym.generate.episodes.suite_config import SUITE
 from knotgym.runs.intervals import cluster_interval
 
-# Episodes that agree in all of these fields are pooled: LINE selects a table row, CELL a cell.
+# Episodes that agree in all of these fields are pooled: LINE says what played, CELL where.
 LINE = ("policy", "settings", "policy_sha256", "code_sha256", "versions")
 CELL = ("states", "states_sha256", "split", "task", "nx")
 _APART = ("task", "nx", "split", "states")  # fields of a task that have their own column
@@ -51,60 +49,23 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     return [_together(found[key]) for key in sorted(found, key=str)]
 
 
-def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list[str]:
-    """Return Markdown tables, one per set of states and split, with a row per policy.
-
-    Scores of macro-actions have tables of their own, without the published scores.
-    """
-    setups = list(product(SUITE["tasks"], SUITE["nx"]))
-    setups += sorted({(row["task"], row["nx"]) for row in rows} - {*setups})
+def score_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a Markdown table with a line for each row of `read_scores`."""
     head = (
-        *("policy", "settings", "files", "code", *(f"{task} {nx}" for task, nx in setups)),
-        "trained for, s",
+        *("policy", "settings", "files", "code", "states", "split", "task", "nx", "success, %"),
+        *("interval", "episodes", "trained for, s"),
     )
-    published = [
-        (f"*{policy}, published*", "", "", "", *rates, *[""] * (len(setups) + 1 - len(rates)))
-        for policy, rates in SUITE["published"].items()
-    ]
-    lines: list[str] = []
-    tracks = [
-        (in_macros, *track)
-        for in_macros in (False, True)
-        for track in _grouped(
-            [row for row in rows if _in_macros(row) == in_macros],
-            ("states", "states_sha256", "split"),
-        )
-    ]
-    for in_macros, (states, digest, split), own in tracks:
-        body: list[Sequence[object]] = []
-        for (policy, settings, weights, code, _), same in _grouped(own, LINE):
-            cells = {(row["task"], row["nx"]): _cell(row) for row in same}
-            trained = {row["training"].get("seconds") for row in same} - {None}
-            body.append(
-                (
-                    *map(plain, (policy, settings, weights[:8], code[:8])),
-                    *(cells.get(setup, "") for setup in setups),
-                    "; ".join(f"{seconds:,.0f}" for seconds in sorted(trained)),
-                )
-            )
-        named = f"{heading} States {plain(states)} ({plain(digest[:8])}), {plain(split)} split"
-        named += ", macro-actions" if in_macros else ""
-        lines += ["", named, "", *table(head, body if in_macros else [*body, *published])]
-    return lines
-
-
-def _in_macros(row: Mapping[str, Any]) -> bool:
-    return 'action="macro"' in row["settings"].split("; ")
-
-
-def _grouped(
-    rows: Sequence[Mapping[str, Any]], names: Sequence[str]
-) -> list[tuple[tuple[Any, ...], list[Mapping[str, Any]]]]:
-    """Group rows that agree in the named fields, in the order of their first rows."""
-    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    body = []
     for row in rows:
-        groups.setdefault(tuple(row[name] for name in names), []).append(row)
-    return list(groups.items())
+        low, high = row["interval"]
+        files = [row[name][:8] for name in ("policy_sha256", "code_sha256")]
+        states = f"{row['states']} ({row['states_sha256'][:8]})"
+        texts = row["policy"], row["settings"], *files, states, row["split"], row["task"]
+        rate = f"{100 * row['success_rate']:.1f}", f"{100 * low:.0f} to {100 * high:.0f}"
+        seconds = row["training"].get("seconds")
+        trained = "" if seconds is None else f"{seconds:,.0f}"
+        body.append((*map(plain, texts), row["nx"], *rate, row["episodes"], trained))
+    return table(head, body)
 
 
 def _rows(evaluation: Mapping[str, Any], results: Iterable[Result]) -> Iterator[dict[str, Any]]:
@@ -178,9 +139,3 @@ def _digest(files: Mapping[str, str]) -> str:
     if len(files) < 2:
         return "".join(files.values())
     return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
-
-
-def _cell(row: Mapping[str, Any]) -> str:
-    low, high = row["interval"]
-    rate = 100 * row["success_rate"]
-    return f"**{rate:.1f}** ({100 * low:.0f} to {100 * high:.0f}, of {row['episodes']})"

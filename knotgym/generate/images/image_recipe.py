@@ -70,7 +70,7 @@ def make_images(
         made,
         options,
         progress,
-        prepare=lambda shown: compile_first(shown, config.engine, options.workers),
+        prepare=lambda shown, pool: compile_first(shown, config.engine, pool=pool),
         sources=source,
     )
 

@@ -2,7 +2,7 @@
 
 An episode starts at the simplest diagram of the knot, the plain loop for the unknot; loops are
 demonstrated from states with one crossing. If the rollout doesn't reach the code, others are made
-from other starts, and the later ones by the planner.
+from other starts: by the expert, first in haste, and then by the planner.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from knotgym.common.streams import Stream, derived_seed
 from knotgym.common.tables import Table
 from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
+from knotgym.control.policy_config import PassPlannerConfig, PolicyConfig
 from knotgym.control.rollouts import rollouts
 from knotgym.datasets.episodes import STARTS, Episodes, merged
 from knotgym.datasets.minari_form import MinariMetadata, publish
@@ -26,6 +26,7 @@ from knotgym.generate.episodes.blocks import as_result, from_result
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows, joined
+from knotgym.rope.engines import CHAIN, MUJOCO
 from knotgym.runs.run import Call, Recipe
 from knotgym.states.split_names import STATE_SPLITS
 from knotgym.states.state_file import States, demonstrations_id
@@ -33,8 +34,13 @@ from knotgym.topology.knot_table import diagram_of, type_of
 
 HORIZON = 200  # actions, more than any demonstration needs
 _STARTS = 8  # drawn states that episodes start from, in both splits together
-_TOGETHER = 5  # episodes of a call, about; small, because one that is hard takes long
-_EXPERT = 4  # rollouts of the expert before the planner's turn, which takes longer
+# Episodes of a call, about. Few, because one that is hard takes long; but the chain engine steps
+# many ropes in little more time than one.
+_TOGETHER = {MUJOCO: 3, CHAIN: 12}
+# Rollouts of the expert before the planner's turn. The first ones are short, and their last resort
+# has a few of its 60,000 pulls, because another start takes less time. Most have 15 to 45 actions.
+_EXPERT, _HASTY = 4, 2
+_SHORT, _LAST_RESORT = 60, 5000
 
 
 class Demonstrated(NamedTuple):
@@ -108,7 +114,8 @@ def demonstrated(
         for nx in demonstrated_nx(config):
             for split in STATE_SPLITS:
                 rows = [k for k in states.rows(nx, split).tolist() if k < count and k not in made]
-                parts = np.array_split(rows, -(-len(rows) // _TOGETHER)) if rows else []
+                size = _TOGETHER[config.engine_used]
+                parts = np.array_split(rows, -(-len(rows) // size)) if rows else []
                 for part in parts:
                     key = f"demonstrations, attempt {attempt}: {nx} {split} {part[0]}"
                     task = replace(_task_of(config, nx, split), states=str(path))
@@ -137,6 +144,10 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
         goals: rows of that file.
         attempt: number of the rollout; another start for each.
     """
+    policy = PolicyConfig(policy="expert" if attempt < _EXPERT else "planner")
+    if attempt < _HASTY:
+        policy = replace(policy, expert=PassPlannerConfig(last_resort=_LAST_RESORT))
+        task = replace(task, horizon=min(task.horizon, _SHORT))
     batch, ids = EpisodeBatch(task, len(goals)), np.arange(len(goals))
     for index, goal in enumerate(goals):
         own = derived_seed(Stream.DEMONSTRATED, seed, goal, attempt)
@@ -144,8 +155,7 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
     schema = STARTS.sized(nq=batch.start_qpos.shape[1])
     columns = (batch.seed, batch.start_row, batch.goal_row, batch.start_qpos)
     starts = Table(schema, dict(zip((c.name for c in schema.columns), columns, strict=True)))
-    policy = make_policy(PolicyConfig(policy="expert" if attempt < _EXPERT else "planner"))
-    played = rollouts(policy, task, starts, attempt=attempt)
+    played = rollouts(make_policy(policy), task, starts, attempt=attempt)
     return as_result(played.select(played.episodes["success"]))
 
 

@@ -5,7 +5,6 @@ rows = drawing and play | random-walk      (rows that pass the filter and are ne
 """
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -64,10 +63,10 @@ def make_states(
         made_by,
         options,
         progress,
-        prepare=partial(
-            compile_first,
-            engine=config.engine_used,
-            workers=options.workers,
+        prepare=lambda shown, pool: compile_first(
+            shown,
+            config.engine_used,
+            pool=pool,
             draws=True,
             plan=compile_planning if config.demonstrations else None,
         ),

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.rope.chain.simd import fma, load, put
+from knotgym.rope.chain.simd import fma, inner, load, put
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array, Array]  # diag, near, far, arrow, corner
@@ -91,7 +91,7 @@ def factor(system: System) -> None:
     put(corner, (5,), d2)
 
 
-@njit(nogil=True)
+@inner
 def _pivot(diag: Array, k: int) -> Pivot:
     """Factor block k in place: l_ij below the diagonal, inverse pivots d on it; return it."""
     # Written out row by row. Once column j is done, a_ij = l_ij p_j stands in the block, p_j being
@@ -114,7 +114,7 @@ def _pivot(diag: Array, k: int) -> Pivot:
     return pivot
 
 
-@njit(nogil=True)
+@inner
 def _divide(block: Array, k: int, r: int, pivot: Pivot) -> Row:
     """Replace row r of a block below pivot k by its row of L, z = y d^-1; return y."""
     d0, l10, d1, l20, l21, d2, l30, l31, l32, d3 = pivot
@@ -130,7 +130,7 @@ def _divide(block: Array, k: int, r: int, pivot: Pivot) -> Row:
     return y0, y1, y2, y3
 
 
-@njit(nogil=True)
+@inner
 def _subtract(
     target: Array, position: tuple[int, ...], y: Row, block: Array, k: int, c: int
 ) -> None:
@@ -227,7 +227,7 @@ def backward(system: System, right: Array) -> None:
         put(right, (k, 3), w3)
 
 
-@njit(nogil=True)
+@inner
 def _less_rows(w: Row, block: Array, k: int, rows: int, right: Array, below: int) -> Row:
     """Return w - B^T x, B being the rows of a block of L in column k and x those of `below`."""
     w0, w1, w2, w3 = w

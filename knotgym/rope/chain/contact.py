@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System, forward
 from knotgym.rope.chain.layout import Physics
-from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
+from knotgym.rope.chain.simd import LANES, any_below, fma, inner, load, put, where_below
 from knotgym.rope.chain.vectors import along, dot, minus, norm, vector
 
 Array = NDArray[np.float64]
@@ -175,7 +175,7 @@ def find_rows(
             _try_row(x, v, i, k, h, touch, spot, rows, found)
 
 
-@njit(nogil=True)
+@inner
 def _vertex_most(v: Array, most: Array) -> None:
     """Write the larger speed of each edge's two vertices."""
     n = len(v)
@@ -186,7 +186,7 @@ def _vertex_most(v: Array, most: Array) -> None:
         last = own
 
 
-@njit(nogil=True)
+@inner
 def _try_row(
     x: Array, v: Array, i: int, j: int, h: Any, touch: float, spot: Array, rows: Array, found: Ints
 ) -> None:
@@ -297,7 +297,7 @@ def push_apart(
                 put(right, (i, c), fma(own, load(column, (r, i, c)), load(right, (i, c))))
 
 
-@njit(nogil=True)
+@inner
 def _solve_forces(
     rows: Array,
     count: int,

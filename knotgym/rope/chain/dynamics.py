@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System
 from knotgym.rope.chain.layout import Physics
-from knotgym.rope.chain.simd import LANES, fma, load, put
+from knotgym.rope.chain.simd import LANES, fma, inner, load, put
 from knotgym.rope.chain.vectors import along, cross, dot, minus, norm, put_vector, unit, vector
 
 Array = NDArray[np.float64]
@@ -193,7 +193,7 @@ def assemble(
     _cut(system, right)
 
 
-@njit(nogil=True)
+@inner
 def _cut(system: System, right: Array) -> None:
     """Make vertex 0's velocity the last unknown; its place in block 0 is left empty."""
     diag, near, far, arrow, corner = system

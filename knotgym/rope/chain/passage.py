@@ -32,7 +32,7 @@ from knotgym.rope.chain.contact import (
     middles,
     sharpness,
 )
-from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
+from knotgym.rope.chain.simd import LANES, any_below, fma, inner, load, put, where_below
 from knotgym.rope.chain.vectors import dot, minus, norm, vector
 
 Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ def judge(
             _check(x, new, i, k, spot, accepted)
 
 
-@njit(nogil=True)
+@inner
 def _relative_motion(x: Array, new: Array, i: int, j: int) -> Any:
     """How far a point of edge i moves against a point of edge j at most, as vertices move straight.
 
@@ -146,7 +146,7 @@ def _relative_motion(x: Array, new: Array, i: int, j: int) -> Any:
     return math.sqrt(most)
 
 
-@njit(nogil=True)
+@inner
 def _check(x: Array, new: Array, i: int, j: int, spot: Array, accepted: NDArray[np.bool_]) -> None:
     """Reject the lanes where it isn't proved that edges i and j didn't meet."""
     # d0 + d1 > m, with a margin for rounding; a NaN fails the comparison, too

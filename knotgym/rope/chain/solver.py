@@ -38,7 +38,7 @@ from knotgym.rope.chain.contact import (
 from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents, turn_sides
 from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.passage import judge
-from knotgym.rope.chain.simd import LANES, any_below, count_up, load, put
+from knotgym.rope.chain.simd import LANES, any_below, count_up, inner, load, put
 from knotgym.rope.chain.vectors import along, dot, minus, put_vector, vector
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def advance(
                 clock[layout.ROPE, lane] = -1
 
 
-@njit(nogil=True)
+@inner
 def _next_rope(clock: Ints, lane: int, taken: Ints, ropes: int) -> int:
     """Return the next of so many ropes; -1 if the lane has one, or none is left."""
     if clock[layout.ROPE, lane] >= 0 or taken[0] >= ropes:
@@ -147,13 +147,13 @@ def _next_rope(clock: Ints, lane: int, taken: Ints, ropes: int) -> int:
 
 
 # Taken once an action, not once a substep: all of it is overwritten before it is read.
-@njit(nogil=True)
+@inner
 def _empty_group(n: int) -> Group:
     vectors = (n, 3, LANES)
     return np.empty(vectors), np.empty(vectors), np.empty(vectors), np.empty((n, LANES))
 
 
-@njit(nogil=True)
+@inner
 def _empty_scratch(n: int) -> tuple[Any, ...]:
     """What a substep overwrites: the system, two right sides, directions and contacts."""
     # blocks as `layout` draws them: diag, near, far, arrow, corner
@@ -170,12 +170,12 @@ def _empty_scratch(n: int) -> tuple[Any, ...]:
     return system, rights, directions, middle, motion, rows, _empty_pairs(n)
 
 
-@njit(nogil=True)
+@inner
 def _empty_pairs(n: int) -> Pairs:
     return np.empty(n + 1, np.int64), np.empty(n * n // 2, np.int64)
 
 
-@njit(nogil=True)
+@inner
 def _substep(
     group: Group,
     after: Group,
@@ -236,7 +236,7 @@ def _substep(
     judge(x, x1, tangent, middle, motion, pairs, wider, length, accepted)
 
 
-@njit(nogil=True)
+@inner
 def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) -> bool:
     """Set a lane's next substep, after one accepted or not; return whether its action is over."""
     if accepted:
@@ -264,7 +264,7 @@ def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) 
     return True
 
 
-@njit(nogil=True)
+@inner
 def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
     """Let lanes without a rope do what another does, and nobody looks; return if there is one."""
     busy = -1
@@ -285,7 +285,7 @@ def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
     return True
 
 
-@njit(nogil=True)
+@inner
 def _list(x: Array, spare: tuple[Any, ...], listed: Array, pairs: Pairs) -> None:
     """List near pairs of edges, and keep where the vertices were."""
     middles(x, spare[3])
@@ -294,7 +294,7 @@ def _list(x: Array, spare: tuple[Any, ...], listed: Array, pairs: Pairs) -> None
         put_vector(listed, i, vector(x, i))
 
 
-@njit(nogil=True)
+@inner
 def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: Array) -> None:
     """Put a rope into a lane. The force on its bead's centre is shared by the bead's vertices."""
     x, v, side, spin = group
@@ -309,7 +309,7 @@ def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: 
         pull[bead, c, lane] = pull[(bead + 1) % n, c, lane] = 0.5 * force[c]
 
 
-@njit(nogil=True)
+@inner
 def _give(state: Array, points: Array, lane: int, group: Group) -> bool:
     """Write what a lane holds to a rope's state and points; return whether all of it is finite."""
     x, v, side, spin = group
@@ -324,7 +324,7 @@ def _give(state: Array, points: Array, lane: int, group: Group) -> bool:
     return finite
 
 
-@njit(nogil=True)
+@inner
 def _copy(source: Group, lane: int, target: Group, to: int) -> None:
     """Copy one lane's rope to a lane."""
     for i in range(len(source[0])):
@@ -335,7 +335,7 @@ def _copy(source: Group, lane: int, target: Group, to: int) -> None:
         target[3][i, to] = source[3][i, lane]
 
 
-@njit(nogil=True)
+@inner
 def _stop(group: Group, lane: int) -> None:
     """Bring a lane's rope to rest."""
     for i in range(len(group[0])):
@@ -344,7 +344,7 @@ def _stop(group: Group, lane: int) -> None:
         group[3][i, lane] = 0.0
 
 
-@njit(nogil=True)
+@inner
 def _read(right: Array, v: Array, spin: Array) -> None:
     """Take velocities and spins out of a solution; the corner holds vertex 0's velocity."""
     n = len(v)
@@ -354,7 +354,7 @@ def _read(right: Array, v: Array, spin: Array) -> None:
         put(spin, (i,), load(right, (i, 3)))
 
 
-@njit(nogil=True)
+@inner
 def _drifted(x: Array, listed: Array) -> bool:
     """Whether some vertex has moved by DRIFT since pairs were listed."""
     for i in range(len(x)):

@@ -11,22 +11,21 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.rope.chain.simd import fma, load, put
+from knotgym.rope.chain.simd import fma, inner, load, put
 
 Array = NDArray[np.float64]
 Vector = tuple[Any, Any, Any]  # lanes
 
 
-@njit(nogil=True)
+@inner
 def vector(array: Array, i: int) -> Vector:
     """Load row i of an array (n, 3, LANES)."""
     return load(array, (i, 0)), load(array, (i, 1)), load(array, (i, 2))
 
 
-@njit(nogil=True)
+@inner
 def put_vector(array: Array, i: int, a: Vector) -> None:
     """Write row i of an array (n, 3, LANES)."""
     put(array, (i, 0), a[0])
@@ -34,27 +33,27 @@ def put_vector(array: Array, i: int, a: Vector) -> None:
     put(array, (i, 2), a[2])
 
 
-@njit(nogil=True)
+@inner
 def minus(a: Vector, b: Vector) -> Vector:
     """Return a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(nogil=True)
+@inner
 def along(a: Vector, way: Any, b: Vector) -> Vector:
     """Return a + way * b."""
     # one rounding for each component, where a product and a sum would take two
     return fma(way, b[0], a[0]), fma(way, b[1], a[1]), fma(way, b[2], a[2])
 
 
-@njit(nogil=True)
+@inner
 def dot(a: Vector, b: Vector) -> Any:
     """Return a . b."""
     # z first: the innermost product is the only one that is rounded by itself
     return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
 
 
-@njit(nogil=True)
+@inner
 def cross(a: Vector, b: Vector) -> Vector:
     """Return a x b."""
     return (
@@ -66,13 +65,13 @@ def cross(a: Vector, b: Vector) -> Vector:
     )
 
 
-@njit(nogil=True)
+@inner
 def norm(a: Vector) -> Any:
     """Return |a|."""
     return math.sqrt(dot(a, a))
 
 
-@njit(nogil=True)
+@inner
 def unit(a: Vector) -> Vector:
     """Return a / |a|."""
     # One division instead of three; the length is 1 up to a few roundings.
