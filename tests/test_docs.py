@@ -372,12 +372,15 @@ def test_the_citation_has_the_version_of_the_package() -> None:
     assert all((ROOT / name).is_file() for name in project["license-files"])
 
 
-def test_what_train_and_test_share_is_as_computed() -> None:
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(one, marks=[pytest.mark.thorough] * (one == "bench")) for one in SHIPPED],
+)
+def test_what_train_and_test_share_is_as_computed(name: str) -> None:
     said = [line for line in (DOCS / "sets.md").read_text().splitlines() if "| `" in line]
-    for name in SHIPPED:
-        states = read_states(shipped(name), images=False)
-        for row in state_card.tables(states, {})["train and test"].rows:
-            assert f"| `{name}` | {' | '.join(map(str, row))} |" in said
+    states = read_states(shipped(name), images=False)
+    for row in state_card.tables(states, {})["train and test"].rows:
+        assert f"| `{name}` | {' | '.join(map(str, row))} |" in said
 
 
 def test_every_extra_is_in_the_table_of_the_start_page() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.learn.colour_reading import BEADS, enforce_votes
-from knotgym.learn.rope_reader import RopeReader
+from knotgym.learn.rope_reader import VIEWS, RopeReader
 from knotgym.rendering.camera import DEFAULT
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import RopeConfig
@@ -16,7 +16,7 @@ from knotgym.topology.crossings import find_crossings
 
 Array = NDArray[np.float64]
 
-VIEWS = 2  # of a photo that are read; an episode has many
+_VIEWS = 2  # of photos that follow another, of which an episode has many; others are read from all
 _APART = 0.012  # height difference of strands that cross, metres
 _JUMP = 0.03  # metres; a base that moves the beads by more than any other numbering is misread
 # Of the lengths between points of the line. The network spreads what is steep, so its values are
@@ -55,7 +55,7 @@ def rope_points(reader: RopeReader, photo: NDArray[np.uint8], before: Array | No
     Returns:
         float64 (BEADS, 3), metres, relative to the picture's middle.
     """
-    reading = reader.read(np.ascontiguousarray(photo), VIEWS)
+    reading = reader.read(np.ascontiguousarray(photo), VIEWS if before is None else _VIEWS)
     if reading is None:
         return _loop() if before is None else before
     line = reading.line * (1.0, -1.0, 1.0)

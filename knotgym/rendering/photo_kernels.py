@@ -19,6 +19,8 @@ FAR = np.float32(1e9)  # squared distance of pixels that no piece is near
 UNDER, OVER, FIRST, LAST = 1, 2, 4, 8  # flags of a piece: its layers, and ends of the upper one
 CLOTH, WOOD, GRADIENT, NOISE = 0, 1, 2, 3
 _TURN = np.float32(6.2831853)
+# beside these float32 stays float32; Python's own numbers would make it float64
+_ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -45,35 +47,34 @@ def surface(out: Array, kind: int, texture: Array, axes: Array, first: Array, la
             of wood, a spot of noise, the picture's side.
         first, last: float32 (3,), RGB where the pattern is 0 and 1.
     """
-    half, one = np.float32(0.5), np.float32(1)
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
-            px, py = np.float32(column) + half, np.float32(row) + half
+            px, py = np.float32(column) + _HALF, np.float32(row) + _HALF
             x = axes[0, 0] * px + axes[0, 1] * py + axes[0, 2]
             y = axes[1, 0] * px + axes[1, 1] * py + axes[1, 2]
             if kind == GRADIENT:
-                value = x + half
+                value = x + _HALF
             elif kind == NOISE:
                 # three octaves, each a third as wide and weaker than the one before: spots of
                 # several sizes
-                value = np.float32(0.5) * _smooth_noise(texture, x, y)
+                value = _HALF * _smooth_noise(texture, x, y)
                 value += np.float32(0.3) * _smooth_noise(texture, 3 * x, 3 * y)
                 value += np.float32(0.2) * _smooth_noise(texture, 9 * x, 9 * y)
             elif kind == CLOTH:
                 # the thread on top alternates; each is brightest along its middle
                 warp, weft = np.floor(x), np.floor(y)
                 if (int(warp) + int(weft)) & 1:
-                    off, tone = x - warp - half, texture[int(warp) & 63, 0]
+                    off, tone = x - warp - _HALF, texture[int(warp) & 63, 0]
                 else:
-                    off, tone = y - weft - half, texture[int(weft) & 63, 1]
-                value = np.float32(0.75) - 2 * off * off + np.float32(0.35) * (tone - half)
+                    off, tone = y - weft - _HALF, texture[int(weft) & 63, 1]
+                value = np.float32(0.75) - 2 * off * off + np.float32(0.35) * (tone - _HALF)
             else:
                 # rings bent by slow noise: early wood turns slowly into late wood and ends at once
                 bent = y + 6 * _smooth_noise(texture, np.float32(0.03) * x, np.float32(0.25) * y)
                 phase = bent - np.floor(bent)
-                value = half * min(phase * np.float32(1.4), (one - phase) * np.float32(4))
-                value += half * _smooth_noise(texture, np.float32(0.3) * x, 6 * y)
-            value = min(max(value, np.float32(0)), one)
+                value = _HALF * min(phase * np.float32(1.4), (_ONE - phase) * np.float32(4))
+                value += _HALF * _smooth_noise(texture, np.float32(0.3) * x, 6 * y)
+            value = min(max(value, _ZERO), _ONE)
             for c in range(3):
                 out[row, column, c] = np.uint8(first[c] + value * (last[c] - first[c]))
 
@@ -99,10 +100,7 @@ def shapes(
         reach += 2 * soft
         for row in range(max(int(y - reach), 0), min(int(y + reach) + 1, size)):
             for column in range(max(int(x - reach), 0), min(int(x + reach) + 1, size)):
-                px, py = (
-                    np.float32(column) + np.float32(0.5) - x,
-                    np.float32(row) + np.float32(0.5) - y,
-                )
+                px, py = np.float32(column) + _HALF - x, np.float32(row) + _HALF - y
                 # inside a convex shape every side's distance is negative; the largest tells how far
                 # the outside is
                 out = shade = -FAR
@@ -111,8 +109,8 @@ def shapes(
                     out = max(out, nx * px + ny * py - off)
                     shade = max(shade, nx * (px - shift[0]) + ny * (py - shift[1]) - off)
                 # a pixel half covered lies on the side itself: antialiasing by distance
-                cover = min(max(np.float32(0.5) - out, np.float32(0)), np.float32(1))
-                lit = min(max(np.float32(0.5) - shade / soft, np.float32(0)), np.float32(1))
+                cover = min(max(_HALF - out, _ZERO), _ONE)
+                lit = min(max(_HALF - shade / soft, _ZERO), _ONE)
                 lit = 1 - np.float32(dark) * lit
                 hidden[row, column] |= cover > 0.5
                 for c in range(3):
@@ -162,20 +160,20 @@ def stamp(
         square, place: float32 (2, size, size), squared distance, and place along the curve in
             pieces, of the lower and the upper layer; `square` must hold FAR.
     """
-    size, limit, half = square.shape[1], np.float32(reach * reach), np.float32(0.5)
+    size, limit = square.shape[1], np.float32(reach * reach)
     for k in range(len(curve)):
         if after[k] < 0:
             continue
         x0, y0 = curve[k, 0], curve[k, 1]
         dx, dy = curve[after[k], 0] - x0, curve[after[k], 1] - y0
         # a piece without a length is a point; 1e-9 keeps it from being NaN
-        inverse = np.float32(1) / max(dx * dx + dy * dy, np.float32(1e-9))
+        inverse = _ONE / max(dx * dx + dy * dy, np.float32(1e-9))
         left, right = int(max(min(x0, x0 + dx) - reach, 0)), int(max(x0, x0 + dx) + reach) + 1
         top, bottom = int(max(min(y0, y0 + dy) - reach, 0)), int(max(y0, y0 + dy) + reach) + 1
         for row in range(top, min(bottom, size)):
-            py = np.float32(row) + half - y0
+            py = np.float32(row) + _HALF - y0
             for column in range(left, min(right, size)):
-                px = np.float32(column) + half - x0
+                px = np.float32(column) + _HALF - x0
                 # where along the piece the pixel's nearest point is: projected, then clamped
                 t = (px * dx + py * dy) * inverse
                 # the upper layer ends square, on the lower one, which goes on below it
@@ -183,7 +181,7 @@ def stamp(
                     (t < 0 and flags[k] & FIRST) or (t > 1 and flags[k] & LAST)
                 )
                 # a place belongs to this piece, not to the beginning of the next
-                t = min(max(t, np.float32(0)), np.float32(0.9999))
+                t = min(max(t, _ZERO), np.float32(0.9999))
                 ex, ey = px - t * dx, py - t * dy
                 d = ex * ex + ey * ey
                 if d > limit:
@@ -197,11 +195,11 @@ def stamp(
 @njit(cache=True, nogil=True, inline="always")
 def _arcsine_share(u: Any) -> Any:
     """Return arcsin(u) / (2 pi) (Abramowitz and Stegun 4.4.45)."""
-    a, one = abs(u), np.float32(1)
+    a = abs(u)
     bent = np.float32(1.5707288) + a * (
         np.float32(-0.2121144) + a * (np.float32(0.074261) - a * np.float32(0.0187293))
     )
-    share = (np.float32(1.5707963) - np.sqrt(max(one - a, np.float32(0))) * bent) / _TURN
+    share = (np.float32(1.5707963) - np.sqrt(max(_ONE - a, _ZERO)) * bent) / _TURN
     return share if u >= 0 else -share
 
 
@@ -230,33 +228,21 @@ def compose(
         tangent: float32 (n, 3), unit.
         along: float32 (n,), length in space up to each point, in turns of the texture.
         colours: float32 (n, 2, 3), RGB of the two strands of the twist.
-        radius: px.
-        gloss, ambient, dark: strengths of highlight, light without direction, and shadows.
+        radius: float32, px.
+        gloss, ambient, dark: float32, strengths of highlight, light without direction, and shadows.
         light: float32 (3,), unit, towards the light; y points down.
         texture: float32 (64, 64), of fibres.
         grown: pieces; an upper piece casts no shadow on places as near along the rope.
         own: number of points of the rope itself; those of others follow.
     """
-    size, n, zero, one, half = (
-        len(picture),
-        len(curve),
-        np.float32(0),
-        np.float32(1),
-        np.float32(0.5),
-    )
-    radius, gloss, ambient, dark = (
-        np.float32(radius),
-        np.float32(gloss),
-        np.float32(ambient),
-        np.float32(dark),
-    )
+    size, n = len(picture), len(curve)
     # the half vector between the light and the eye, which looks down the z axis (Blinn)
-    hx, hy, hz = light[0], light[1], light[2] + one
-    norm = one / np.sqrt(hx * hx + hy * hy + hz * hz)
+    hx, hy, hz = light[0], light[1], light[2] + _ONE
+    norm = _ONE / np.sqrt(hx * hx + hy * hy + hz * hz)
     hx, hy, hz = hx * norm, hy * norm, hz * norm
     # the shadow falls away from the light, about as far as the rope is thick
-    right, down = int(np.floor(radius * light[0] + half)), int(np.floor(radius * light[1] + half))
-    soft, near = np.float32(0.8) * radius + one, np.float32(0.7) * radius + one
+    right, down = int(np.floor(radius * light[0] + _HALF)), int(np.floor(radius * light[1] + _HALF))
+    soft, near = np.float32(0.8) * radius + _ONE, np.float32(0.7) * radius + _ONE
     colour = np.empty(3, np.float32)
     for row in range(size):
         for column in range(size):
@@ -265,13 +251,13 @@ def compose(
             if min(nearest, square[0, r, c], square[1, r, c]) == FAR:
                 continue
             d = np.sqrt(min(square[0, r, c], square[1, r, c]))
-            s = min(max(half + (radius - d) / (2 * soft), zero), one)
+            s = min(max(_HALF + (radius - d) / (2 * soft), _ZERO), _ONE)
             # smoothstep of the distance: a soft edge; the second shadow is contact, darkest beside
             # the rope
-            lit = one - np.float32(0.7) * dark * s * s * (3 - 2 * s)
+            lit = _ONE - np.float32(0.7) * dark * s * s * (3 - 2 * s)
             low, high = np.sqrt(square[0, row, column]), np.sqrt(square[1, row, column])
-            s = min(max(one - (min(low, high) - radius) / near, zero), one)
-            lit -= np.float32(0.5) * dark * s * s * lit
+            s = min(max(_ONE - (min(low, high) - radius) / near, _ZERO), _ONE)
+            lit -= _HALF * dark * s * s * lit
             for i in range(3):
                 colour[i] = lit * picture[row, column, i]
             # where both layers show the same stretch of rope, the nearer one is right
@@ -283,7 +269,7 @@ def compose(
                 strands[row, column] = _edge(visits, p)
             for layer in range(2):
                 d = high if layer else low
-                if d >= radius + half or (same and upper != (layer == 1)):
+                if d >= radius + _HALF or (same and upper != (layer == 1)):
                     continue
                 p = place[layer, row, column]
                 k = min(int(p), n - 1)
@@ -293,13 +279,13 @@ def compose(
                 tz = tangent[k, 2] + t * (tangent[j, 2] - tangent[k, 2])
                 # length of the tangent in the picture; small where the rope rises towards the eye
                 flat = np.sqrt(tx * tx + ty * ty) + np.float32(1e-6)
-                px = np.float32(column) + half - curve[k, 0] - t * (curve[j, 0] - curve[k, 0])
-                py = np.float32(row) + half - curve[k, 1] - t * (curve[j, 1] - curve[k, 1])
+                px = np.float32(column) + _HALF - curve[k, 0] - t * (curve[j, 0] - curve[k, 0])
+                py = np.float32(row) + _HALF - curve[k, 1] - t * (curve[j, 1] - curve[k, 1])
                 # across the rope, -1 to 1, signed by the side of the tangent; a round section is
                 # sqrt(1 - u^2) high
-                u = min(d / radius, one) if tx * py - ty * px >= 0 else -min(d / radius, one)
-                rise = np.sqrt(one - u * u)
-                groove, lean, which, edge, fibre = one, zero, 0, radius, one
+                u = min(d / radius, _ONE) if tx * py - ty * px >= 0 else -min(d / radius, _ONE)
+                rise = np.sqrt(_ONE - u * u)
+                groove, lean, which, edge, fibre = _ONE, _ZERO, 0, radius, _ONE
                 turn = along[k] + t * (along[k + 1] - along[k])
                 if twisted:
                     # two strands round the rope: angle round the axis plus twist along it, in
@@ -307,38 +293,38 @@ def compose(
                     v = 2 * (turn + _arcsine_share(u))
                     which = int(np.floor(v)) & 1
                     v -= np.floor(v)
-                    bump = 4 * v * (one - v)
-                    groove = np.float32(0.45) + np.float32(0.55) * min(one, np.float32(1.7) * bump)
+                    bump = 4 * v * (_ONE - v)
+                    groove = np.float32(0.45) + np.float32(0.55) * min(_ONE, np.float32(1.7) * bump)
                     lean = np.float32(0.9) * v - np.float32(0.45)
                     edge = radius * (np.float32(0.92) + np.float32(0.08) * bump)
                     fibre = np.float32(0.88) + np.float32(0.2) * _smooth_noise(
                         texture, 6 * v, 9 * turn
                     )
-                cover = min(edge - d + half, one)
+                cover = min(edge - d + _HALF, _ONE)
                 if cover <= 0:
                     continue
                 # normal: across the rope, out of it towards the camera, and along the twist
                 nx = -u * ty / flat - rise * tz * tx / flat + lean * tx
                 ny = u * tx / flat - rise * tz * ty / flat + lean * ty
                 nz = rise * flat + lean * tz
-                norm = one / np.sqrt(nx * nx + ny * ny + nz * nz)
-                diffuse = max((nx * light[0] + ny * light[1] + nz * light[2]) * norm, zero)
-                sheen = max((nx * hx + ny * hy + nz * hz) * norm, zero)
+                norm = _ONE / np.sqrt(nx * nx + ny * ny + nz * nz)
+                diffuse = max((nx * light[0] + ny * light[1] + nz * light[2]) * norm, _ZERO)
+                sheen = max((nx * hx + ny * hy + nz * hz) * norm, _ZERO)
                 # the sixteenth power by four squarings: + - * / and sqrt alone round alike
                 # everywhere
                 for _ in range(4):
                     sheen *= sheen
-                sky = ambient * (half + half * rise)
-                shade = fibre * groove * (sky + (one - ambient) * np.float32(1.1) * diffuse)
+                sky = ambient * (_HALF + _HALF * rise)
+                shade = fibre * groove * (sky + (_ONE - ambient) * np.float32(1.1) * diffuse)
                 if layer == 0 and high < radius + near and not same:
-                    s = min(one - (high - radius) / near, one)
-                    shade *= one - np.float32(0.95) * dark * s
+                    s = min(_ONE - (high - radius) / near, _ONE)
+                    shade *= _ONE - np.float32(0.95) * dark * s
                 glint = np.float32(170) * gloss * sheen * groove
                 for i in range(3):
                     colour[i] += cover * (shade * colours[k, which, i] + glint - colour[i])
             for i in range(3):
                 picture[row, column, i] = np.uint8(
-                    min(max(colour[i] + half, zero), np.float32(255))
+                    min(max(colour[i] + _HALF, _ZERO), np.float32(255))
                 )
 
 
@@ -352,7 +338,7 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
         slope: float32 (2,), change of light over the picture, right and down, a share.
         deviation: of the noise, levels.
     """
-    size, half, byte = len(picture), np.float32(0.5), np.uint32(255)
+    size, byte = len(picture), np.uint32(255)
     scale = np.float32(deviation) / np.float32(147.8)  # the sum of four bytes deviates by so much
     for row in range(size):
         for column in range(size):
@@ -363,16 +349,14 @@ def expose(picture: Array, gain: Array, slope: Array, deviation: Any, seed: int)
             x ^= x >> np.uint32(16)
             y = np.uint32(x * np.uint32(0x9E3779B1))
             low = (x & byte) + ((x >> np.uint32(8)) & byte) + ((x >> np.uint32(16)) & byte)
-            low, high = (
-                low + (x >> np.uint32(24)),
-                (y >> np.uint32(24)) + ((y >> np.uint32(16)) & byte),
-            )
+            low += x >> np.uint32(24)
+            high = (y >> np.uint32(24)) + ((y >> np.uint32(16)) & byte)
             # a sum of four bytes has mean 510 and is nearly normal; two bytes, of colour, have mean
             # 255
-            grey = np.float32(np.int32(low) - 510) * scale + half
-            tint = np.float32(np.int32(high) - 255) * scale * half
-            light = 1 + slope[0] * (np.float32(column) / size - half)
-            light += slope[1] * (np.float32(row) / size - half)
+            grey = np.float32(np.int32(low) - 510) * scale + _HALF
+            tint = np.float32(np.int32(high) - 255) * scale * _HALF
+            light = 1 + slope[0] * (np.float32(column) / size - _HALF)
+            light += slope[1] * (np.float32(row) / size - _HALF)
             for c in range(3):
                 level = picture[row, column, c] * light * gain[c] + grey + np.float32(1 - c) * tint
-                picture[row, column, c] = np.uint8(min(max(level, np.float32(0)), np.float32(255)))
+                picture[row, column, c] = np.uint8(min(max(level, _ZERO), np.float32(255)))

@@ -262,11 +262,13 @@ def painted(
     tangent /= np.maximum(np.sqrt((tangent**2).sum(axis=1)), 1e-6)[:, None]
     light = light_of(look)
     grown = 3.0 * view.radius * n / length[n]
+    strengths = view.radius, look.gloss, look.ambient, look.shadow
+    radius, gloss, ambient, shadow = np.array(strengths, np.float32)
     kernels.compose(
         picture, strands, view.visits, view.square, view.place, curve, after,
         tangent.astype(np.float32),
-        (length * turns / length[n]).astype(np.float32), colours, view.radius, look.twisted,
-        look.gloss, look.ambient, look.shadow, light.astype(np.float32), texture, grown, n,
+        (length * turns / length[n]).astype(np.float32), colours, radius, look.twisted,
+        gloss, ambient, shadow, light.astype(np.float32), texture, grown, n,
     )  # fmt: skip
     if look.occluders:
         # what is covered is visible no more

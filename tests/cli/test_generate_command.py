@@ -102,7 +102,7 @@ def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:
     assert (
         text.startswith("---\nlicense: cc-by-4.0\n") and "# Rope states with 0, 1 crossings" in text
     )
-    assert "| 1 | 4 | 2 | 2 |" in text and "with engine mujoco and seed 0" in text
+    assert "| 1 | 4 | 2 | 3 | 2 / 2 |" in text and "with engine mujoco and seed 0" in text
     assert not re.search(r"^\|.*(\{|\d\.\d{5})", text, re.M)  # nothing dumped into a cell
     for part in (
         "![every state with its code](gallery.png)",

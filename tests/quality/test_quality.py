@@ -12,6 +12,7 @@ from knotgym.quality import measures
 from knotgym.quality.limits import LEGIBLE, UNAMBIGUOUS, UNTWISTED, Limits, Quality
 from knotgym.quality.measures import base_spacing, noise_survival
 from knotgym.rendering.camera import DEFAULT
+from knotgym.rendering.strand_spacing import strand_spacing
 from knotgym.rope.model import Rope
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings
@@ -167,11 +168,16 @@ def test_states_that_ship_are_legible_and_have_the_measures_stored_with_them() -
             assert astuple(found) == pytest.approx(astuple(kept), rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize("row", range(40, 177, 20))
-def test_strands_are_different_where_every_path_over_the_picture_is_long(row: int) -> None:
-    points = SHIPPED.points[row]
-    right = spacing_by_graph(points, measures.WALK)
-    assert measure(points, quick=True).strand_spacing == pytest.approx(right, rel=1e-9)
+@pytest.mark.parametrize("row", range(57, 177, 20))
+@pytest.mark.parametrize("walk", [measures.WALK, 40.0])
+def test_strands_are_different_where_every_path_over_the_picture_is_long(
+    row: int, walk: float
+) -> None:
+    points = np.roll(SHIPPED.points[row], 30, axis=0)  # short paths lead over the base too
+    crossings = find_crossings(points)
+    visits = crossings.over_place, crossings.under_place
+    found = strand_spacing(points[:, :2] / PIXEL, *visits, walk)
+    assert found == pytest.approx(spacing_by_graph(points, walk), rel=1e-9)
 
 
 @pytest.mark.parametrize("row", range(40, 177, 20))

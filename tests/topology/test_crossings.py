@@ -10,7 +10,6 @@ from hypothesis.extra.numpy import arrays
 
 from knotgym.common.errors import InvalidInput
 from knotgym.topology.crossings import (
-    Crossings,
     find_crossings,
     label,
     label_many,
@@ -60,12 +59,9 @@ def grid_curves(largest: int) -> st.SearchStrategy[np.ndarray]:
     )
 
 
-def test_a_triangle_has_no_crossing() -> None:
-    assert label(np.eye(3)) == GaussCode()
-
-
-def test_an_eight_has_one_crossing() -> None:
+def test_an_eight_has_one_crossing_and_a_triangle_none() -> None:
     assert label(EIGHT).chiral == "1+c,1-c"
+    assert label(np.eye(3)) == GaussCode() and label_many(np.zeros((0, 100, 3))) == []
 
 
 def test_a_crossing_is_described_in_place() -> None:
@@ -124,18 +120,18 @@ def test_both_strands_meet_at_the_position(seed: int) -> None:
         np.testing.assert_allclose(at[:, 2], heights, atol=1e-9)
 
 
-@given(seeds, st.floats(-4.0, 4.0))
-def test_a_code_survives_rotation_about_z(seed: int, angle: float) -> None:
+@given(
+    seeds,
+    st.floats(-4.0, 4.0),
+    st.floats(1e-3, 1e3),
+    arrays(np.float64, 3, elements=st.floats(-1.0, 1.0)),
+)
+def test_a_code_survives_rotation_about_z_shift_and_scale(
+    seed: int, angle: float, scale: float, shift: np.ndarray
+) -> None:
     points = random_curve(seed)
     assume(visit_spacing(find_crossings(points), 100) > 1e-6)
-    assert label(turned(points, angle)) == label(points)
-
-
-@given(seeds, st.floats(1e-3, 1e3), arrays(np.float64, 3, elements=st.floats(-1.0, 1.0)))
-def test_a_code_survives_shift_and_scale(seed: int, scale: float, shift: np.ndarray) -> None:
-    points = random_curve(seed)
-    assume(visit_spacing(find_crossings(points), 100) > 1e-6)
-    assert label((points + shift) * scale) == label(points)
+    assert label(turned(points, angle)) == label((points + shift) * scale) == label(points)
 
 
 @given(seeds)
@@ -285,21 +281,12 @@ def test_what_is_no_curve_is_refused(points: np.ndarray, problem: str) -> None:
             label_many(np.array([EIGHT, points]))
 
 
-def test_no_ropes_have_no_codes() -> None:
-    assert label_many(np.zeros((0, 100, 3))) == []
-
-
 def test_spacing_is_cyclic() -> None:
     assert visit_spacing(find_crossings(EIGHT), 6) == 3.0
     assert visit_spacing(find_crossings(np.roll(EIGHT, -1, axis=0)), 6) == 3.0
     bowtie = find_crossings(np.roll(np.delete(EIGHT, 2, axis=0), 1, axis=0))
     assert visit_spacing(bowtie, 5) == 2.0
-
-
-def test_spacing_without_crossings_is_infinite() -> None:
-    crossings = find_crossings(np.eye(3))
-    assert isinstance(crossings, Crossings)
-    assert visit_spacing(crossings, 3) == np.inf
+    assert visit_spacing(find_crossings(np.eye(3)), 3) == np.inf
 
 
 def test_many_crossings_are_all_found() -> None:
