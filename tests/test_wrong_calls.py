@@ -41,7 +41,7 @@ from knotgym.runs.executors import executor
 
 DATA = TINY["expert"]
 STEPS: dict[str, Any] = {"steps": 3}
-GOALS = Window(goals=GoalSampling())
+GOALS, RNG = Window(goals=GoalSampling()), np.random.default_rng(0)
 BEADS = TaskConfig(task="tie", action="bead", endless=True)
 
 
@@ -135,6 +135,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: Window(discount=1.5), "discount must be at most 1, got 1.5"),
     (lambda: GoalSampling(p_currgoal=1.0), "must be probabilities that sum to 1, got"),
     (lambda: batch([0], window=Window(goals=GoalSampling())), "goals are drawn: hand a generator"),
+    (lambda: Transitions(DATA).sample_goals([0], RNG), "no goals to sample"),
     (lambda: Sequences(DATA, 0), "length must be at least 1, got 0"),
     (lambda: multiplied(arrays(DATA), 0, np.random.default_rng(0)), "multiplied at least once"),
     (lambda: batch([0], action="fly"), "no action 'fly'"),

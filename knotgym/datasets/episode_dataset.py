@@ -303,7 +303,8 @@ def expansion_digest(parts: Sequence[Episodes]) -> str:
     """
     found = []
     for tables_of in zip(*parts, strict=True):
-        kept = [name for name in tables_of[0] if name not in NOT_STEPPED]
+        shared = set.intersection(*({*table} for table in tables_of))  # as `joined` keeps them
+        kept = shared - NOT_STEPPED
         found.append(tables.digest(*(table.only(*kept) for table in tables_of)))
     return hashlib.sha256("".join(found).encode()).hexdigest()
 

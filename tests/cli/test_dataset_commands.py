@@ -7,20 +7,20 @@ import pytest
 from PIL import Image
 from synthetic_episodes import TINY
 
+from knotgym.datasets.merging import merge
 from knotgym.states.state_file import shipped
 
 from ..small_job import knotgym
 
-ID = "knotgym/tie-nx2/scripted-v0"
+ID = "knotgym/tie-nx2/both-v0"
 STATES = shipped("hard-unknots")
 
 
 @pytest.fixture(scope="session")
 def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The Minari root of four episodes of three steps."""
+    """A Minari root with six short episodes."""
     root = tmp_path_factory.mktemp("root")
-    words = "collect --policy scripted --episodes 4 --set task.horizon=3 --workers 1 --quiet"
-    assert knotgym(*words.split(), "--id", ID, "--out", root) == 0
+    merge([str(one) for one in TINY.values()], root, ID)
     return root
 
 
@@ -41,7 +41,7 @@ def test_show_takes_an_id_or_a_path(
 
 @pytest.mark.parametrize(
     ("source", "said"),
-    [(ID, "4 episodes, 12 steps replayed: no faults"), (STATES, "8 Gauss codes: no faults")],
+    [(ID, "6 episodes, 102 steps replayed: no faults"), (STATES, "8 Gauss codes: no faults")],
 )
 def test_verify_says_what_it_checked(
     source: str, said: str, capfd: pytest.CaptureFixture[str]
@@ -86,10 +86,10 @@ def test_without_out_they_stand_beside_what_they_show(tmp_path: Path) -> None:
         ("split {states} --parts a=0.5,b=0.5 --out {new}/a.h5", "of 8 rows"),
         ("delete {states} --rows 0,2-3 --out {new}/a.h5", "a.h5: 5 of 8 rows"),
         ("merge {states} --out {new}/a.h5", "a.h5: 8 states"),
-        ("select {id} --where length>2 --sample 2 --out {new}/a.h5", "2 of 4 rows"),
-        ("merge {id} --id a/b-v0 --out {new}", "a/b-v0: 4 episodes"),
-        ("export {id} --out {new}/a.h5", "a.h5: 4 episodes"),
-        ("export {id} --to ogbench --out {new}/a", "a: 4 episodes for ogbench"),
+        ("select {id} --where length>2 --sample 2 --out {new}/a.h5", "2 of 6 rows"),
+        ("merge {id} --id a/b-v0 --out {new}", "a/b-v0: 6 episodes"),
+        ("export {id} --out {new}/a.h5", "a.h5: 6 episodes"),
+        ("export {id} --to ogbench --out {new}/a", "a: 6 episodes for ogbench"),
         ("export {id} --to minari --out {new}/a", "a: a Minari root with 1 datasets"),
     ],
 )

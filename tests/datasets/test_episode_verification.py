@@ -113,3 +113,8 @@ def test_a_summary_says_how_many_situations_the_episodes_are() -> None:
     found = show_episodes(TINY["expert"])
     assert (found["episodes"], found["success_rate"], found["form"]) == (3, 1.0, "columns")
     assert found["policies"] == {"expert": 3} and found["distinct"] == distinct(twice)
+
+
+def test_a_damaged_file_is_one_fault(tmp_path: Path) -> None:
+    (tmp_path / "h.h5").write_bytes(TINY["expert"].read_bytes()[:4000])
+    assert len([*verify_episodes(tmp_path / "h.h5", replay)]) == 1

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
+import knotgym
 from knotgym.common.errors import InvalidInput, MissingFile, Occupied
 from knotgym.control.verification import replay
 from knotgym.datasets import delete, open_episodes, select, split
@@ -205,6 +206,12 @@ def test_merged_files_hold_the_episodes_of_all(tmp_path: Path) -> None:
     paths = [str(written(tmp_path / f"{k}.h5", one)) for k, one in enumerate(parts)]
     merge(paths, tmp_path / "m.h5")
     assert differences(open_episodes(tmp_path / "m.h5").episodes, merged(parts)) == []
+
+
+def test_a_set_with_macro_actions_and_one_without_are_merged(tmp_path: Path) -> None:
+    merge([str(one) for one in TINY.values()], tmp_path / "m.h5")
+    assert "macro_bead" not in open_episodes(tmp_path / "m.h5").episodes.steps
+    assert knotgym.verify(tmp_path / "m.h5") == []
 
 
 def test_merged_datasets_name_their_sources(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from rich.console import Console
 
 from knotgym.common.atomic_files import sha256
@@ -129,6 +130,12 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     assert played.episodes["seed"].tolist() == [
         episode_seed(0, number, Stream.EVALUATION_EPISODE) for number in range(2)
     ]
+
+
+def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
+    run(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
+    with Image.open(tmp_path / "film.gif") as reel:
+        assert getattr(reel, "n_frames", 1) >= 3 and np.ptp(np.asarray(reel)) > 0
 
 
 def test_a_film_shows_every_view_in_colours() -> None:

@@ -134,6 +134,11 @@ def test_observations_are_those_of_the_environment(look: dict[str, Any]) -> None
     np.testing.assert_allclose(seen, np.stack(right), rtol=0, atol=near)
 
 
+def test_pictures_of_another_size_are_drawn() -> None:
+    small = arrays(TINY["expert"], observation="pixels", picture=PictureConfig(size=16))
+    assert small["observations"].shape[1:] == (16, 32, 3)
+
+
 def test_a_cache_holds_every_picture_once(tmp_path: Path) -> None:
     plain = Transitions(TINY["expert"], observation="both")
     kept = Transitions(TINY["expert"], observation="both", cache=tmp_path / "c")
