@@ -7,7 +7,7 @@
 `read` uses the reader that ships, or `--weights FOLDER`. A code counts as read if it is the
 picture's from some base point in one of the two directions, with its chirality. `train` draws new
 photos of the ropes in split train while it trains, and writes such a folder. On one core it makes
-about a thousandth of the steps of a GPU: the weights that ship took ten minutes of two.
+about a thousandth of the steps of a GPU: the weights that ship took nine minutes of one.
 """
 
 import argparse
