@@ -14,6 +14,7 @@ SCRIPT = ROOT / "baselines" / "ppo.py"
 
 
 def test_it_says_how_to_use_it(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
     with pytest.raises(SystemExit) as ended:
         run_script(SCRIPT, "--help")
     assert ended.value.code == 0 and "usage: ppo.py" in capsys.readouterr().out
