@@ -134,8 +134,9 @@ def test_a_card_shows_its_whole_code_and_a_configuration_unfolds(
     assert tab.ask("[...document.querySelectorAll('.card b')]"
                    ".every((one) => one.scrollWidth <= one.clientWidth)")  # fmt: skip
     tab.press("3")
-    tab.ask("document.querySelector('#about details').open = true")
-    assert '"count": 4' in tab.ask("document.querySelector('#about pre').innerText")
+    tab.ask("document.querySelectorAll('#about details').forEach((one) => { one.open = true; })")
+    unfolded = tab.ask("[...document.querySelectorAll('#about pre')].map((one) => one.innerText)")
+    assert '"task": "tie"' in unfolded[0] and '"count": 4' in unfolded[1]
 
 
 @clients
