@@ -1,6 +1,6 @@
 """Rows of arrays divided among threads.
 
-For NumPy and compiled code that release the interpreter's lock. A row's result must not depend on
+For NumPy, and compiled code that releases the interpreter's lock. A row's result must not depend on
 the rows beside it; then the number of threads changes nothing.
 """
 

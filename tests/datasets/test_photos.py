@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from knotgym.control.verification import replay
+from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.image_rows import PictureRow, appearance_of, record
 from knotgym.datasets.image_table import COLUMNS, decode, parquet, read_rows, table_of
@@ -79,6 +80,18 @@ def test_a_spoilt_answer_is_found(rows: list[dict[str, Any]], column: str) -> No
 def test_a_photo_with_a_thousand_shapes_and_more_is_refused(rows: list[dict[str, Any]]) -> None:
     spoilt = rows[0] | {"photo": rows[0]["photo"] | {"clutter": 10**9}}
     assert [*row_faults(spoilt)] == ["photo.clutter is 1000000000, should be -1000 to 1000"]
+
+
+def test_croissant_describes_every_factor_of_a_photo(
+    rows: list[dict[str, Any]], folder: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "data").symlink_to(folder / "data")
+    write_croissant(tmp_path, "photos", "three photos", photos=True)
+    described = json.loads((tmp_path / "croissant.json").read_text(encoding="utf-8"))
+    (table,) = described["recordSet"]
+    named = {one["name"].split("/")[-1] for one in table["field"]}
+    assert {f"photo.{factor}" for factor in rows[0]["photo"]} <= named
+    assert "photographed" in described["rai:dataLimitations"]
 
 
 def test_coco_has_a_mask_for_each_strand_and_keypoints_for_each_crossing(

@@ -205,7 +205,7 @@ class Moves:
         self.label, origins = table[self.start, 1], table[self.start, 0]
         first = np.array(self._first, np.int64)
         # Blocks of eight: flipping the last three bits of an index by k is applying symmetry k. A
-        # node that is its own image has several indices, of which the first stands for all.
+        # node that equals one of its images has several indices. The first one is used for all.
         self._image = [first[np.arange(len(first)) ^ k] for k in range(IMAGES)]
         self.before = [first[table[:, 0] ^ k] for k in range(IMAGES)]
         self.after = [first[table[:, 2] ^ k] for k in range(IMAGES)]

@@ -21,7 +21,7 @@ _PICTURE = "struct<bytes: binary"  # how Parquet files hold pictures
 def write_croissant(folder: Path, name: str, description: str, *, photos: bool = False) -> None:
     """Describe the tables data/CONFIG/SPLIT-*.parquet or data/SPLIT-*.parquet of a folder.
 
-    Writes `croissant.json`. Of photos other things are told, which are in `photos.json`.
+    Writes `croissant.json`. For photos, the texts of `photos.json` replace some of its texts.
     """
     here = files("knotgym.datasets.cards")
     texts = ("croissant.json", *(["photos.json"] if photos else []))
