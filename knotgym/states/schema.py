@@ -52,10 +52,10 @@ _ROOT = (
 )
 _SOURCE = (
     Column("start_qpos", "float64", ("nq",), "m, quaternions", "where the rope was laid at rest"),
-    Column("actions", "float32", ("actions", 6), "[-1, 1]", "actions from there, see below"),
+    Column("actions", "float32", ("actions", 6), "[-1, 1]", "actions from there"),
     Column("steps", "int64", (), "actions", "number of actions", least=0),
     Column("seed", "int64", (5,), "", "key of the row's random stream; each rope has its own"),
-    Column("policy", "text", (), "", "`drawing`, `play`, `random-walk`, `import`, see below"),
+    Column("policy", "text", (), "", "`drawing`, `play`, `random-walk`, `import`"),
     Column("dataset", "text", (), "", "dataset below `minari/` with the demonstration, or empty"),
     Column("trajectory", "int64", (), "", "episode of that dataset, or -1; the rope of a walk"),
     Column("step", "int64", (), "actions", "last state of that episode"),

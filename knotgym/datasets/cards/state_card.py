@@ -64,7 +64,7 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
             "rejected",
             ("nx", "reason", "rejected"),
             rejected,
-            f"of {report.get('attempts')} drawings or walks, which can have several reasons",
+            f"of {report.get('attempts')} drawings or ropes tried; one can have several reasons",
             left=("reason",),
         ),
     )
