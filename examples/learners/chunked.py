@@ -137,8 +137,8 @@ def trained_critic(rows: Decisions, flow: Network, given: Any) -> Network:
 class FlowPolicy(ChunkPolicy):
     """Acts as the flow decides, or as the critic chooses among its proposals."""
 
-    def __init__(self, name: str, flow: Network, critic: Network | None) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, frame: str, flow: Network, critic: Network | None) -> None:
+        super().__init__(name, frame)
         self._flow, self._critic = flow.eval(), critic
 
     def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
@@ -163,7 +163,7 @@ def main() -> None:
     torch.manual_seed(given.seed)
     torch.set_default_device(given.device)
     training = Training(f"torch {torch.__version__}", given, given.datasets)
-    rows = read(given.datasets)
+    rows = read(given.datasets, given.frame)
     if given.flow is None:
         flow = trained_flow(rows, given)
     else:
@@ -178,7 +178,7 @@ def main() -> None:
         torch.save(critic.cpu().state_dict(), given.out / "critic.pt")
     name = f"torch-{given.learner}"
     files = ["flow.pt"] if critic is None else ["flow.pt", "critic.pt"]
-    measure(name, FlowPolicy(name, flow, critic), given, training.ended(), *files)
+    measure(name, FlowPolicy(name, given.frame, flow, critic), given, training.ended(), *files)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ it ended. A policy decides, pulls as it decided, and decides again; the environm
 at every step, as always.
 
 Everything is in the canonical frame of the marked observation, in which all images of a state by
-the task's symmetries look alike.
+the task's symmetries look alike; with `--frame world`, as it lies.
 """
 
 from __future__ import annotations
@@ -77,13 +77,16 @@ class Decisions(NamedTuple):
 def decision_options(options: argparse.ArgumentParser) -> argparse.ArgumentParser:
     """Add the options of learning from decisions."""
     options.add_argument("--rate", type=float, default=1e-3, help="learning rate")
+    options.add_argument("--frame", choices=("rope", "world"), default="rope")
     options.set_defaults(steps=3000, batch=64)
     return options
 
 
-def observe(points: NDArray[np.floating], goals: list[GaussCode]) -> tuple[Floats, CanonicalFrames]:
+def observe(
+    points: NDArray[np.floating], goals: list[GaussCode], frame: str
+) -> tuple[Floats, CanonicalFrames]:
     """Return observations float32 (n, size) of ropes (n, beads, 3), and their frames."""
-    seen = mark(points, goals)
+    seen = mark(points, goals, canonical=frame == "rope")
     flat = [part.flatten(1).float() for part in inputs(seen[:4])]
     return torch.cat(flat, dim=1).numpy(), seen.frames
 
@@ -97,8 +100,8 @@ def parts(observations: Tensor) -> Inputs:
     return Inputs(beads.reshape(count, BEADS, 8), arcs.long(), codes.reshape(count, 2, -1, 14))
 
 
-def read(datasets: list[str]) -> Decisions:
-    """Read the decisions of datasets."""
+def read(datasets: list[str], frame: str) -> Decisions:
+    """Read the decisions of datasets, in the frame of the rope or the world."""
     rows = list[_Row]()
     for dataset in datasets:
         episodes = columns_of(dataset).episodes
@@ -109,7 +112,7 @@ def read(datasets: list[str]) -> Decisions:
             rows += own + _in_hindsight(own)
     columns = _Row(*zip(*rows, strict=True))
     points = np.stack(columns.points)
-    observations, frames = observe(points, list(columns.goal))
+    observations, frames = observe(points, list(columns.goal), frame)
     beads = frames.renumber(columns.bead)
     chunks = [
         REACH * frames.points(points)[np.arange(len(beads)), beads],
@@ -228,11 +231,12 @@ class ChunkPolicy(ABC):
 
     Attributes:
         name: in the results.
+        frame: "rope" or "world", as in training.
         rngs: the generator of each lane's episode.
     """
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, frame: str) -> None:
+        self.name, self.frame = name, frame
         self.rngs: dict[int, np.random.Generator] = {}
 
     @abstractmethod
@@ -279,7 +283,7 @@ class ChunkPlayer:
 
     def _decide(self, ids: Ids) -> None:
         points = self._batch.simulation.points[ids]
-        observations, frames = observe(points, self._batch.goals_of(ids))
+        observations, frames = observe(points, self._batch.goals_of(ids), self._policy.frame)
         seen = frames.points(points).astype(np.float32)
         beads, chunks = self._policy.choose(ids.tolist(), observations, seen)
         count, pulls = len(ids), chunks.shape[1] // 4

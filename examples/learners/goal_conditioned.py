@@ -82,8 +82,8 @@ def drawing(loader: Any) -> Any:
 class AgentPolicy(ChunkPolicy):
     """Decides as an agent does at temperature 0."""
 
-    def __init__(self, name: str, agent: Any, key: Any) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, frame: str, agent: Any, key: Any) -> None:
+        super().__init__(name, frame)
         self._agent, self._key = agent, key
 
     def choose(self, indices: list[int], seen: Floats, points: Floats) -> tuple[Any, Floats]:
@@ -120,7 +120,7 @@ def main() -> None:
     for setting in given.agent:
         name, _, value = setting.partition("=")
         config[name] = type(config[name])(value)
-    rows = trajectories(read(given.datasets))
+    rows = trajectories(read(given.datasets, given.frame))
     loader = getattr(data, config.dataset_class)(data.Dataset.create(**rows), config)
     draw = drawing(loader)
     first = draw(1)
@@ -131,7 +131,7 @@ def main() -> None:
         agent, _ = agent.update(draw(given.batch))
     (given.out / "agent.msgpack").write_bytes(serialization.to_bytes(agent.network.params))
     name = f"ogbench-{given.learner}"
-    policy = AgentPolicy(name, agent, jax.random.PRNGKey(given.seed))
+    policy = AgentPolicy(name, given.frame, agent, jax.random.PRNGKey(given.seed))
     measure(name, policy, given, training.ended(), "agent.msgpack")
 
 

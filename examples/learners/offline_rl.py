@@ -170,9 +170,9 @@ def with_bead(seen: Floats, beads: Any) -> Floats:
 class LearnedPolicy(ChunkPolicy):
     """Acts as a learner of d3rlpy decides."""
 
-    def __init__(self, name: str, learner: Any, puller: Any) -> None:
+    def __init__(self, name: str, frame: str, learner: Any, puller: Any) -> None:
         """Take a learner of whole decisions, or one of beads, and one that says how to pull."""
-        super().__init__(name)
+        super().__init__(name, frame)
         self._learner, self._puller = learner, puller
         self._contexts: dict[int, Any] = {}  # of a transformer, by episode
 
@@ -205,7 +205,7 @@ def main() -> None:
     training = Training(f"d3rlpy {d3rlpy.__version__}", given, given.datasets)
     d3rlpy.seed(given.seed)
     torch.set_num_threads(1)
-    every = read(given.datasets)
+    every = read(given.datasets, given.frame)
     rows = imitated(every) if given.learner in CLONED else every.rows(~every.hindsight)
     name = f"d3rlpy-{given.learner}"
     puller, files = None, ["model.pt"]
@@ -221,7 +221,8 @@ def main() -> None:
     else:
         learner = trained(given.learner, "rope", given, rows, rows.observations, rows.chunks)
     learner.save_model(str(given.out / "model.pt"))
-    measure(name, LearnedPolicy(name, learner, puller), given, training.ended(), *files)
+    policy = LearnedPolicy(name, given.frame, learner, puller)
+    measure(name, policy, given, training.ended(), *files)
 
 
 if __name__ == "__main__":

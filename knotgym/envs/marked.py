@@ -109,12 +109,13 @@ def size(beads: int) -> int:
     return 5 * beads + 4 * TOKENS + _FRAME
 
 
-def mark(points: ArrayLike, goals: Sequence[GaussCode]) -> Marked:
+def mark(points: ArrayLike, goals: Sequence[GaussCode], *, canonical: bool = True) -> Marked:
     """Observe ropes.
 
     Args:
         points: (n, beads, 3), metres.
         goals: n codes; chirality is ignored.
+        canonical: in their canonical frames; else as they lie, only centred.
     """
     ropes = np.asarray(points, dtype=np.float64)
     count, beads = ropes.shape[:2]
@@ -126,13 +127,18 @@ def mark(points: ArrayLike, goals: Sequence[GaussCode]) -> Marked:
         # a place is a fractional bead, and the end of the last bead is place `beads`
         for marks, places in ((over, crossings.over_place), (under, crossings.under_place)):
             np.add.at(marks[row], np.minimum(places.astype(np.int64), beads - 1), 1)
-        image = _canonical_image(goals[row].visits, crossings.code.visits)
-        reverse[row], switch[row], goal[row], code[row] = image
+        shown = goals[row].visits, crossings.code.visits
+        if canonical:
+            reverse[row], switch[row], goal[row], code[row] = _canonical_image(*shown)
+        else:
+            goal[row], code[row] = map(_tokens, shown)
     marks = np.stack([over, under], axis=2)
     # switched, what was over is under; reversed, bead b is bead n - 1 - b (vertices need a roll)
     marks = np.where(switch[:, None, None], marks[..., ::-1], marks)
     marks = np.where(reverse[:, None, None], marks[:, ::-1], marks)
     frames = _frames(ropes, reverse, switch)
+    if not canonical:
+        frames = frames._replace(axes=np.broadcast_to(np.eye(3), frames.axes.shape))
     return Marked(frames.points(ropes), marks, code, goal, frames)
 
 

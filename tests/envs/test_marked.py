@@ -107,15 +107,21 @@ def test_the_frame_maps_there_and_back() -> None:
     assert np.allclose(world, ropes)
 
 
-def test_marks_and_tokens_tell_the_canonical_code() -> None:
-    seen = mark(tangles(40), [GOALS[row % 3] for row in range(40)])
-    for points, marks, code, goal in zip(*seen[:4], strict=True):
+@pytest.mark.parametrize("canonical", [True, False])
+def test_marks_and_tokens_tell_the_code_that_the_points_show(canonical: bool) -> None:
+    ropes, goals = tangles(40), [GOALS[row % 3] for row in range(40)]
+    seen = mark(ropes, goals, canonical=canonical)
+    for points, marks, code in zip(*seen[:3], strict=True):
         visits = label(points).visits
         assert marks.sum() == len(visits) and (marks[:, 0].sum() == marks[:, 1].sum())
         assert code[: len(visits), 0].tolist() == np.sign(visits)[:TOKENS].tolist()
         for at, (sign, partner) in enumerate(code[code[:, 0] != 0].tolist()):
             assert visits[int(partner)] == -visits[at] and sign == np.sign(visits[at])
-        assert goal[0, 0] == 1
+    if canonical:
+        assert (seen.goal[:, 0, 0] == 1).all()
+    else:
+        assert np.allclose(seen.points, ropes - ropes.mean(axis=1, keepdims=True))
+        assert [one.visits[0] > 0 for one in goals] == (seen.goal[:, 0, 0] > 0).tolist()
 
 
 def test_parts_survive_the_vector() -> None:

@@ -68,7 +68,7 @@ def test_ppo_in_one_file_trains_and_acts(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_learner_of_d3rlpy_is_trained_and_measured(
     learner: str, dataset: Path, tmp_path: Path
 ) -> None:
-    dense = ("--width", 0) if learner == "iql" else ()
+    dense = ("--width", 0, "--frame", "world") if learner == "iql" else ()
     words = (learner, dataset, dataset, *TINY, *dense, "--out", tmp_path / "out")
     run_script(FOLDER / "offline_rl.py", *words)
     check_scores(tmp_path / "out", f"d3rlpy-{learner}")
@@ -85,13 +85,14 @@ def test_chunked_learners_are_trained_and_measured(dataset: Path, tmp_path: Path
 
 
 @no_torch
+@pytest.mark.parametrize("frame", ["rope", "world"])
 def test_decisions_read_from_an_expert_and_acted_out_are_its_pulls(
-    dataset: Path, monkeypatch: pytest.MonkeyPatch
+    frame: str, dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(FOLDER))
     from decisions import ChunkPolicy, nearest, read
 
-    rows = read([str(dataset)])
+    rows = read([str(dataset)], frame)
 
     class Remembering(ChunkPolicy):
         def choose(self, indices: list[int], seen: Any, points: Any) -> tuple[Any, Any]:
@@ -99,7 +100,7 @@ def test_decisions_read_from_an_expert_and_acted_out_are_its_pulls(
             return nearest(rows.chunks[offsets.argmin(axis=1)], points)
 
     own = columns_of(dataset)
-    played = rollouts(Remembering("remembering"), own.task, own.episodes.episodes)
+    played = rollouts(Remembering("remembering", frame), own.task, own.episodes.episodes)
     assert np.array_equal(played.steps["bead"], own.episodes.steps["bead"])
 
 
