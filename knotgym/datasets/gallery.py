@@ -55,8 +55,9 @@ def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
 
 def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
     """Write the contact sheet of tiles as a PNG."""
+    # level 9 takes five times as long, for 2 % less
     _, data = cv2.imencode(
-        ".png", contact_sheet(tiles)[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9]
+        ".png", contact_sheet(tiles)[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6]
     )
     Path(path).write_bytes(bytes(data))
 

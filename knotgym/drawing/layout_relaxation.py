@@ -331,14 +331,21 @@ def _repel(
     for t in range(count):
         node = walk[t]
         for s in range(count):
-            a, b = walk[s], walk[(s + 1) % count]
+            a = walk[s]
+            u, v = at[node, 0] - at[a, 0], at[node, 1] - at[a, 1]
+            # Most segments are out of reach whichever way they point; the margin is for rounding.
+            away = (1 + 1e-9) * (reach + length[s])
+            if max(abs(u), abs(v)) > away:
+                continue
+            b = walk[(s + 1) % count]
             if node == a or node == b:
                 continue
             x, y = at[b, 0] - at[a, 0], at[b, 1] - at[a, 1]
-            u, v = at[node, 0] - at[a, 0], at[node, 1] - at[a, 1]
             # nearest point of the segment, as a fraction of its length from a
             along = min(1.0, max(0.0, (u * x + v * y) / max(length[s] * length[s], 1e-300)))
             u, v = u - along * x, v - along * y
+            if u * u + v * v > (1 + 1e-9) * reach * reach:
+                continue
             far = np.hypot(u, v)
             if far >= reach:
                 continue

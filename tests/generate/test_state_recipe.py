@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ import pytest
 from knotgym.common.errors import Failed
 from knotgym.control.verification import replay
 from knotgym.datasets.episode_dataset import open_episodes
+from knotgym.datasets.episodes import merged
 from knotgym.datasets.state_verification import folder_faults
-from knotgym.generate.states import generate_config
+from knotgym.generate.episodes.blocks import as_result
+from knotgym.generate.states import demonstrations, drawing_source, generate_config
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.states.play_source import ropes_of, rows_of_ropes
@@ -168,6 +171,54 @@ def test_a_run_that_gives_up_goes_on_with_more_attempts(tmp_path: Path) -> None:
     more = replace(few, attempts=5)
     with pytest.raises(Failed, match="after 12 ropes"):
         make_states(more, tmp_path / "out", replace(ALONE, resume=True))
+
+
+def test_several_calls_draw_the_last_codes_and_more_attempts_give_what_they_would_have_given(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config = replace(DRAWN, nx=(1,), every_code=0, count=3, attempts=30)
+    ((stubborn, wanted),) = WantedCodes(config, 1).lacking({}, ()).most_common(1)
+    made, real = list[tuple[int, int]](), drawing_source._drawn
+
+    def picky(config: GenerateConfig, order: Any, code: Any, number: int, *rest: Any) -> Any:
+        made.append((order.which, number))
+        refused = order.which == stubborn and number < 100
+        return None if refused else real(config, order, code, number, *rest)
+
+    memory = dict[str, Rows]()
+    monkeypatch.setattr(drawing_source, "_drawn", picky)
+    with pytest.raises(Failed, match="missing states: 1 with nx = 1"):
+        compute(drawn_rows(config, {}), memory)
+    assert wanted == 2 and {f"drawing 1:{stubborn}:{first}" for first in (40, 50, 60, 70)} < {
+        *memory
+    }
+    assert (
+        max(number for which, number in made if which == stubborn) == 79
+    )  # >= 30 for each missing
+    more = compute(drawn_rows(replace(config, attempts=60), {}), memory)
+    assert len(made) == len({*made})
+    assert same(more, compute(drawn_rows(replace(config, attempts=60), {})))
+
+
+def test_the_last_goals_get_several_attempts_at_once_and_the_first_success_counts(
+    drawn: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    states, tried = states_in(drawn), list[tuple[int, list[int]]]()
+    whole = merged([open_episodes(path).episodes for path in drawn.glob("minari/**/episodes.h5")])
+
+    def stub(task: Any, seed: int, goals: list[int], attempt: int) -> Rows:
+        tried.append((attempt, goals))
+        reached = [goal for goal in goals if goal != 1 or attempt >= 3]
+        found = whole.select(np.isin(whole.episodes["goal"], reached))
+        return {**as_result(found), "episodes/seed": np.full(len(reached), attempt)}
+
+    monkeypatch.setattr(demonstrations, "_demonstrate", stub)
+    config = replace(DRAWN, demonstrations=True)
+    sets = compute(demonstrations.demonstrated(config, states, len(states), drawn / "states.h5"))
+    rows = [one.episodes.episodes for one in sets]
+    seeds = {int(row["goal"][k]): row["seed"][k] for row in rows for k in range(row.rows)}
+    assert seeds == {0: 0, 1: 3, 2: 0}
+    assert [attempt for attempt, goals in tried if 1 in goals] == [0, 1, 2, 3, 4, 5]
 
 
 def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: pytest.MonkeyPatch) -> None:

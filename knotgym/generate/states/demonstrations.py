@@ -37,10 +37,13 @@ _STARTS = 8  # drawn states that episodes start from, in both splits together
 # Episodes of a call, about. Few, because one that is hard takes long; but the chain engine steps
 # many ropes in little more time than one.
 _TOGETHER = {MUJOCO: 3, CHAIN: 12}
-# Rollouts of the expert before the planner's turn. The first ones are short, and their last resort
-# has a few of its 60,000 pulls, because another start takes less time. Most have 15 to 45 actions.
-_EXPERT, _HASTY = 4, 2
-_SHORT, _LAST_RESORT = 60, 5000
+_CALLS = 4  # at least so many at once, if that many episodes are left
+# Rollouts of the expert before the planner's turn: the first are short, and most of them have a few
+# of its 60,000 pulls for a last resort, because another start takes less time. Of the eleven nx 4
+# goals that the first two left, the third reached eight, after at most 18,129 pulls; the fourth two
+# more, after 24,549 and 46,789. Most episodes have 15 to 45 actions.
+_HASTY, _SHORT = 2, 60
+_LAST_RESORT = (5000, 5000, 20000, 60000)
 
 
 class Demonstrated(NamedTuple):
@@ -109,24 +112,36 @@ def demonstrated(
         path: a file with these states, which workers can read.
     """
     made: dict[int, Episodes] = {}
-    for attempt in range(config.demonstration_attempts):
-        calls = []
-        for nx in demonstrated_nx(config):
-            for split in STATE_SPLITS:
-                rows = [k for k in states.rows(nx, split).tolist() if k < count and k not in made]
-                size = _TOGETHER[config.engine_used]
-                parts = np.array_split(rows, -(-len(rows) // size)) if rows else []
-                for part in parts:
-                    key = f"demonstrations, attempt {attempt}: {nx} {split} {part[0]}"
-                    task = replace(_task_of(config, nx, split), states=str(path))
-                    seed = config.seed
-                    calls.append(Call(key, _demonstrate, (task, seed, part.tolist(), attempt)))
-        if not calls:
-            break
+    kinds = [(nx, split) for nx in demonstrated_nx(config) for split in STATE_SPLITS]
+    goals = {kind: [k for k in states.rows(*kind).tolist() if k < count] for kind in kinds}
+    attempt = 0
+    while (left := sum(map(len, goals.values()))) and attempt < config.demonstration_attempts:
+        size = min(_TOGETHER[config.engine_used], -(-left // _CALLS))
+        # Patient attempts take long, so the last goals get several at once; the first that reaches
+        # a goal counts, as if the others had not been made.
+        after = attempt + (max(1, _CALLS // left) if attempt >= _HASTY else 1)
+        calls = [
+            Call(
+                f"demonstrations, attempt {number}: {nx} {split} {part[0]}",
+                _demonstrate,
+                (
+                    replace(_task_of(config, nx, split), states=str(path)),
+                    config.seed,
+                    part.tolist(),
+                    number,
+                ),
+            )
+            for number in range(attempt, min(after, config.demonstration_attempts))
+            for (nx, split), rows in goals.items()
+            if rows
+            for part in np.array_split(rows, -(-len(rows) // size))
+        ]
         for result in (yield calls):
             episodes = from_result(result)
             for k, goal in enumerate(episodes.episodes["goal"].tolist()):
-                made[goal] = episodes.select([k])
+                made.setdefault(goal, episodes.select([k]))
+        goals = {kind: [k for k in rows if k not in made] for kind, rows in goals.items()}
+        attempt = after
     return [
         Demonstrated(nx, split, merged([made[row] for row in rows]))
         for nx in config.nx
@@ -144,9 +159,11 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
         goals: rows of that file.
         attempt: number of the rollout; another start for each.
     """
-    policy = PolicyConfig(policy="expert" if attempt < _EXPERT else "planner")
+    policy = PolicyConfig(policy="planner")
+    if attempt < len(_LAST_RESORT):
+        expert = PassPlannerConfig(last_resort=_LAST_RESORT[attempt])
+        policy = PolicyConfig(policy="expert", expert=expert)
     if attempt < _HASTY:
-        policy = replace(policy, expert=PassPlannerConfig(last_resort=_LAST_RESORT))
         task = replace(task, horizon=min(task.horizon, _SHORT))
     batch, ids = EpisodeBatch(task, len(goals)), np.arange(len(goals))
     for index, goal in enumerate(goals):

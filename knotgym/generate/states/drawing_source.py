@@ -47,7 +47,8 @@ from knotgym.topology.knots import shows
 # `splits.kept_together` then puts such states into one split.
 UNLIKE_DRAWINGS = 3
 
-_CODES = 4  # codes of a call
+_CODES = 4  # codes of a call, at most
+_CALLS = 4  # at least so many at once, if that many codes are left; later also of fewer codes
 _COPIES = 10  # states of a code in a call, at most
 # Drawings of a call for each state, at most. It doesn't depend on `attempts`, so that a run can be
 # resumed with more of them.
@@ -99,27 +100,33 @@ def drawn_rows(
     codes = {nx: WantedCodes(config, nx) for nx in config.nx}
     selection, have = Selection(apart_from), {nx: Counter[int]() for nx in config.nx}
     made, reserved = Counter[tuple[int, int]](), Counter[tuple[int, int]]()
+    made_before = Counter[tuple[int, int]]()  # drawings until a code's last state was kept
     given_up: dict[int, set[int]] = {nx: set() for nx in config.nx}
     kept = defaultdict[tuple[int, int], list[NDArray[np.float64]]](list)
-    number = 0
     while True:
-        orders = list[_Order]()
+        orders, needed = list[_Order](), Counter[tuple[int, int]]()
         for nx in config.nx:
             for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items():
-                for wanted in _parts(lacking, _COPIES):
-                    # Numbers of drawings are reserved before they are made, so the same drawing
-                    # never goes to two calls.
-                    first, most = reserved[nx, index], _DRAWINGS * wanted
-                    there = np.array(kept[nx, index])
-                    orders.append(_Order(codes[nx][index], index, first, most, wanted, there))
-                    reserved[nx, index] += most
+                needed[nx, index] = lacking
+        parts = [(one, part) for one in needed for part in _parts(needed[one], _COPIES)]
+        # later rounds are of few codes, so several calls share the drawings of each
+        sharing = max(1, _CALLS // len(parts)) if parts and made else 1
+        for (nx, index), wanted in (one for one in parts for _ in range(sharing)):
+            # Numbers of drawings are reserved before they are made, so the same drawing never goes
+            # to two calls.
+            first, most = reserved[nx, index], _DRAWINGS * wanted // sharing
+            there = np.array(kept[nx, index])
+            orders.append(_Order(codes[nx][index], index, first, most, wanted, there))
+            reserved[nx, index] += most
         if not orders:
             break
+        size = min(_CODES, -(-len(orders) // _CALLS))
+        # Keys name the drawings: with more `attempts` codes are given up later, so calls come in
+        # another order.
         calls = [
-            Call(f"{stage} {number + part}", _draw, (config, tuple(orders[first : first + _CODES])))
-            for part, first in enumerate(range(0, len(orders), _CODES))
+            Call(f"{stage} {','.join(map(_named, some))}", _draw, (config, some))
+            for some in (tuple(orders[k : k + size]) for k in range(0, len(orders), size))
         ]
-        number += len(calls)
         # in the order of the calls, whichever worker was done first
         for result in (yield calls):
             rows, drawn = without_report(result)
@@ -128,15 +135,16 @@ def drawn_rows(
                 selection.rejected[nx].update(reasons)
             for row, seed in enumerate(rows.get("source/seed", ())):
                 nx, index, drawing = seed[2:].tolist()
+                if not needed[nx, index]:
+                    continue
                 if selection.offer(rows, row, lenient=drawing >= UNLIKE_DRAWINGS):
                     have[nx][index] += 1
+                    needed[nx, index] -= 1
+                    made_before[nx, index] = made[nx, index]
                     kept[nx, index].append(rows["points"][row])
-        for nx in config.nx:
-            given_up[nx] |= {
-                index
-                for index, lacking in codes[nx].lacking(have[nx], given_up[nx]).items()
-                if made[nx, index] >= config.attempts * (have[nx][index] + lacking)
-            }
+        for (nx, index), lacking in needed.items():
+            if made[nx, index] - made_before[nx, index] >= config.attempts * lacking > 0:
+                given_up[nx].add(index)
     report.update(
         existing_codes={str(nx): of.existing for nx, of in codes.items()},
         attempts=made.total(),
@@ -153,6 +161,10 @@ def drawn_rows(
     nx, which = rows["nx"].tolist(), rows["source/seed"][:, 3].tolist()
     order = sorted(range(len(nx)), key=lambda row: (config.nx.index(nx[row]), which[row]))
     return taken(rows, np.array(order))
+
+
+def _named(order: _Order) -> str:
+    return f"{order.code.nx}:{order.which}:{order.first}"
 
 
 def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Rows:

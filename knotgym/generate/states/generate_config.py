@@ -102,7 +102,8 @@ class GenerateConfig:
             must list their crossing numbers.
         demonstrations: roll out the expert to the code of every state, and write these episodes as
             a Minari dataset; up to 6 crossings.
-        attempts: drawings, or ropes, per requested state before the run gives up.
+        attempts: drawings of a code per missing state since its last one was found, or ropes per
+            requested state, before the run gives up.
         demonstration_attempts: rollouts per state before it stays without a demonstration; the
             later ones start elsewhere and use the planner.
         seed: random seed; the same seed gives the same bytes.
