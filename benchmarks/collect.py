@@ -21,9 +21,10 @@ import numpy as np
 
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.datasets.episode_dataset import FILE, columns_of, write_episodes
+from knotgym.datasets.episodes import episodes_of
 from knotgym.datasets.minari_form import write_minari
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.blocks import blocks, from_result
+from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.collect import collect, play
 from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.rope.chain.chain_simulation import ChainSimulation
@@ -47,7 +48,7 @@ def columns(config: CollectConfig, place: Path) -> Recipe[None]:
         Call(f"episodes {few.start}-{few.stop - 1}", play, (config, few))
         for few in blocks(config.episodes, config.task)
     ]
-    write_episodes(place, [from_result(part) for part in parts], config.task)
+    write_episodes(place, [episodes_of(part) for part in parts], config.task)
 
 
 def engine_rate(qpos: Any) -> float:
@@ -68,7 +69,7 @@ def measure(policy: str, nx: int, episodes: int, folder: Path) -> None:
     """Print the figures of one policy and number of crossings."""
     task = TaskConfig(task="tie", nx=nx, engine="chain", observation="state")
     config = CollectConfig(task=task, policy=PolicyConfig(policy=policy), episodes=episodes)
-    starts = from_result(play(config, range(ROPES))).episodes["start_qpos"]
+    starts = episodes_of(play(config, range(ROPES))).episodes["start_qpos"]
     before, out = engine_rate(starts), folder / f"{policy}-{nx}.h5"
 
     def collected() -> int:

@@ -26,14 +26,12 @@ from knotgym.control.planning import (
     PassPlan,
     PassPlanner,
     PassValues,
-    Play,
-    Scripted,
     Sight,
     see,
 )
 from knotgym.control.planning.changes import EXAMPLES, Example
 from knotgym.control.planning.moves import MoveRow, Moves, pooled
-from knotgym.control.planning.pass_policies import PlayPlayer, ScriptedPlayer
+from knotgym.control.planning.pass_policies import Play, PlayPlayer, Scripted, ScriptedPlayer
 from knotgym.control.planning.passes import COUNTED_NX, template_images, templates
 from knotgym.control.planning.sights import IMAGES, canonical_image, first_goal
 from knotgym.control.rollouts import Ids, Pulls, rollouts

@@ -81,6 +81,17 @@ def test_datasets_do_not_import_the_environment() -> None:
     assert modules_after(STATES) & above == set()
 
 
+def test_the_main_job_imports_only_what_it_uses(tmp_path: Path) -> None:
+    words = f"generate --nx 1 --count 1 --workers 1 --quiet --out {tmp_path / 'a'}"
+    job = f"import knotgym.cli.main as cli\ntry: cli.main({words.split()})\nexcept SystemExit: pass"
+    modules = modules_after(job)
+    ours = sorted(name for name in modules if name.partition(".")[0] == "knotgym")
+    assert (tmp_path / "a" / "states.h5").is_file() and "torch" not in modules
+    # A room that the job begins to use may raise this; a policy or environment that it doesn't use
+    # may not.
+    assert len(ours) <= 118, ours
+
+
 def test_nothing_is_imported_through_the_links() -> None:
     rooms = [modules_after(f"import knotgym.{room}") for room in LINKED]
     modules = frozenset.union(modules_after(CORE), modules_after(STATES), *rooms)

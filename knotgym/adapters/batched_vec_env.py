@@ -9,8 +9,10 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from knotgym.adapters.goal_environment import Goals
 from knotgym.common.errors import InvalidInput
-from knotgym.envs.environment import action_space, observation_space, task_config
+from knotgym.envs.environment import task_config
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.observations import observation_space
+from knotgym.rope.actions import action_space
 
 Indices = int | Iterable[int] | None
 
@@ -32,7 +34,7 @@ class BatchedVecEnv(VecEnv):
         space = self.goals.space if self.goals else observation_space(config)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._actions: NDArray[Any] = np.empty(0)
-        super().__init__(num_envs, space, action_space(config))
+        super().__init__(num_envs, space, action_space(config.action, config.beads))
 
     def reset(self) -> Any:
         """Restart every episode, with the seeds and options that were set."""

@@ -14,9 +14,9 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import InvalidInput
-from knotgym.envs.environment import KnotEnv, observation_space
+from knotgym.envs.environment import KnotEnv
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.observations import SYMBOLS, cut
+from knotgym.envs.observations import SYMBOLS, cut, observation_space
 from knotgym.envs.tasks import TaskConfig
 
 

@@ -21,7 +21,7 @@ def demo(given: Given) -> None:
 
     from knotgym.cli.inspection import page
     from knotgym.common.atomic_files import atomic_write, require_output
-    from knotgym.control.policies import compile_planning
+    from knotgym.control.planning import compile_planning
     from knotgym.control.policy_config import PolicyConfig
     from knotgym.datasets.episode_dataset import open_episodes
     from knotgym.envs.tasks import TaskConfig

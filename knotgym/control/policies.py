@@ -30,22 +30,12 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import InvalidPolicy, one_line
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.own_policies import OwnPolicy, load_own, module_files
-from knotgym.control.planning import (
-    CHANGES,
-    PASSES,
-    Mixed,
-    Noisy,
-    PassPlanner,
-    Play,
-    PullPlanner,
-    Scripted,
-)
+from knotgym.control.planning import CHANGES, PASSES, PassPlanner, PullPlanner
+from knotgym.control.planning.pass_policies import Mixed, Noisy, Play, Scripted
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.recorded_policy import PREFIX as RECORDED
 from knotgym.control.recorded_policy import load_recording, recording_files
-from knotgym.control.rollouts import Policy, rollouts
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.engines import CHAIN
+from knotgym.control.rollouts import Policy
 
 GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
 
@@ -193,9 +183,3 @@ register_policy("noisy", _noisy, _tables)
 register_policy("play", lambda config: Play(_expert(config)), _tables)
 register_policy("planner", lambda config: PullPlanner(config.planner), _tables[:1])
 register_policy("mixed", _mixed, _tables)
-
-
-def compile_planning() -> None:
-    """Compile what the expert needs, by two pulls of an episode in the chain engine."""
-    task = TaskConfig(task="tie", nx=2, engine=CHAIN, horizon=2, observation="state")
-    rollouts(make_policy(PolicyConfig(policy="expert")), task, [0])

@@ -17,7 +17,7 @@ set needs, so a code of any number of crossings fits; sets of different widths a
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,6 +118,21 @@ class Episodes(NamedTuple):
     def episode_of(self) -> NDArray[np.int64]:
         """Return the episode of each row of steps: int64 (rows,)."""
         return np.repeat(np.arange(self.episodes.rows), self.episodes["length"] + 1)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the columns by the names of their tables, such as a journal keeps."""
+        return {f"{table.schema.name}/{name}": own for table in self for name, own in table.items()}
+
+
+def episodes_of(columns: Mapping[str, NDArray[Any]]) -> Episodes:
+    """Return the episodes whose `Episodes.columns` are given; none is a recording."""
+
+    def table(schema: Schema) -> Table:
+        there = [name for name in _names(schema) if f"{schema.name}/{name}" in columns]
+        own = {name: columns[f"{schema.name}/{name}"] for name in there}
+        return Table(schema.only(*there), own)
+
+    return Episodes(table(EPISODES), table(STEPS))
 
 
 def code_sizes(crossings: int) -> dict[str, int]:

@@ -43,6 +43,7 @@ from knotgym.datasets.episode_dataset import (
 )
 from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes, goal_reached
 from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.actions import action_space
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.state_file import minari_root
 
@@ -211,8 +212,6 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
     import minari
     from minari.serialization import serialize_space
 
-    from knotgym.envs.environment import action_space
-
     metadata, task = metadata_of(dataset), dataset.task
     if metadata is None:
         raise InvalidFile(f"{dataset.path} has no metadata of a Minari dataset")
@@ -230,7 +229,7 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
         "minari_version": minari.__version__,
         "requirements": [*here, "minari>=0.5.4"],
         "observation_space": _bounds(replace(task, split="train", states=None)),
-        "action_space": serialize_space(action_space(replace(task, action="pull"))),
+        "action_space": serialize_space(action_space("pull", task.beads)),
         "env_spec": _environment_spec(task).to_json(),
         "eval_env_spec": _environment_spec(_evaluated(task, metadata.eval_split)).to_json(),
         "total_episodes": len(lengths),
@@ -397,7 +396,7 @@ def _bounds(task: TaskConfig) -> str:
     """
     from minari.serialization import serialize_space
 
-    from knotgym.envs.environment import observation_space
+    from knotgym.envs.observations import observation_space
 
     bounds = serialize_space(observation_space(task), to_string=False)
     return json.dumps(bounds, separators=(",", ":"))

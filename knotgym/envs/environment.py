@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.marked import size
-from knotgym.envs.observations import SYMBOLS
+from knotgym.envs.observations import observation_space
 from knotgym.envs.tasks import TaskConfig, UnknownKeyword
-from knotgym.rope.actions import choices
+from knotgym.rope.actions import action_space
 from knotgym.rope.engines import warn_of_compilation
 
 if TYPE_CHECKING:
@@ -29,31 +27,6 @@ if TYPE_CHECKING:
 _FPS = 5  # an action lasts 0.192 s
 _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
 _MODE: Any = getattr(gym.vector, "AutoresetMode", str)  # Gymnasium before 1.1 has no such class
-
-
-def observation_space(config: TaskConfig) -> spaces.Space[Any]:
-    """Return the observation space of one rope."""
-    height, width, channels = len(config.views) * config.image_size, config.image_size, 3
-    channels += config.depth
-    beside = config.layout == "beside"
-    shape = (height, 2 * width, channels) if beside else (height, width, 2 * channels)
-    pixels = spaces.Box(0, 255, shape, np.uint8)
-    state = spaces.Box(-np.inf, np.inf, (6 * config.beads,), np.float32)
-    choices: dict[str, spaces.Space[Any]] = {
-        "pixels": pixels,
-        "state": state,
-        "both": spaces.Dict({"pixels": pixels, "state": state}),
-        "symbolic": spaces.Box(-SYMBOLS, SYMBOLS, (2, SYMBOLS), np.int16),
-        "marked": spaces.Box(-np.inf, np.inf, (size(config.beads),), np.float32),
-    }
-    return choices[config.observation]
-
-
-def action_space(config: TaskConfig) -> spaces.Space[NDArray[Any]]:
-    """Return the action space of one rope; see `knotgym.rope.action_views`."""
-    if config.action == "pull":
-        return cast("spaces.Space[NDArray[Any]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
-    return spaces.MultiDiscrete(choices(config.action, config.beads))
 
 
 class KnotEnv(gym.Env[Any, NDArray[Any]]):
@@ -77,7 +50,7 @@ class KnotEnv(gym.Env[Any, NDArray[Any]]):
             self._window = PictureWindow(_FPS)
         self.episodes = EpisodeBatch(self.config)
         self.observation_space = observation_space(self.config)
-        self.action_space = action_space(self.config)
+        self.action_space = action_space(self.config.action, self.config.beads)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -165,7 +138,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = EpisodeBatch(self.config, num_envs, threads)
         self.single_observation_space = observation_space(self.config)
-        self.single_action_space = action_space(self.config)
+        self.single_action_space = action_space(self.config.action, self.config.beads)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.threads import ALONE, FEW, Threads
-from knotgym.envs.marked import join, mark
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.camera import PictureConfig, picture_of
 from knotgym.rendering.picture import draw_many
@@ -23,6 +23,24 @@ if TYPE_CHECKING:
     from knotgym.rendering.appearance import Appearance
 
 SYMBOLS = 64  # visits of a code in an observation, two per crossing
+
+
+def observation_space(task: TaskConfig) -> spaces.Space[Any]:
+    """Return the observation space of one rope."""
+    if task.observation == "symbolic":
+        return spaces.Box(-SYMBOLS, SYMBOLS, (2, SYMBOLS), np.int16)
+    if task.observation == "marked":
+        from knotgym.envs.marked import size
+
+        return spaces.Box(-np.inf, np.inf, (size(task.beads),), np.float32)
+    height, width, channels = len(task.views) * task.image_size, task.image_size, 3 + task.depth
+    beside = task.layout == "beside"
+    shape = (height, 2 * width, channels) if beside else (height, width, 2 * channels)
+    seen: dict[str, spaces.Space[Any]] = {
+        "pixels": spaces.Box(0, 255, shape, np.uint8),
+        "state": spaces.Box(-np.inf, np.inf, (6 * task.beads,), np.float32),
+    }
+    return spaces.Dict(seen) if task.observation == "both" else seen[task.observation]
 
 
 def picture_config(task: TaskConfig) -> PictureConfig:
@@ -170,6 +188,8 @@ def observe(
         rope and goal, int16 (n, 2, SYMBOLS), see `cut`; or the joined parts of `mark`.
     """
     if task.observation == "marked":
+        from knotgym.envs.marked import join, mark
+
         return join(mark(points, plain_codes(goal_visits)))
     if task.observation == "symbolic":
         return cut(np.stack([visits, goal_visits], axis=1))

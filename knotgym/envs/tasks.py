@@ -22,7 +22,7 @@ from knotgym.common.configuration import (
 )
 from knotgym.common.errors import InvalidInput
 from knotgym.quality.limits import RESET_NOISE
-from knotgym.rendering.views import Views, require_depth
+from knotgym.rendering.camera import Views, require_depth
 from knotgym.rope.engines import MUJOCO, EngineName
 from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
 

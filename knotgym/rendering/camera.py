@@ -21,11 +21,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from knotgym.common.configuration import Int, ListToo, Positive, Real, configuration
 from knotgym.common.errors import InvalidInput
-from knotgym.rendering.views import Views, require_depth
 
 RGB = tuple[int, int, int]
 Level = Annotated[Int, Field(ge=0, le=255)]
@@ -41,6 +40,21 @@ _AXES = {
 FOVY = 45.0  # field of view of the perspective camera, degrees
 _NEAR = 0.01  # near plane of the perspective camera, metres
 USUAL_BEADS = 100  # of the rope that `PictureConfig.view` shows whole
+
+
+def _known(views: tuple[str, ...]) -> tuple[str, ...]:
+    if not views or not set(views) <= set(_AXES) or len(set(views)) < len(views):
+        raise InvalidInput(f"must be a list of {', '.join(_AXES)}, at least one, each at most once")
+    return views
+
+
+Views = Annotated[tuple[str, ...], ListToo, AfterValidator(_known)]  # in a configuration
+
+
+def require_depth(depth: bool, renderer: str) -> None:
+    """Raise InvalidInput if the renderer can't draw depth and should."""
+    if depth and renderer == "mujoco":
+        raise InvalidInput("depth needs renderer 'opencv' or 'auto'; 'mujoco' doesn't draw it")
 
 
 def require(met: bool, rule: str, given: object) -> None:

@@ -17,9 +17,10 @@ encoded must be decoded.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.streams import generator_of
@@ -136,3 +137,10 @@ def choices(view: str, beads: int) -> NDArray[np.int64]:
     # 0 stands for as many as there are beads, which only the task knows
     counts = np.array(CHOICES[view])
     return np.where(counts, counts, beads)
+
+
+def action_space(view: str, beads: int) -> spaces.Space[NDArray[Any]]:
+    """Return the space of the actions of a view, see `action_views`."""
+    if view == "pull":
+        return cast("spaces.Space[NDArray[Any]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
+    return spaces.MultiDiscrete(choices(view, beads))

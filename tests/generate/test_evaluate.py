@@ -16,9 +16,9 @@ from knotgym.common.streams import Stream
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
+from knotgym.datasets.episodes import episodes_of
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
-from knotgym.generate.episodes.blocks import from_result
 from knotgym.generate.episodes.evaluate import film, report, run, sources_of
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import show
@@ -126,7 +126,7 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     assert not kept & scored
     # learners that train online seed rope i with s + i: below any seed of an evaluation
     assert min(scored) > 2**32
-    played = from_result(evaluating.play(PolicyConfig(), CHAIN, range(2), 0, True))
+    played = episodes_of(evaluating.play(PolicyConfig(), CHAIN, range(2), 0, True))
     assert played.episodes["seed"].tolist() == [
         episode_seed(0, number, Stream.EVALUATION_EPISODE) for number in range(2)
     ]

@@ -11,9 +11,8 @@ from knotgym.common.errors import InvalidFile, InvalidInput
 from knotgym.control.policies import make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episodes import Episodes, differences
+from knotgym.datasets.episodes import Episodes, differences, episodes_of
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.blocks import from_result
 from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.recordings import (
     digests,
@@ -47,10 +46,10 @@ def path(tmp_path_factory: pytest.TempPathFactory, played: Episodes) -> Path:
 
 
 def test_a_replay_gives_the_same_arrays(played: Episodes, path: Path) -> None:
-    again = from_result(replay(CONFIG, range(3), path))
+    again = episodes_of(replay(CONFIG, range(3), path))
     assert differences(played, again) == []
     assert first_difference(again, recordings(path)[CONFIG.dataset_id]) is None
-    part = from_result(replay(CONFIG, range(1, 3), path))
+    part = episodes_of(replay(CONFIG, range(1, 3), path))
     assert differences(played.select([1, 2]), part) == []
 
 

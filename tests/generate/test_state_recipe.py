@@ -16,7 +16,6 @@ from knotgym.control.verification import replay
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episodes import merged
 from knotgym.datasets.state_verification import folder_faults
-from knotgym.generate.episodes.blocks import as_result
 from knotgym.generate.states import demonstrations, drawing_source, generate_config
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
@@ -210,7 +209,7 @@ def test_the_last_goals_get_several_attempts_at_once_and_the_first_success_count
         tried.append((attempt, goals))
         reached = [goal for goal in goals if goal != 1 or attempt >= 3]
         found = whole.select(np.isin(whole.episodes["goal"], reached))
-        return {**as_result(found), "episodes/seed": np.full(len(reached), attempt)}
+        return {**found.columns(), "episodes/seed": np.full(len(reached), attempt)}
 
     monkeypatch.setattr(demonstrations, "_demonstrate", stub)
     config = replace(DRAWN, demonstrations=True)

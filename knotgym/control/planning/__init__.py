@@ -2,9 +2,8 @@
 
 from knotgym.control.planning.batched_search import BatchedSearch
 from knotgym.control.planning.changes import CHANGES, shipped_guide
-from knotgym.control.planning.pass_policies import Mixed, Noisy, Play, Scripted
 from knotgym.control.planning.passes import EVERY_CODE, PASSES, PassPlan, PassValues, pass_values
-from knotgym.control.planning.planners import PassPlanner, PullPlanner
+from knotgym.control.planning.planners import PassPlanner, PullPlanner, compile_planning
 from knotgym.control.planning.pulls import PullSearch
 from knotgym.control.planning.sights import Diagram, Sight, first_goal, see
 
@@ -14,16 +13,13 @@ __all__ = [
     "PASSES",
     "BatchedSearch",
     "Diagram",
-    "Mixed",
-    "Noisy",
     "PassPlan",
     "PassPlanner",
     "PassValues",
-    "Play",
     "PullPlanner",
     "PullSearch",
-    "Scripted",
     "Sight",
+    "compile_planning",
     "first_goal",
     "pass_values",
     "see",

@@ -33,11 +33,11 @@ from knotgym.control.planning.passes import (
 )
 from knotgym.control.planning.pulls import PullPlan, PullSearch
 from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
-from knotgym.control.rollouts import Player, Pulls
+from knotgym.control.rollouts import Player, Pulls, rollouts
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.engines import simulation_of
+from knotgym.rope.engines import CHAIN, simulation_of
 from knotgym.rope.macro_actions import LONGEST, Pass, WaypointFollower
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
@@ -389,3 +389,9 @@ class PassPlayer(Player):
             act_out = None if is_chain else partial(self.desk.act_out, real, goal)
             search = PassSearch(self._values, goal, self._config, bound, act_out)
             self.desk.ask(self, index, search.run(state, rope))
+
+
+def compile_planning() -> None:
+    """Compile what the expert needs, by two pulls of an episode in the chain engine."""
+    task = TaskConfig(task="tie", nx=2, engine=CHAIN, horizon=2, observation="state")
+    rollouts(PassPlanner(), task, [0])

@@ -1,15 +1,8 @@
-"""Blocks of episodes: the calls of recipes that play, and the results that they return.
+"""Blocks of episodes: the calls of recipes that play.
 
 Episode i of a run has a seed of its own, so a block may have any size and be played anywhere.
 """
 
-from collections.abc import Mapping
-from typing import Any
-
-from numpy.typing import NDArray
-
-from knotgym.common.tables import Schema, Table
-from knotgym.datasets.episodes import EPISODES, STEPS, Episodes
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.engines import MUJOCO
 
@@ -31,18 +24,3 @@ def blocks(episodes: int, task: TaskConfig, first: int = 0) -> list[range]:
     count = -(-episodes // size)
     ends = [first + number * episodes // count for number in range(count + 1)]
     return [range(begin, end) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
-
-
-def as_result(episodes: Episodes) -> dict[str, NDArray[Any]]:
-    """Return the columns of episodes by the names of their tables, to be kept in a journal."""
-    return {f"{t.schema.name}/{name}": values for t in episodes for name, values in t.items()}
-
-
-def from_result(result: Mapping[str, NDArray[Any]]) -> Episodes:
-    """Return the episodes of a result of `as_result`."""
-    return Episodes(_table(EPISODES, result), _table(STEPS, result))
-
-
-def _table(schema: Schema, result: Mapping[str, NDArray[Any]]) -> Table:
-    names = [column.name for column in schema.columns if f"{schema.name}/{column.name}" in result]
-    return Table(schema.only(*names), {name: result[f"{schema.name}/{name}"] for name in names})

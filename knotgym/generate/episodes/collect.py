@@ -18,15 +18,16 @@ from knotgym.common.atomic_files import require_output, sha256
 from knotgym.common.configuration import as_json, differences
 from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
 from knotgym.common.tables import Table
-from knotgym.control.policies import compile_planning, make_policy
+from knotgym.control.planning import compile_planning
+from knotgym.control.policies import make_policy
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episode_dataset import FILE, open_episodes
-from knotgym.datasets.episodes import PULLS, STEPS, Episodes, merged
+from knotgym.datasets.episodes import PULLS, STEPS, Episodes, episodes_of, merged
 from knotgym.datasets.manifest import machine
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.blocks import as_result, blocks, from_result
+from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.collect_config import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.episodes.recordings import RECORDINGS, replay
 from knotgym.generate.episodes.results import reference_scores
@@ -173,7 +174,7 @@ def _episodes_of(
             for few in blocks(coming, config.task, played)
         ]
         played += coming
-        parts += [from_result(result) for result in results]
+        parts += [episodes_of(result) for result in results]
         steps = sum(int(part.episodes["length"].sum()) for part in parts)
     if config.steps:
         parts = _first_steps(parts, config.steps)
@@ -207,7 +208,7 @@ def play(config: CollectConfig, numbers: range) -> Result:
     adviser = make_policy(replace(config.policy, policy="expert")) if config.labels else None
     seeds = [episode_seed(config.seed, number) for number in numbers]
     kept = PULLS if config.form == "recording" else STEPS
-    return as_result(rollouts(policy, config.seen_task, seeds, keep=kept, adviser=adviser))
+    return rollouts(policy, config.seen_task, seeds, keep=kept, adviser=adviser).columns()
 
 
 def _publish(

@@ -21,10 +21,10 @@ from knotgym.common.tables import Table
 from knotgym.control.policies import make_policy, training_card
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episodes import STEPS, Episodes, goal_reached, merged
+from knotgym.datasets.episodes import STEPS, Episodes, episodes_of, goal_reached, merged
 from knotgym.envs.task_states import task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.blocks import as_result, blocks, from_result
+from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, evaluation_in, show
 from knotgym.generate.episodes.sources import sources
@@ -45,7 +45,7 @@ _TRAINING = ("weights_sha256", "seconds", "episodes")
 def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, film: bool) -> Kept:
     """Play a block of episodes; keep their steps only to film them."""
     seeds = [episode_seed(seed, number, Stream.EVALUATION_EPISODE) for number in numbers]
-    return as_result(rollouts(make_policy(policy), task, seeds, keep=STEPS if film else None))
+    return rollouts(make_policy(policy), task, seeds, keep=STEPS if film else None).columns()
 
 
 Evaluation = tuple[list[Result], list[Episodes]]  # a result and a film of each setup
@@ -65,7 +65,7 @@ def _evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
         for setup, one in enumerate(setups, 1)
         if filmed
     ]
-    parts = [from_result(part) for part in (yield [*calls, *films])]
+    parts = [episodes_of(part) for part in (yield [*calls, *films])]
     results = []
     for setup, one in enumerate(setups):
         played = merged(parts[setup * len(numbers) : (setup + 1) * len(numbers)])

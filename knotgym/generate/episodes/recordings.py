@@ -28,7 +28,6 @@ from knotgym.common.tables import Column, Schema, Table
 from knotgym.control.recorded_policy import RecordedPolicy
 from knotgym.control.rollouts import episode_seed, rollouts
 from knotgym.datasets.episodes import MACROS, PULLS, RECORDED, Episodes
-from knotgym.generate.episodes.blocks import as_result
 from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.rope.actions import FORCE_BINS, quantized
 from knotgym.runs.journal import Result
@@ -118,7 +117,7 @@ def replay(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> Re
         )
     own = recording.episodes.select(np.arange(numbers.start, numbers.stop))
     seeds = [episode_seed(config.seed, number) for number in numbers]
-    return as_result(rollouts(RecordedPolicy(own, config.policy.policy), config.seen_task, seeds))
+    return rollouts(RecordedPolicy(own, config.policy.policy), config.seen_task, seeds).columns()
 
 
 @lru_cache(maxsize=2)

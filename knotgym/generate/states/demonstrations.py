@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from knotgym.common.streams import Stream, derived_seed
 from knotgym.common.tables import Table
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PassPlannerConfig, PolicyConfig
-from knotgym.control.rollouts import rollouts
-from knotgym.datasets.episodes import STARTS, Episodes, merged
+from knotgym.control.planning import PassPlanner, PullPlanner
+from knotgym.control.policy_config import PassPlannerConfig
+from knotgym.control.rollouts import Policy, rollouts
+from knotgym.datasets.episodes import STARTS, Episodes, episodes_of, merged
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.blocks import as_result, from_result
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows, joined
@@ -137,7 +136,7 @@ def demonstrated(
             for part in np.array_split(rows, -(-len(rows) // size))
         ]
         for result in (yield calls):
-            episodes = from_result(result)
+            episodes = episodes_of(result)
             for k, goal in enumerate(episodes.episodes["goal"].tolist()):
                 made.setdefault(goal, episodes.select([k]))
         goals = {kind: [k for k in rows if k not in made] for kind, rows in goals.items()}
@@ -159,10 +158,9 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
         goals: rows of that file.
         attempt: number of the rollout; another start for each.
     """
-    policy = PolicyConfig(policy="planner")
+    policy: Policy = PullPlanner()
     if attempt < len(_LAST_RESORT):
-        expert = PassPlannerConfig(last_resort=_LAST_RESORT[attempt])
-        policy = PolicyConfig(policy="expert", expert=expert)
+        policy = PassPlanner(PassPlannerConfig(last_resort=_LAST_RESORT[attempt]))
     if attempt < _HASTY:
         task = replace(task, horizon=min(task.horizon, _SHORT))
     batch, ids = EpisodeBatch(task, len(goals)), np.arange(len(goals))
@@ -172,8 +170,8 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
     schema = STARTS.sized(nq=batch.start_qpos.shape[1])
     columns = (batch.seed, batch.start_row, batch.goal_row, batch.start_qpos)
     starts = Table(schema, dict(zip((c.name for c in schema.columns), columns, strict=True)))
-    played = rollouts(make_policy(policy), task, starts, attempt=attempt)
-    return as_result(played.select(played.episodes["success"]))
+    played = rollouts(policy, task, starts, attempt=attempt)
+    return played.select(played.episodes["success"]).columns()
 
 
 def _task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:

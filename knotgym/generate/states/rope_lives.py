@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.streams import generator_of
 from knotgym.common.tables import Table
-from knotgym.control.planning import Scripted
+from knotgym.control.planning.pass_policies import Scripted
 from knotgym.control.rollouts import Ids, Player, Policy, Pulls, rollouts
 from knotgym.datasets.episodes import STARTS
 from knotgym.envs.episode_batch import EpisodeBatch

@@ -7,7 +7,7 @@ import numpy as np
 
 from knotgym.generate.states.state_rows import Rows, joined, taken
 from knotgym.rope.model import Array
-from knotgym.states.near_duplicates import NEAR, distances, pairs_within
+from knotgym.states.near_duplicates import NEAR, Spectra, distances, pairs_within
 from knotgym.topology.gauss import GaussCode
 
 
@@ -19,10 +19,12 @@ class Selection:
     """
 
     def __init__(self, apart_from: Sequence[Rows] = ()) -> None:
-        self._others = [points for rows in apart_from for points in rows["points"]]
+        others = [points for rows in apart_from for points in rows["points"]]
         self.rejected = defaultdict[int, Counter[str]](Counter)
         self._parts: list[Rows] = []
-        self._kept: list[tuple[GaussCode, Array]] = []
+        # those of others have no code: none may be near them
+        self._known: list[tuple[GaussCode | None, Array]] = [(None, one) for one in others]
+        self._invariants = list(Spectra.of(np.stack(others)).invariants) if others else []
 
     def __len__(self) -> int:
         return len(self._parts)
@@ -36,16 +38,22 @@ class Selection:
         """
         points = rows["points"][row]
         code = GaussCode.parse(str(rows["gauss_code_chiral"][row]))
-        like = [one for shown, one in self._kept if not lenient or code.matches(shown)]
-        like += self._others
+        own = Spectra.of(points[None]).invariants[0]
+        close: list[tuple[GaussCode | None, Array]] = []
+        if self._known:
+            # no symmetry brings two closer than their invariants; the margin is for rounding
+            bounds = np.linalg.norm(np.array(self._invariants) - own, axis=1)
+            close = [self._known[k] for k in np.flatnonzero(bounds < NEAR + 1e-9)]
+        like = [one for shown, one in close if not lenient or shown is None or code.matches(shown)]
         near = bool(like) and bool(pairs_within(points[None], np.stack(like)))
         if lenient and not near:
-            others = [one for shown, one in self._kept if shown.nx == code.nx]
+            others = [one for shown, one in close if shown is not None and shown.nx == code.nx]
             near = bool(others) and bool((distances(points, np.stack(others)) < NEAR).any())
         if near:
             self.rejected[code.nx]["near-duplicate"] += 1
             return False
-        self._kept.append((code, points))
+        self._known.append((code, points))
+        self._invariants.append(own)
         self._parts.append(taken(rows, slice(row, row + 1)))
         return True
 

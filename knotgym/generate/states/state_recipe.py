@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
-from knotgym.control.policies import compile_planning
+from knotgym.control.planning import compile_planning
 from knotgym.datasets.cards import state_card
 from knotgym.generate.states.demonstrations import (
     demonstrated,

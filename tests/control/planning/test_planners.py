@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from knotgym.control.planning import PassPlanner, Play, PullPlanner
+from knotgym.control.planning import PassPlanner, PullPlanner
+from knotgym.control.planning.pass_policies import Play
 from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
 from knotgym.control.rollouts import Policy, rollouts
 from knotgym.datasets.episodes import differences
