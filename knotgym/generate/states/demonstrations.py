@@ -112,6 +112,7 @@ def demonstrated(
     """
     made: dict[int, Episodes] = {}
     kinds = [(nx, split) for nx in demonstrated_nx(config) for split in STATE_SPLITS]
+    tasks = {kind: replace(_task_of(config, *kind), states=str(path)) for kind in kinds}
     goals = {kind: [k for k in states.rows(*kind).tolist() if k < count] for kind in kinds}
     attempt = 0
     while (left := sum(map(len, goals.values()))) and attempt < config.demonstration_attempts:
@@ -123,12 +124,7 @@ def demonstrated(
             Call(
                 f"demonstrations, attempt {number}: {nx} {split} {part[0]}",
                 _demonstrate,
-                (
-                    replace(_task_of(config, nx, split), states=str(path)),
-                    config.seed,
-                    part.tolist(),
-                    number,
-                ),
+                (tasks[nx, split], config.seed, part.tolist(), number),
             )
             for number in range(attempt, min(after, config.demonstration_attempts))
             for (nx, split), rows in goals.items()
