@@ -25,6 +25,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -181,7 +183,7 @@ def _relax(
                 at[node, c] += limit[node] * force[node, c]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _bound(
     walk: Integers, length: Array, force: Array, stiff: Array, step: float, most: float
 ) -> None:
@@ -205,7 +207,7 @@ def _bound(
                     force[node, c] *= bound / far
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _hold_back(
     walk: Integers, move: Array, limit: Array, pairs: Integers, gaps: Array, near: int
 ) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
 from knotgym.topology.crossing_kernel import OVER_PLACE, UNDER_PLACE, X, Y, scan
 
 Array = NDArray[np.float64]
@@ -193,7 +194,7 @@ def enforce_votes(vertices: Array, votes: Array, least: float, reach: int) -> No
                     vertices[bead % BEADS, 2] += up * share
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _height(vertices: Array, along: float) -> float:
     """Interpolate the height at a position along the rope."""
     bead = int(along)
@@ -201,7 +202,7 @@ def _height(vertices: Array, along: float) -> float:
     return float((1 - share) * vertices[bead % BEADS, 2] + share * vertices[(bead + 1) % BEADS, 2])
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _colour_distance(seen: NDArray[np.uint8], colours: Array, along: float) -> float:
     """Return the least RGB distance of a pixel from the beads around a position of the rope."""
     # three beads, because the axis may be off along the rope by a fraction of a bead

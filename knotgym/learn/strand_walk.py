@@ -16,6 +16,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -85,7 +87,7 @@ def ridge_points(lines: NDArray[np.float32]) -> Array:
     return found[kept[:m]]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _link_cost(points: Array, i: int, j: int) -> float:
     """Return the cost of linking end i to end j, cells; end 2 k + 1 of point k is that ahead."""
     a, b = i // 2, j // 2
@@ -218,7 +220,7 @@ def follow(partner: Integers) -> tuple[Integers, Integers]:
     return order[:m], line[:m]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _at(lines: NDArray[np.float32], k: int, x: float, y: float) -> float:
     """Interpolate one field between cells."""
     _, h, w = lines.shape

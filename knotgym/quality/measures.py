@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
+from knotgym.common.compiled import inner
 from knotgym.common.streams import Stream, generator
 from knotgym.quality.limits import RESET_NOISE, UNITS, Limits, Quality
 from knotgym.rendering.camera import DEFAULT, PictureConfig, picture_of, project
@@ -227,7 +228,7 @@ def _average_crossing_number(points: Array) -> float:
     return total / (2 * np.pi)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
     """Return the solid angle of directions in which segments ab and cd appear to cross."""
     # The directions from ab to cd fill a spherical quadrilateral with the corners c - a, d - a,
@@ -238,7 +239,7 @@ def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
     return abs(_arcsine(n0, n1) + _arcsine(n1, n2) + _arcsine(n2, n3) + _arcsine(n3, n0))
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _normal(a: Array, b: Array) -> tuple[float, float, float]:
     """Return the unit vector along a x b, or zeros if a and b are parallel."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -249,6 +250,6 @@ def _normal(a: Array, b: Array) -> tuple[float, float, float]:
     return (x / size, y / size, z / size) if size > least else (0.0, 0.0, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _arcsine(a: Any, b: Any) -> float:
     return np.arcsin(min(1.0, max(-1.0, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])))

@@ -21,6 +21,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
+
 # Fractions of a pixel as OpenCV takes them in its argument `shift`; all products below stay within
 # int64.
 SHIFT = 6  # coordinates are in units of 1 / 2**SHIFT pixels
@@ -89,13 +91,13 @@ def fill(canvas: NDArray[np.uint16], corners: NDArray[np.int32], value: int) -> 
         y += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _row(y: int) -> int:
     """Return the row that a coordinate rounds to."""
     return (y + (1 << SHIFT >> 1)) >> SHIFT
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _next_edge(
     corners: NDArray[np.int32],
     at: int,
@@ -127,14 +129,14 @@ def _next_edge(
     return at, ends, x, slope, -1
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _quotient(a: int, b: int) -> int:
     """Divide, rounding towards zero as C does."""
     quotient = abs(a) // abs(b)
     return quotient if (a < 0) == (b < 0) else -quotient
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _line(canvas: NDArray[np.uint16], x: int, y: int, x_end: int, y_end: int, value: int) -> None:
     """Paint a line; coordinates have 16 fractional bits."""
     rows, columns = canvas.shape
@@ -164,20 +166,20 @@ def _line(canvas: NDArray[np.uint16], x: int, y: int, x_end: int, y_end: int, va
             x += slope
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _put(canvas: NDArray[np.uint16], x: int, y: int, value: int) -> None:
     # rounding may lead one sample out of the canvas
     if 0 <= x < canvas.shape[1] and 0 <= y < canvas.shape[0]:
         canvas[y, x] = value
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _outside(x: int, right: int) -> int:
     """Return -1, 0 or 1: before, within or beyond [0, right]."""
     return (x > right) - (x < 0)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _clipped(
     x: int, y: int, x_end: int, y_end: int, right: int, bottom: int
 ) -> tuple[bool, int, int, int, int]:
@@ -262,7 +264,7 @@ def shrink(
                 out[row, column, 3] = deepest
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _uniform(block: NDArray[np.uint16]) -> bool:
     """Return whether the samples of a pixel are equal."""
     rows, columns = block.shape
@@ -274,7 +276,7 @@ def _uniform(block: NDArray[np.uint16]) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _average(block: NDArray[np.int64], width: int) -> None:
     """Average block[:width, :width] into block[0, 0]: halve it while possible, rounding each time.
 

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
 from knotgym.rendering.polygon_fill import SHIFT, fill, shrink
 
 # Painter's algorithm: pieces of beads are painted from the lowest to the highest, each at the
@@ -225,7 +226,7 @@ def _paint(
                 samples[row, column] = 0
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _rising(values: NDArray[np.float64]) -> NDArray[np.int64]:
     """Sort by insertion, stably; return the order. `np.argsort` takes 2 s to compile."""
     order = np.empty(len(values), np.int64)
@@ -297,7 +298,7 @@ def _pieces(ropes: _Ropes, k: int, side: int) -> Any:
     return corners[:m], bead[:m], middle[:m]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _end(
     ropes: _Ropes,
     rope: int,

@@ -9,6 +9,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
+
 Array = NDArray[Any]
 
 
@@ -48,7 +50,7 @@ def strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> flo
     return nearest
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Array]:
     """Return the distances from vertices to visits along the drawing, pixels.
 

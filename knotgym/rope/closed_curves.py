@@ -7,6 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
 from knotgym.common.errors import InvalidInput
 
 Array = NDArray[np.float64]
@@ -231,7 +232,7 @@ def clearance(points: Array, within: float) -> float:
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _segment_distance(a: Array, b: Array, c: Array, d: Array) -> float:
     """Return the distance of segments ab and cd (Ericson, Real-Time Collision Detection, 5.1.9)."""
     # u = b - a, v = d - c, w = a - c; the closest points are a + s u and c + t v, s, t in [0, 1].

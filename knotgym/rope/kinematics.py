@@ -12,6 +12,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
+
 Array = NDArray[np.float64]
 
 
@@ -142,7 +144,7 @@ def _unit(q: Array, unit: Array) -> None:
         unit[c] = q[c] / size
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _multiply(a: Array, b: Array, product: Array) -> None:
     """Write the Hamilton product a b; `product` must share no memory with a or b."""
     product[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
@@ -151,7 +153,7 @@ def _multiply(a: Array, b: Array, product: Array) -> None:
     product[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _shortest_arc(a: Array, b: Array, arc: Array) -> None:
     """Write the quaternion of the smallest rotation that takes unit vector a to unit vector b."""
     # (1 + a . b, a x b) = 2 cos(t / 2) (cos(t / 2), sin(t / 2) n) for angle t and axis n

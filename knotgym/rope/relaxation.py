@@ -17,6 +17,7 @@ of its edges get the length of a bead.
 import numba
 import numpy as np
 
+from knotgym.common.compiled import inner
 from knotgym.common.errors import InvalidInput
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
@@ -110,7 +111,7 @@ def _iterate(p: Array, length: float) -> None:
         _restore_lengths(p, length, _PASSES)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _straighten(p: Array, move: Array, bending: float) -> None:
     """Set the moves to one explicit step of the biharmonic flow, which straightens bends."""
     # The fourth difference, stencil (1, -4, 6, -4, 1), is the gradient of the discrete bending
@@ -123,7 +124,7 @@ def _straighten(p: Array, move: Array, bending: float) -> None:
             move[i, k] = -bending * (p[a, k] - 4 * p[b, k] + 6 * p[i, k] - 4 * p[c, k] + p[d, k])
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _restore_lengths(p: Array, length: float, passes: int) -> None:
     """Move neighbours to one bead length apart, constraint by constraint."""
     # Gauss-Seidel: each correction is applied at once and splits evenly between both vertices

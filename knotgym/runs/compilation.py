@@ -24,22 +24,30 @@ def compile_first(
     Both take about as long, so two processes of the pool compile them. In this process alone,
     which is the default, pictures wait until one is painted. A run that draws states also needs
     the kernels that draw and measure them, and one that plans in the chain engine those that
-    `plan`, a function of a module, uses; otherwise each of its workers would compile them.
+    `plan`, a function of a module, uses; otherwise each of its workers would compile them. States
+    are drawn before anything is planned, so `plan` may still be under way on return.
     """
     engines = [CHAIN, engine] if plan is not None and engine != CHAIN else [engine]
     if not all(map(is_compiled, engines)):
         progress.stage("compiling, only on the first run")
         pool = pool or InProcess()
-        # the chain engine takes longest, so it comes first, with what needs it
-        first, *later = engines
+        # longest first; what several need is in the cache when the second comes to it
+        longest, *others = engines
         if not isinstance(pool, InProcess):
-            later = [*([_DRAWINGS, _MEASURES] if draws else []), _PICTURES, *later]
-        tasks = [(first, plan), *((name, None) for name in later)]
-        list(pool.map(_compile, *zip(*tasks, strict=True)))
+            parts = [_DRAWINGS, _PICTURES, _MEASURES] if draws else [_PICTURES]
+            others = [*parts, *others]
+        first = pool.submit(_compile, longest)
+        later = [pool.submit(_compile, name) for name in others]
+        first.result()
+        if plan is not None:
+            planned = pool.submit(plan)  # moves ropes in the engine that is compiled by now
+            later += [] if draws else [planned]
+        for compiled in later:
+            compiled.result()
     progress.stage("starting")
 
 
-def _compile(kernels: str, then: Callable[[], None] | None) -> None:
+def _compile(kernels: str) -> None:
     import numpy as np
 
     from knotgym.rope.model import Rope
@@ -68,6 +76,4 @@ def _compile(kernels: str, then: Callable[[], None] | None) -> None:
         rope.qpos(points)
     else:
         compile_engine(kernels)
-    if then is not None:
-        then()
     gc.enable()

@@ -2,7 +2,7 @@
 
 The search runs in four steps:
 
-1. `find_hits`: pairs of edges (i, j), i < j, whose projections cross. Bounding boxes of blocks of
+1. `_hits`: pairs of edges (i, j), i < j, whose projections cross. Bounding boxes of blocks of
    neighbouring edges rule out most pairs; four exact orientation tests decide the rest.
 2. `_locate`: each hit h has two strands, strand 2 h on edge i and strand 2 h + 1 on edge j. Find
    where along its edge (fraction in [0, 1]) and at which height each strand passes the crossing.
@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
+from knotgym.common.compiled import inner
 from knotgym.topology.orientation import side
 
 # columns of the crossing table
@@ -46,7 +47,7 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     """
     if not _all_finite(points):
         return False, np.empty(0, np.int64), np.empty((0, 7))
-    hits = find_hits(points, ALL)
+    hits = _hits(points, ALL)
     fractions, heights = _locate(points, hits)
     walk = _walk(points.shape[0], hits, fractions)
     visits = np.empty(len(walk), np.int64)
@@ -104,7 +105,7 @@ def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts:
     return most
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _all_finite(points: np.ndarray) -> bool:
     for bead in range(points.shape[0]):
         if not (
@@ -116,7 +117,7 @@ def _all_finite(points: np.ndarray) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute bounding boxes in the plane, rows (x min, x max, y min, y max).
 
@@ -140,7 +141,7 @@ def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return edges, blocks
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _disjoint(boxes: np.ndarray, one: int, other: int) -> bool:
     # No early exit: four comparisons cost less than a mispredicted branch.
     apart_in_x = (boxes[0, one] > boxes[1, other]) | (boxes[0, other] > boxes[1, one])
@@ -149,7 +150,13 @@ def _disjoint(boxes: np.ndarray, one: int, other: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def find_hits(points: np.ndarray, most: int) -> np.ndarray:
+def count_hits(points: np.ndarray, most: int) -> int:
+    """Count the pairs of edges that cross; the search ends once there are more than `most`."""
+    return len(_hits(points, most))
+
+
+@inner
+def _hits(points: np.ndarray, most: int) -> np.ndarray:
     """Find the pairs of edges i < j that cross; the search ends once there are more than `most`.
 
     Returns:
@@ -185,7 +192,7 @@ def find_hits(points: np.ndarray, most: int) -> np.ndarray:
     return hits[:count]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _crosses(points: np.ndarray, i: int, j: int) -> int:
     """Return 0 if edges i and j don't cross, else the side of edge i on which edge j ends.
 
@@ -203,7 +210,7 @@ def _crosses(points: np.ndarray, i: int, j: int) -> int:
     return turn
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find where each strand passes its crossing.
 
@@ -223,7 +230,7 @@ def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return fractions, heights
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> float:
     """Return how far along the edge from i to i_end it meets the edge from j to j_end, in [0, 1].
 
@@ -247,7 +254,7 @@ def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> flo
     return float((0.5 * (low + high) - start) / (end - start))
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     """Sort the strands by position along the rope, int64 (2 n,).
 

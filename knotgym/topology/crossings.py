@@ -31,7 +31,7 @@ from knotgym.topology.crossing_kernel import (
     UNDER_Z,
     X,
     Y,
-    find_hits,
+    count_hits,
     scan,
 )
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
@@ -113,7 +113,7 @@ def count_crossings(points: ArrayLike, most: int) -> int:
         points: finite; otherwise as for `find_crossings`.
     """
     # the kernel stops at the first hit too many
-    return len(find_hits(_checked(points, 2), most))
+    return int(count_hits(_checked(points, 2), most))
 
 
 def visit_spacing(crossings: Crossings, beads: int) -> float:

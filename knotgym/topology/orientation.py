@@ -14,7 +14,8 @@ arithmetic, for points that lie on a line, too.
 """
 
 import numpy as np
-from numba import njit
+
+from knotgym.common.compiled import inner
 
 _HALF_ULP = 2.0**-53  # rounding error of one operation, relative
 # Shewchuk's ccwerrboundA: |error of the determinant| <= _FILTER * (|left| + |right|)
@@ -22,7 +23,7 @@ _FILTER = (3.0 + 16.0 * _HALF_ULP) * _HALF_ULP
 _SPLITTER = 2.0**27 + 1.0  # splits the 53 bits of a float64 into two halves that multiply exactly
 
 
-@njit(cache=True, nogil=True)
+@inner
 def side(points: np.ndarray, a: int, b: int, c: int) -> int:
     """Return on which side bead c lies, seen along the line from bead a to bead b.
 
@@ -50,7 +51,7 @@ def side(points: np.ndarray, a: int, b: int, c: int) -> int:
     return sign
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
     """Break a tie by the first perturbation term that doesn't vanish.
 
@@ -74,7 +75,7 @@ def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
     return -sign  # d2/d(a_y) d(b_x) = -1, a constant
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _exact_sign(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> int:
     """Return the exact sign of (b - a) x (c - a).
 
@@ -104,7 +105,7 @@ def _exact_sign(ax: float, ay: float, bx: float, by: float, cx: float, cy: float
     return 0
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _product(u: float, v: float) -> tuple[float, float]:
     """Return u * v exactly, as the rounded product and its rounding error (Dekker, Veltkamp)."""
     high = u * v

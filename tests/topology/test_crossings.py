@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from knotgym.common.errors import InvalidInput
+from knotgym.topology import orientation
 from knotgym.topology.crossings import (
     find_crossings,
     label,
@@ -17,7 +18,10 @@ from knotgym.topology.crossings import (
 )
 from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.orientation import side
+
+from ..called import called
+
+side = called(orientation.side)
 
 # An eight whose strands meet at (0, 0); the one from the lower left is over.
 EIGHT = np.array(

@@ -22,7 +22,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.rope.chain.simd import fma, inner, load, put
+from knotgym.common.compiled import inner
+from knotgym.rope.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array, Array]  # diag, near, far, arrow, corner

@@ -32,10 +32,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System, forward
 from knotgym.rope.chain.layout import Physics
-from knotgym.rope.chain.simd import LANES, any_below, fma, inner, load, put, where_below
+from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
 from knotgym.rope.chain.vectors import along, dot, minus, norm, vector
 
 Array = NDArray[np.float64]

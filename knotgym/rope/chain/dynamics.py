@@ -41,10 +41,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import System
 from knotgym.rope.chain.layout import Physics
-from knotgym.rope.chain.simd import LANES, fma, inner, load, put
+from knotgym.rope.chain.simd import LANES, fma, load, put
 from knotgym.rope.chain.vectors import along, cross, dot, minus, norm, put_vector, unit, vector
 
 Array = NDArray[np.float64]

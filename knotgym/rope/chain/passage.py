@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
 from knotgym.rope.chain.contact import (
     DRIFT,
     LISTED,
@@ -32,7 +33,7 @@ from knotgym.rope.chain.contact import (
     middles,
     sharpness,
 )
-from knotgym.rope.chain.simd import LANES, any_below, fma, inner, load, put, where_below
+from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
 from knotgym.rope.chain.vectors import dot, minus, norm, vector
 
 Array = NDArray[np.float64]

@@ -12,10 +12,10 @@ numbers.
 import math
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.core.typing.templates import AbstractTemplate, Signature, infer_global, signature
@@ -23,9 +23,6 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, register_model
 
 # Four float64 fill a register of AVX2.
 LANES = 4
-# Decorates functions that only compiled code calls: without the wrappers through which Python and C
-# could call them, a sixth of the compilation is saved. Called from Python they crash.
-inner = njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 _ITEM = 8  # bytes that an array's numbers are aligned to
 
@@ -61,6 +58,9 @@ def _spread(context: Any, builder: Any, given: Any, to: Any, value: Any) -> Any:
 
 class _LaneByLane(AbstractTemplate):
     """Lanes and numbers in, lanes out."""
+
+    # asked before the general templates, of which operators have dozens
+    metadata: ClassVar = {"target": "cpu"}
 
     # Numba asks for the type of the result. One argument that is `Lanes` makes all of them lanes;
     # otherwise the answer None leaves plain numbers to Numba's own templates.

@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.common.compiled import inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import backward, factor, forward
 from knotgym.rope.chain.contact import (
@@ -38,7 +39,7 @@ from knotgym.rope.chain.contact import (
 from knotgym.rope.chain.dynamics import assemble, set_lengths, tangents, turn_sides
 from knotgym.rope.chain.layout import Physics
 from knotgym.rope.chain.passage import judge
-from knotgym.rope.chain.simd import LANES, any_below, count_up, inner, load, put
+from knotgym.rope.chain.simd import LANES, any_below, count_up, load, put
 from knotgym.rope.chain.vectors import along, dot, minus, put_vector, vector
 
 Array = NDArray[np.float64]

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rope.chain.simd import fma, inner, load, put
+from knotgym.common.compiled import inner
+from knotgym.rope.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]
 Vector = tuple[Any, Any, Any]  # lanes
