@@ -58,10 +58,11 @@ Offline learners are trained on episodes like those of [the suite](suite.md).
 [Learners by libraries](library-learners.md) says on which, and what else was tried.
 
 On [`bench`](sets.md), with 256 starts and up to 256 goals a cell, 1,024 episodes make intervals of
-5 points to either side, or less. Its rows are in the chain engine. Learners of one size, and the
-*dense* ones, saw the same episodes, so their rows compare how an action is chosen: *discrete-bc*
-classifies the bead and regresses the forces, clones classify bead and strand, the others regress
-where to pull and the forces. [Updates](library-learners.md#on-bench) says which have levelled.
+about 5 points to either side, or less. Learners named by a size saw the same episodes, so their
+rows compare how an action is chosen: *discrete-bc* classifies the bead and regresses the forces,
+clones classify bead and strand, the others regress where to pull and the forces. All see ropes in a
+canonical frame, but for those that see them *as they lie*.
+[On bench](library-learners.md#on-bench) says which have levelled.
 
 ## Intervals
 
@@ -171,7 +172,7 @@ def page(rows: Sequence[Row]) -> str:
                     cells.setdefault((row["task"], row["nx"]), []).append(row)
             seeds = max(map(len, cells.values()))
             body.append((learner, seeds, *(_rate(cells.get(setup, [])) for setup in setups)))
-        if not in_macros and not in_chain:
+        if not in_macros and not in_chain and states != "bench":
             body += [(f"*{name}, published*", "", *own) for name, own in SUITE["published"].items()]
         title = f"## States {states}, {split} split" + ", chain engine" * in_chain
         title += ", macro-actions" * in_macros
