@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from knotgym.common.tables import Table
+from knotgym.control.basic_policies import Generators
 from knotgym.control.planning import (
     Diagram,
     PassPlan,
@@ -163,7 +164,7 @@ class WatchingPlayer(ScriptedPlayer):
         self._before: dict[tuple[int, int], tuple[Diagram, int, Example]] = {}
         self._met: dict[tuple[int, int], set[GaussCode]] = {}
 
-    def begin(self, ids: Ids, rngs) -> None:  # type: ignore[no-untyped-def]
+    def begin(self, ids: Ids, rngs: Generators) -> None:
         super().begin(ids, rngs)
         lanes = {*ids.tolist()}
         self._before = {key: one for key, one in self._before.items() if key[0] not in lanes}

@@ -172,6 +172,7 @@ def page(rows: Sequence[Row]) -> str:
                     cells.setdefault((row["task"], row["nx"]), []).append(row)
             seeds = max(map(len, cells.values()))
             body.append((learner, seeds, *(_rate(cells.get(setup, [])) for setup in setups)))
+        # they were measured on states like those of both other sets
         if not in_macros and not in_chain and states != "bench":
             body += [(f"*{name}, published*", "", *own) for name, own in SUITE["published"].items()]
         title = f"## States {states}, {split} split" + ", chain engine" * in_chain

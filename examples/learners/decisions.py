@@ -77,7 +77,7 @@ class Decisions(NamedTuple):
 def decision_options(options: argparse.ArgumentParser) -> argparse.ArgumentParser:
     """Add the options of learning from decisions."""
     options.add_argument("--rate", type=float, default=1e-3, help="learning rate")
-    options.add_argument("--frame", choices=("rope", "world"), default="rope")
+    options.add_argument("--frame", choices=("rope", "world"), default="rope", help="of states")
     options.set_defaults(steps=3000, batch=64)
     return options
 

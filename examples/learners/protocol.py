@@ -38,7 +38,7 @@ def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:
     options.add_argument("--task", default="unknot,tie,convert", help="tasks to evaluate")
     options.add_argument("--nx", default="2-4", help="crossing numbers to evaluate")
     options.add_argument("--split", default="test")
-    options.add_argument("--states", default=None, help="readable or random-walk")
+    options.add_argument("--states", default=None, help="readable, random-walk or bench")
     options.add_argument("--episodes", type=int, default=256, help="evaluated per setting")
     options.add_argument("--engine", default="mujoco", help="to evaluate in: mujoco or chain")
     return options

@@ -2,7 +2,7 @@
 
 Numba makes wrappers of each function through which Python and C could call it. Without them a tenth
 of the compilation is saved, and no bit of a result differs. Called from Python such functions
-crash; `tests/called.py` calls them through one that has wrappers.
+crash, so tests call them through one that has wrappers.
 """
 
 from numba import njit

@@ -1,5 +1,6 @@
 """Random actions, and what players of actions share."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,7 +18,7 @@ from knotgym.rope.simulation import ROUNDING
 Generators = Sequence[np.random.Generator]
 
 
-class ActionPlayer:
+class ActionPlayer(ABC):
     """Chooses actions of a view, which pulls carry out; subclasses define `choose`.
 
     Attributes:
@@ -41,9 +42,9 @@ class ActionPlayer:
         self._pulled[ids] = False
         self.view.reset(ids)
 
+    @abstractmethod
     def choose(self, ids: Ids) -> Any:
         """Return one action of the view for each of the lanes; the caller checks them."""
-        raise NotImplementedError
 
     def act(self, ids: Ids) -> Pulls:
         """Choose actions, and return the pulls that carry them out."""

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numba import njit
 
 from knotgym.common.errors import InvalidInput
 from knotgym.topology import orientation
@@ -19,9 +20,12 @@ from knotgym.topology.crossings import (
 from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import GaussCode
 
-from ..called import called
 
-side = called(orientation.side)
+@njit
+def side(points: np.ndarray, a: int, b: int, c: int) -> int:
+    """Call `orientation.side`, which Python can't."""
+    return int(orientation.side(points, a, b, c))
+
 
 # An eight whose strands meet at (0, 0); the one from the lower left is over.
 EIGHT = np.array(

@@ -22,7 +22,7 @@ from knotgym.datasets.episodes import STARTS, Episodes, episodes_of, merged
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.states.drawing_source import drawn_rows
+from knotgym.generate.states.drawing_source import CALLS, drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows, joined
 from knotgym.rope.engines import CHAIN, MUJOCO
@@ -36,7 +36,6 @@ _STARTS = 8  # drawn states that episodes start from, in both splits together
 # Episodes of a call, about. Few, because one that is hard takes long; but the chain engine steps
 # many ropes in little more time than one.
 _TOGETHER = {MUJOCO: 3, CHAIN: 12}
-_CALLS = 4  # at least so many at once, if that many episodes are left
 # Rollouts of the expert before the planner's turn: the first are short, and most of them have a few
 # of its 60,000 pulls for a last resort, because another start takes less time. Of the eleven nx 4
 # goals that the first two left, the third reached eight, after at most 18,129 pulls; the fourth two
@@ -116,10 +115,10 @@ def demonstrated(
     goals = {kind: [k for k in states.rows(*kind).tolist() if k < count] for kind in kinds}
     attempt = 0
     while (left := sum(map(len, goals.values()))) and attempt < config.demonstration_attempts:
-        size = min(_TOGETHER[config.engine_used], -(-left // _CALLS))
+        size = min(_TOGETHER[config.engine_used], -(-left // CALLS))
         # Patient attempts take long, so the last goals get several at once; the first that reaches
         # a goal counts, as if the others had not been made.
-        after = attempt + (max(1, _CALLS // left) if attempt >= _HASTY else 1)
+        after = attempt + (max(1, CALLS // left) if attempt >= _HASTY else 1)
         calls = [
             Call(
                 f"demonstrations, attempt {number}: {nx} {split} {part[0]}",

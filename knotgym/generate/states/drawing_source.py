@@ -47,8 +47,10 @@ from knotgym.topology.knots import shows
 # `splits.kept_together` then puts such states into one split.
 UNLIKE_DRAWINGS = 3
 
+# Calls at once, at least, so that few workers wait for the last one. It doesn't depend on how many
+# there are, because states do depend on it.
+CALLS = 4
 _CODES = 4  # codes of a call, at most
-_CALLS = 4  # at least so many at once, if that many codes are left; later also of fewer codes
 _COPIES = 10  # states of a code in a call, at most
 # Drawings of a call for each state, at most. It doesn't depend on `attempts`, so that a run can be
 # resumed with more of them.
@@ -110,7 +112,7 @@ def drawn_rows(
                 needed[nx, index] = lacking
         parts = [(one, part) for one in needed for part in _parts(needed[one], _COPIES)]
         # later rounds are of few codes, so several calls share the drawings of each
-        sharing = max(1, _CALLS // len(parts)) if parts and made else 1
+        sharing = max(1, CALLS // len(parts)) if parts and made else 1
         for (nx, index), wanted in (one for one in parts for _ in range(sharing)):
             # Numbers of drawings are reserved before they are made, so the same drawing never goes
             # to two calls.
@@ -120,7 +122,7 @@ def drawn_rows(
             reserved[nx, index] += most
         if not orders:
             break
-        size = min(_CODES, -(-len(orders) // _CALLS))
+        size = min(_CODES, -(-len(orders) // CALLS))
         # Keys name the drawings: with more `attempts` codes are given up later, so calls come in
         # another order.
         calls = [
