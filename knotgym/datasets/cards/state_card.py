@@ -64,7 +64,7 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
             "rejected",
             ("nx", "reason", "rejected"),
             rejected,
-            f"of {report.get('attempts')} drawings or ropes tried; one can have several reasons",
+            f"{report.get('attempts')} drawings or ropes were tried; one can have several reasons",
             left=("reason",),
         ),
     )
@@ -98,7 +98,6 @@ def _card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) 
         engine=states.engine,
         seed=config["seed"],
         source=plain(report["source"]),
-        attempts=report["attempts"],
         passed=sum(map(len, report.get("passed_over", {}).values())),
         demonstrations=report.get("demonstrations", 0),
         lacking=_lacking(report),
