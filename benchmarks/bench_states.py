@@ -19,20 +19,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.streams import Stream
-from knotgym.common.tables import Table
-from knotgym.generate.states.generate_config import PlayConfig
-from knotgym.generate.states.rope_lives import Lives
-from knotgym.generate.states.state_filter import judge
-from knotgym.quality.limits import Limits
-from knotgym.rope.engines import CHAIN
-from knotgym.rope.model import Array, Rope
-from knotgym.states.near_duplicates import nearest, pairs_within
-from knotgym.states.schema import DRAWING, VERTICES
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.state_file import States, read_states, states_at, write_vertices
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
+from knotgym.common import Stream, Table
+from knotgym.generate import Lives, PlayConfig, judge
+from knotgym.quality import Limits
+from knotgym.rope import CHAIN, Array, Rope
+from knotgym.states import (
+    DRAWING,
+    STATE_SPLITS,
+    VERTICES,
+    States,
+    nearest,
+    pairs_within,
+    read_states,
+    states_at,
+    write_vertices,
+)
+from knotgym.topology import GaussCode, label
 
 LIVES = 8  # of each drawn rope, each with other pulls
 PULLS = PlayConfig(

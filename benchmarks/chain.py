@@ -27,21 +27,21 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.evaluate import run
-from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.episodes.recordings import recordings
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.engines import CHAIN, MUJOCO
-from knotgym.rope.model import Rope, RopeConfig
-from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.rope.simulation import Simulation
-from knotgym.runs.intervals import wilson
-from knotgym.runs.run_options import RunOptions
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.crossings import label_many
+from knotgym.control import RecordedPolicy, episode_seed, rollouts
+from knotgym.envs import TaskConfig
+from knotgym.generate import EvaluateConfig, evaluate, recordings
+from knotgym.rope import (
+    CHAIN,
+    MUJOCO,
+    ChainSimulation,
+    MujocoSimulation,
+    Rope,
+    RopeConfig,
+    Simulation,
+)
+from knotgym.runs import RunOptions, wilson
+from knotgym.states import read_states, shipped
+from knotgym.topology import label_many
 
 Array = NDArray[np.float64]
 SETS = ("readable", "random-walk")
@@ -173,7 +173,7 @@ def policy(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]
             seed=part,
             task=TaskConfig(task=task, observation="state", states=name, engine=engine),
         )
-        done.append(run(config, RunOptions(workers=1, quiet=True))[0].successes)
+        done.append(evaluate(config, RunOptions(workers=1, quiet=True))[0].successes)
         told = {"part": PART, "successes": found, "table": compared(found)}
         args.out.write_text(json.dumps({"results": told}, indent=1) + "\n", encoding="utf-8")
     return {"part": PART, "successes": found, "table": compared(found)}

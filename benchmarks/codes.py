@@ -20,9 +20,14 @@ from typing import Any
 import numpy as np
 from rope_states import tangled
 
-from knotgym.topology.crossings import find_crossings, label, label_many, visit_spacing
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.topology import (
+    GaussCode,
+    find_crossings,
+    label,
+    label_many,
+    pyknotid_code,
+    visit_spacing,
+)
 
 BEADS, LENGTH = 100, 1.33  # of the rope, metres
 MAX_NX = 15

@@ -19,17 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.datasets.episode_dataset import FILE, columns_of, write_episodes
-from knotgym.datasets.episodes import episodes_of
-from knotgym.datasets.minari_form import write_minari
-from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.blocks import blocks
-from knotgym.generate.episodes.collect import collect, play
-from knotgym.generate.episodes.collect_config import CollectConfig
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.runs.run import Call, Recipe, run
-from knotgym.runs.run_options import RunOptions
+from knotgym.control import PolicyConfig
+from knotgym.datasets import FILE, columns_of, episodes_of, write_episodes, write_minari
+from knotgym.envs import TaskConfig
+from knotgym.generate import CollectConfig, blocks, collect, play
+from knotgym.rope import ChainSimulation
+from knotgym.runs import Call, Recipe, RunOptions, run
 
 ROPES, PULLS = 256, 50  # of the engine alone
 OPTIONS = RunOptions(workers=1, quiet=True)

@@ -14,13 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.control.verification import replay
-from knotgym.datasets.episode_dataset import open_episodes, write_episodes
-from knotgym.datasets.episode_verification import expanded
-from knotgym.envs.tasks import TaskConfig
+from knotgym.control import PolicyConfig, episode_seed, make_policy, replay, rollouts
+from knotgym.datasets import expanded, open_episodes, write_episodes
+from knotgym.envs import TaskConfig
 from knotgym.loaders import Sequences, Transitions, arrays
 
 TASK = TaskConfig(task="tie", engine="chain", observation="state")

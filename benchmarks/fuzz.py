@@ -30,8 +30,8 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 
-from knotgym.cli.main import COMMANDS, application, main
-from knotgym.datasets.episode_dataset import FILE
+from knotgym.cli import COMMANDS, application, main
+from knotgym.datasets import FILE
 
 DATASET = "show verify gallery replay page select split delete merge import export".split()
 NAMES = [*(name for name in COMMANDS if name not in ("dataset", "play", "demo"))]

@@ -31,12 +31,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from knotgym.common.atomic_files import sha256
-from knotgym.datasets.episode_dataset import open_episodes
-from knotgym.envs.tasks import TaskConfig
-from knotgym.play.recorder import Recorder
-from knotgym.play.session import Session
-from knotgym.states.state_file import read_states
+from knotgym.common import sha256
+from knotgym.datasets import open_episodes
+from knotgym.envs import TaskConfig
+from knotgym.play import Recorder, Session
+from knotgym.states import read_states
 
 sys.path.append(str(Path(__file__).parents[1]))
 from tests.prompting.chat_server import ChatServer  # noqa: E402

@@ -34,19 +34,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import Failed, InvalidInput
-from knotgym.rope.chain.chain_simulation import ChainSimulation, physics_of
-from knotgym.rope.chain.layout import COUNTS, STATE
-from knotgym.rope.chain.solver import SCHEDULE, advance
-from knotgym.rope.engines import ENGINES, MUJOCO
-from knotgym.rope.engines import simulation as simulation_of
-from knotgym.rope.model import Array
-from knotgym.rope.simulation import Simulation
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.crossings import find_crossings, label, label_many
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import is_unknot
-from knotgym.topology.single_moves import removals, sideways
+from knotgym.common import Failed, InvalidInput
+from knotgym.rope import (
+    COUNTS,
+    ENGINES,
+    MUJOCO,
+    SCHEDULE,
+    STATE,
+    Array,
+    ChainSimulation,
+    Simulation,
+    advance,
+    physics_of,
+)
+from knotgym.rope import simulation as simulation_of
+from knotgym.states import read_states, shipped
+from knotgym.topology import (
+    GaussCode,
+    find_crossings,
+    is_unknot,
+    label,
+    label_many,
+    removals,
+    sideways,
+)
 
 HOLD = 20  # actions with the same bead and direction
 Random = np.random.Generator

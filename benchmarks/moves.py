@@ -20,27 +20,37 @@ from pathlib import Path
 
 import numpy as np
 
-from knotgym.common.tables import Table
-from knotgym.control.basic_policies import Generators
-from knotgym.control.planning import (
+from knotgym.common import Table
+from knotgym.control import (
+    COUNTED_NX,
+    EXAMPLES,
+    IMAGES,
     Diagram,
+    Example,
+    Generators,
+    Ids,
+    MoveRow,
+    Moves,
     PassPlan,
     PassPlanner,
     PassValues,
+    Play,
+    PlayPlayer,
+    Pulls,
+    Scripted,
+    ScriptedPlayer,
     Sight,
+    canonical_image,
+    first_goal,
+    pooled,
+    rollouts,
     see,
+    template_images,
+    templates,
 )
-from knotgym.control.planning.changes import EXAMPLES, Example
-from knotgym.control.planning.moves import MoveRow, Moves, pooled
-from knotgym.control.planning.pass_policies import Play, PlayPlayer, Scripted, ScriptedPlayer
-from knotgym.control.planning.passes import COUNTED_NX, template_images, templates
-from knotgym.control.planning.sights import IMAGES, canonical_image, first_goal
-from knotgym.control.rollouts import Ids, Pulls, rollouts
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.macro_actions import Pass
-from knotgym.rope.model import sub_chains
-from knotgym.topology.gauss import GaussCode
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.rope import Pass, sub_chains
+from knotgym.topology import GaussCode
 
 TASKS = (("tie", 2), ("tie", 3), ("tie", 4), ("convert", 3), ("unknot", 4))
 Counts = Counter[tuple[Diagram, int, Diagram | None]]

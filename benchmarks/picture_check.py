@@ -5,9 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rendering.camera import DEFAULT, PictureConfig, bead_colours
-from knotgym.rendering.picture import crossing_pixels
-from knotgym.topology.crossings import Crossings
+from knotgym.rendering import DEFAULT, PictureConfig, bead_colours, crossing_pixels
+from knotgym.topology import Crossings
 
 _WINDOW = 2.0  # beads along the rope, either way, that count as the same strand
 # RGB levels (Euclidean) below which two colours are too similar to tell apart; beads 1, 2, 3 apart

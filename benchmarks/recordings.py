@@ -12,14 +12,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from knotgym.datasets.episode_dataset import open_episodes
-from knotgym.generate.episodes.recordings import (
-    RECORDINGS,
-    record,
-    recordings,
-    write_recordings,
-)
-from knotgym.generate.episodes.suite_config import SuiteConfig
+from knotgym.datasets import open_episodes
+from knotgym.generate import RECORDINGS, SuiteConfig, record, recordings, write_recordings
 
 
 def main() -> None:

@@ -24,12 +24,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import InvalidFile
-from knotgym.datasets.cards.fact_tables import table
-from knotgym.generate.episodes.suite_config import SUITE
-from knotgym.generate.episodes.suite_scores import CELL, LINE, read_scores
-from knotgym.runs.identity import versions
+from knotgym.common import InvalidFile, atomic_write
+from knotgym.datasets import table
+from knotgym.generate import CELL, LINE, SUITE, read_scores
+from knotgym.runs import versions
 
 ROOT = Path(__file__).parents[1]
 COUNTS = ("nx", "episodes", "successes", "starts", "goals")

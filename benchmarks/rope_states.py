@@ -4,10 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from knotgym.generate.states.rope_lives import coil
-from knotgym.rope.engines import CHAIN, simulation_of
-from knotgym.rope.model import Array, RopeConfig
-from knotgym.topology.crossings import label
+from knotgym.generate import coil
+from knotgym.rope import CHAIN, Array, RopeConfig, simulation_of
+from knotgym.topology import label
 
 ROPES, EVERY = 64, 4  # ropes side by side; pulls between two looks at a rope
 

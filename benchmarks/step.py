@@ -36,9 +36,8 @@ from rich.console import Console
 from rich.table import Table
 
 import knotgym
-from knotgym.common.threads import Meanwhile, Threads, Work
-from knotgym.rope.engines import simulation
-from knotgym.rope.model import Rope
+from knotgym.common import Meanwhile, Threads, Work
+from knotgym.rope import Rope, simulation
 
 MODES = ("state", "pixels", "both")
 BARS = {"state": 0.9, "pixels": 0.75}

@@ -18,10 +18,9 @@ import numpy as np
 from picture_check import shown_strands
 from rope_states import tangled
 
-from knotgym.common.errors import KnotgymError
-from knotgym.rendering.camera import PictureConfig
-from knotgym.rendering.picture import draw
-from knotgym.topology.crossings import find_crossings
+from knotgym.common import KnotgymError
+from knotgym.rendering import PictureConfig, draw
+from knotgym.topology import find_crossings
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
-from knotgym.cli.main import application
+from knotgym.cli import application
 
 DOCS = Path(__file__).parent
 LIST = re.compile(r"(?<=<!-- commands -->\n\n)(?:\|.*\n)*")

@@ -13,12 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.image_table import encode
-from knotgym.rendering.camera import PictureConfig, project
-from knotgym.rendering.picture import crossing_pixels, draw
-from knotgym.rope.model import Array, Rope
-from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.topology.crossings import find_crossings
+from knotgym.datasets import encode
+from knotgym.rendering import PictureConfig, crossing_pixels, draw, project
+from knotgym.rope import Array, MujocoSimulation, Rope
+from knotgym.topology import find_crossings
 
 PAGES = Path(__file__).parent
 

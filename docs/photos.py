@@ -13,14 +13,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from knotgym.common.errors import Failed
-from knotgym.drawing.drawn_curve import drawn_curve
-from knotgym.rendering.photo import photograph
-from knotgym.rendering.photo_painting import Shot
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.diagrams import uniform_code
-from knotgym.topology.notation import pd_text
-from knotgym.topology.symmetry import diagram_form
+from knotgym.common import Failed
+from knotgym.drawing import drawn_curve
+from knotgym.rendering import Shot, photograph
+from knotgym.states import read_states, shipped
+from knotgym.topology import diagram_form, pd_text, uniform_code
 
 PAGES = Path(__file__).parent
 _SIDE, _GAP, _ACROSS = 152, 2, 8  # pixels of a tile and between tiles; tiles

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from knotgym.datasets.episodes import gauss_codes, goal_reached
+from knotgym.datasets import gauss_codes, goal_reached
 from knotgym.loaders import Transitions
 
 FRAMES_PER_SECOND = 5  # an action takes 0.192 s

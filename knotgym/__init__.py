@@ -8,53 +8,12 @@ knotgym/Convert-v0 with Gymnasium, and knotgym/tie-nx2-v0 and the like for OGBen
 import os
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import gymnasium
+import lazy_loader
 
-if TYPE_CHECKING:
-    from knotgym.common.errors import Failed as Failed
-    from knotgym.common.errors import InvalidFile as InvalidFile
-    from knotgym.common.errors import InvalidInput as InvalidInput
-    from knotgym.common.errors import InvalidPolicy as InvalidPolicy
-    from knotgym.common.errors import KnotgymError as KnotgymError
-    from knotgym.common.errors import MissingExtra as MissingExtra
-    from knotgym.common.errors import MissingFile as MissingFile
-    from knotgym.common.errors import Occupied as Occupied
-    from knotgym.control.verification import verify as verify
-    from knotgym.envs.environment import KnotEnv as KnotEnv
-    from knotgym.envs.environment import KnotVectorEnv as KnotVectorEnv
-    from knotgym.envs.tasks import TaskConfig as TaskConfig
-    from knotgym.envs.tasks import register_task as register_task
-    from knotgym.rendering.camera import PictureConfig as PictureConfig
-    from knotgym.rendering.picture import draw as draw
-    from knotgym.rope.model import Rope as Rope
-    from knotgym.rope.model import RopeConfig as RopeConfig
-    from knotgym.states.state_file import States as States
-    from knotgym.states.state_file import read_states as read_states
-    from knotgym.states.state_file import shipped as shipped
-    from knotgym.topology.crossings import label as label
-    from knotgym.topology.gauss import GaussCode as GaussCode
-else:
-    from knotgym.common.lazy_exports import lazy_exports
-
-    __getattr__, __dir__, __all__ = lazy_exports(
-        __name__,
-        {
-            "knotgym.common.errors": "Failed InvalidFile InvalidInput InvalidPolicy KnotgymError "
-            "MissingExtra MissingFile Occupied",
-            "knotgym.control.verification": "verify",
-            "knotgym.envs.environment": "KnotEnv KnotVectorEnv",
-            "knotgym.envs.tasks": "TaskConfig register_task",
-            "knotgym.rendering.camera": "PictureConfig",
-            "knotgym.rendering.picture": "draw",
-            "knotgym.rope.model": "Rope RopeConfig",
-            "knotgym.states.state_file": "States read_states shipped",
-            "knotgym.topology.crossings": "label",
-            "knotgym.topology.gauss": "GaussCode",
-        },
-        "__version__",
-    )
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__.append("__version__")
 
 try:
     __version__ = version("knotgym")

@@ -1,6 +1,6 @@
 """`python -m knotgym` is the command `knotgym`."""
 
-from knotgym.cli.main import main
+from knotgym.cli import main
 
 if __name__ == "__main__":
     main()

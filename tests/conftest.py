@@ -8,14 +8,11 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-from knotgym.drawing.drawn_curve import drawn_curve
-from knotgym.rendering.picture import draw
-from knotgym.rope.model import Rope
-from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.rope.simulation import Simulation
-from knotgym.states.state_file import States, read_states, shipped, write_states
-from knotgym.topology.crossings import label
-from knotgym.topology.knots import codes_of
+from knotgym.drawing import drawn_curve
+from knotgym.rendering import draw
+from knotgym.rope import MujocoSimulation, Rope, Simulation
+from knotgym.states import States, read_states, shipped, write_states
+from knotgym.topology import codes_of, label
 
 from .small_job import WANTED, knotgym
 

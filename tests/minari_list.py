@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from knotgym.control.verification import verify
-from knotgym.datasets.episode_dataset import columns_of
-from knotgym.datasets.episodes import Episodes
+from knotgym.control import verify
+from knotgym.datasets import Episodes, columns_of
 
 
 def check_minari(root: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:

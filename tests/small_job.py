@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.cli import main as cli
+from knotgym.cli import main
 
 WANTED = ("--nx", "0,1", "--count", 4)  # what conftest's `curated` folder was asked for
 SECONDS = 120  # in which anything that is waited for must have happened
@@ -23,7 +23,7 @@ def knotgym(*arguments: object) -> int:
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with pytest.raises(SystemExit) as ended:
-            cli.main([str(one) for one in arguments])
+            main([str(one) for one in arguments])
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)

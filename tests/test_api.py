@@ -4,6 +4,7 @@ import ast
 import importlib
 import importlib.util
 import pkgutil
+import re
 from pathlib import Path
 from types import ModuleType
 from typing import assert_type
@@ -15,13 +16,9 @@ import knotgym
 from .fresh_interpreter import modules_after
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = (
-    "knotgym",
-    "knotgym.adapters",
-    "knotgym.datasets",
-    "knotgym.generate",
-    "knotgym.loaders",
-)
+ROOMS = {module.name for module in pkgutil.iter_modules(knotgym.__path__) if module.ispkg}
+PACKAGES = ("knotgym", *(f"knotgym.{room}" for room in sorted(ROOMS)))
+EXTRAS = {"torch", "trimesh", "viser"}  # without them some rooms are only listed
 EAGER = {"__version__"}  # all others are imported when they are first used
 
 
@@ -29,36 +26,75 @@ def package(name: str) -> ModuleType:
     return importlib.import_module(name)
 
 
-def tree_of(name: str) -> ast.Module:
-    return ast.parse(Path(package(name).__file__ or "").read_text(encoding="utf-8"))
-
-
-def checked_imports(name: str) -> dict[str, str]:
-    """What a package imports for type checkers: public name -> "module:name"."""
-    guards = [node for node in tree_of(name).body if isinstance(node, ast.If)]
-    (guard,) = (node for node in guards if ast.unparse(node.test) == "TYPE_CHECKING")
+def listed(name: str) -> dict[str, str]:
+    """What the door of a package lists: public name -> the module that defines it."""
+    stub = Path(package(name).__file__ or "").with_suffix(".pyi")
     return {
-        alias.asname or alias.name: f"{node.module}:{alias.name}"
-        for node in guard.body
+        alias.name: f"{name}.{node.module}"
+        for node in ast.parse(stub.read_text(encoding="utf-8")).body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
 
 
 @pytest.mark.parametrize("name", PACKAGES)
-def test_type_checkers_and_the_interpreter_see_the_same_names(name: str) -> None:
-    assert {*checked_imports(name)} == {*package(name).__all__} - EAGER
+def test_a_door_names_each_thing_once_and_finds_it(name: str) -> None:
+    assert {*listed(name)} == {*package(name).__all__} - EAGER
+    for public, module in listed(name).items():
+        try:
+            found = getattr(importlib.import_module(module), public)
+        except ModuleNotFoundError as error:
+            assert error.name in EXTRAS
+            continue
+        assert getattr(package(name), public) is found
 
 
-@pytest.mark.parametrize(
-    ("name", "public"), [(name, public) for name in PACKAGES for public in package(name).__all__]
-)
-def test_a_public_name_is_what_its_module_holds(name: str, public: str) -> None:
-    if public in EAGER:
-        assert isinstance(getattr(package(name), public), str)
-        return
-    module, _, there = checked_imports(name)[public].partition(":")
-    assert getattr(package(name), public) is getattr(importlib.import_module(module), there)
+def test_rooms_are_entered_through_their_doors() -> None:
+    """Only a room's own modules and its own tests may import from deeper than its door."""
+    found = [place for path in sources() for place in round_the_door(path)]
+    assert found == []
+
+
+def test_an_import_round_a_door_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "script.py"
+    inside = "def f():\n    from knotgym.rope.model import Rope\nimport knotgym.states.schema\n"
+    path.write_text(inside)
+    assert round_the_door(path) == [
+        f"{path}:3: knotgym.states.schema",
+        f"{path}:2: knotgym.rope.model",
+    ]
+
+
+def sources() -> list[Path]:
+    """Python files and pages of the checkout."""
+    beside = ("baselines", "benchmarks", "docs", "examples", "knotgym", "tests")
+    files = [path for folder in beside for path in (ROOT / folder).rglob("*.py")]
+    return [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *files]
+
+
+def round_the_door(path: Path) -> list[str]:
+    """Imports of a file, or of the Python blocks of a page, that name a module of another room."""
+    text = path.read_text(encoding="utf-8")
+    texts = (
+        re.findall(r"^```python\n(.*?)^```", text, re.M | re.S) if path.suffix == ".md" else [text]
+    )
+    parts = path.relative_to(ROOT).parts if path.is_relative_to(ROOT) else ()
+    own = parts[1] if len(parts) > 2 and parts[0] in ("knotgym", "tests") else ""
+    found: list[str] = []
+    for node in (node for one in texts for node in ast.walk(ast.parse(one))):
+        if isinstance(node, ast.ImportFrom) and not node.level:
+            modules = [node.module or "", *(f"{node.module}.{one.name}" for one in node.names)]
+        elif isinstance(node, ast.Import):
+            modules = [one.name for one in node.names]
+        else:
+            continue
+        for module in modules:
+            _, room, inside = [*module.split(".", 2), "", ""][:3]
+            if module.startswith("knotgym.") and room in ROOMS - {own}:
+                entered = f"knotgym.{room}.{inside.split('.')[0]}"
+                if inside and importlib.util.find_spec(entered):
+                    found.append(f"{path}:{node.lineno}: {entered}")
+    return list(dict.fromkeys(found))
 
 
 @pytest.mark.parametrize("name", PACKAGES)
@@ -71,7 +107,7 @@ def test_a_public_name_is_never_that_of_a_module_beside_it(name: str) -> None:
 @pytest.mark.parametrize("name", PACKAGES)
 def test_dir_lists_the_public_names_and_a_wrong_one_is_refused(name: str) -> None:
     assert {*package(name).__all__} <= {*dir(package(name))}
-    with pytest.raises(AttributeError, match=f"module '{name}' has no attribute 'knotty'"):
+    with pytest.raises(AttributeError, match=f"No {name} attribute knotty"):
         _ = package(name).knotty
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
-from knotgym.envs.environment import KnotEnv, KnotVectorEnv
+from knotgym.envs import KnotEnv, KnotVectorEnv
 
 from .envs.test_env import same
 from .envs.test_vector_env import actions

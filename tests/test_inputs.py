@@ -7,15 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.quality.measures import measure
-from knotgym.rendering.diagram import draw_diagram
-from knotgym.rendering.picture import draw
-from knotgym.rope.macro_actions import propose
-from knotgym.rope.model import Rope
-from knotgym.rope.reset_noise import noised
-from knotgym.topology.crossings import find_crossings, label
-from knotgym.topology.reference_labeller import pyknotid_code
-from knotgym.topology.symmetry import Symmetry
+from knotgym.quality import measure
+from knotgym.rendering import draw, draw_diagram
+from knotgym.rope import Rope, noised, propose
+from knotgym.topology import Symmetry, find_crossings, label, pyknotid_code
 
 from .conftest import curled
 

@@ -111,9 +111,8 @@ def wrappers_and_vector_environments(folder: Path) -> None:
 
 
 def playing_by_hand(folder: Path) -> None:
-    from knotgym.envs.tasks import TaskConfig
-    from knotgym.play.recorder import Recorder
-    from knotgym.play.session import Session
+    from knotgym.envs import TaskConfig
+    from knotgym.play import Recorder, Session
 
     task, name = TaskConfig(task="tie", observation="both", engine="chain"), "knotgym/human-v0"
     session = Session(task, seed=0)
@@ -125,7 +124,7 @@ def playing_by_hand(folder: Path) -> None:
 
 
 def states_of_my_own(folder: Path) -> None:
-    from knotgym.datasets import write_states
+    from knotgym.states import write_states
 
     turn = np.linspace(0, 2 * np.pi, 300, endpoint=False)
     curl = np.exp(1j * turn) + 0.75 * np.exp(2j * turn)  # one crossing

@@ -54,7 +54,7 @@ def planted(tmp_path: Path, states_path: str) -> Path:
     command = tmp_path / "bin" / "knotgym"
     command.parent.mkdir()
     command.write_text(
-        "import sys\nfrom knotgym.cli.main import main\n\n"
+        "import sys\nfrom knotgym.cli.program import main\n\n"
         "if __name__ == '__main__':\n    sys.exit(main())\n"
     )
     return folder

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from synthetic_episodes import TINY
 
 import knotgym
-from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
-from knotgym.states.state_file import read_states, write_states
+from knotgym.datasets import EpisodeDataset, open_episodes, write_episodes
+from knotgym.states import read_states, write_states
 
 from .small_job import knotgym as typed
 

@@ -14,14 +14,10 @@ from synthetic_episodes import TINY
 
 import knotgym
 from knotgym.adapters import goal_env, sb3_vec_env
-from knotgym.common.errors import KnotgymError
-from knotgym.control.policies import make_policy, register_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.datasets import open_episodes
-from knotgym.datasets.conditions import matching_rows
-from knotgym.datasets.image_table import read_table
-from knotgym.envs.environment import KnotEnv, KnotVectorEnv
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import KnotgymError
+from knotgym.control import PolicyConfig, make_policy, register_policy
+from knotgym.datasets import matching_rows, open_episodes, read_table
+from knotgym.envs import KnotEnv, KnotVectorEnv, TaskConfig
 from knotgym.loaders import (
     GoalSampling,
     Sequences,
@@ -34,10 +30,9 @@ from knotgym.loaders import (
     to_tensordict,
     torch_dataset,
 )
-from knotgym.rendering.diagram import draw_diagram
-from knotgym.rendering.picture import draw
-from knotgym.rope.model import RopeConfig
-from knotgym.runs.executors import executor
+from knotgym.rendering import draw, draw_diagram
+from knotgym.rope import RopeConfig
+from knotgym.runs import executor
 
 DATA = TINY["expert"]
 STEPS: dict[str, Any] = {"steps": 3}

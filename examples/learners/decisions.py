@@ -22,17 +22,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from knotgym.control.rollouts import Ids, Pulls
-from knotgym.datasets.episode_dataset import columns_of
-from knotgym.datasets.episodes import Episodes, gauss_code
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.marked import CanonicalFrames, mark
-from knotgym.envs.tasks import TaskConfig
-from knotgym.learn.clone_network import CloneNetwork, Inputs, MarkedInputs, inputs
-from knotgym.rope.actions import quantized
-from knotgym.rope.model import RopeConfig
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
+from knotgym.control import Ids, Pulls
+from knotgym.datasets import Episodes, columns_of, gauss_code
+from knotgym.envs import CanonicalFrames, EpisodeBatch, TaskConfig, mark
+from knotgym.learn import CloneNetwork, Inputs, MarkedInputs, inputs
+from knotgym.rope import RopeConfig, quantized
+from knotgym.topology import GaussCode, label
 
 BEADS = RopeConfig().beads
 BEAD_WIDTH = 32  # of `MarkedInputs.beads`

@@ -13,15 +13,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from knotgym.cli.options import numbers
-from knotgym.control.policies import register_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import Policy
-from knotgym.datasets.episode_dataset import open_episodes
-from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.evaluate import run
-from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.runs.run_options import RunOptions
+from knotgym.cli import numbers
+from knotgym.control import Policy, PolicyConfig, register_policy
+from knotgym.datasets import open_episodes
+from knotgym.envs import TaskConfig
+from knotgym.generate import EvaluateConfig, evaluate
+from knotgym.runs import RunOptions
 
 
 def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:
@@ -101,7 +98,7 @@ def measure(
     )
     out = given.out / "evaluation.json"
     # one process: the policy is known here alone
-    run(config, RunOptions(workers=1, overwrite=True), out=out)
+    evaluate(config, RunOptions(workers=1, overwrite=True), out=out)
     found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
     found["learners"][name] = training
     out.write_text(json.dumps(found, indent=1), encoding="utf-8")

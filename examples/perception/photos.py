@@ -22,14 +22,17 @@ import torch
 from misread import Misread, page
 from numpy.typing import NDArray
 
-from knotgym.datasets.image_table import decode, read_rows
-from knotgym.learn.checkpoint import ROPE_READER, write_checkpoint
-from knotgym.learn.rope_reader import load_rope_reader
-from knotgym.learn.strand_network import StrandNetwork
-from knotgym.learn.strand_training import Strands, strand_loss
-from knotgym.rendering.photo import photograph
-from knotgym.topology.crossings import find_crossings
-from knotgym.topology.gauss import GaussCode
+from knotgym.datasets import decode, read_rows
+from knotgym.learn import (
+    ROPE_READER,
+    StrandNetwork,
+    Strands,
+    load_rope_reader,
+    strand_loss,
+    write_checkpoint,
+)
+from knotgym.rendering import photograph
+from knotgym.topology import GaussCode, find_crossings
 
 SIDE, PLACES, MOST = 256, 512, 12  # of a training picture: side, places on the line, crossings
 Array = NDArray[np.float64]

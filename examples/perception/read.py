@@ -30,10 +30,10 @@ from misread import Misread, page
 from torch import Tensor, nn
 from torch.nn import functional
 
-from knotgym.datasets.image_table import GRADES
+from knotgym.datasets import GRADES
 from knotgym.loaders import images
-from knotgym.prompting.summary import HEAD, reading_scores, score_rows
-from knotgym.topology.gauss import GaussCode
+from knotgym.prompting import HEAD, reading_scores, score_rows
+from knotgym.topology import GaussCode
 
 BEADS = 100
 CELL = 2  # width of a cell, pixels

@@ -21,11 +21,10 @@ import numpy as np
 from misread import Misread, page
 from numpy.typing import NDArray
 
-from knotgym.datasets.image_table import decode, read_rows
-from knotgym.prompting.summary import HEAD, reading_scores, score_rows
-from knotgym.rendering.camera import bead_colours
-from knotgym.topology.crossings import find_crossings
-from knotgym.topology.gauss import GaussCode
+from knotgym.datasets import decode, read_rows
+from knotgym.prompting import HEAD, reading_scores, score_rows
+from knotgym.rendering import bead_colours
+from knotgym.topology import GaussCode, find_crossings
 
 BEADS = 100
 FINE = 8  # colours between neighbouring beads with which pixels are compared

@@ -21,11 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.image_table import decode, read_rows
-from knotgym.topology.diagrams import is_planar
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
-from knotgym.topology.knots import knot_type
-from knotgym.topology.notation import pd_text
+from knotgym.datasets import decode, read_rows
+from knotgym.topology import NEGATIVE, POSITIVE, GaussCode, is_planar, knot_type, pd_text
 
 INK = 128  # grey level below which a pixel is ink
 SPECK = 12  # pixels; smaller pieces of ink are noise

@@ -8,11 +8,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from knotgym.adapters.goal_environment import Goals
-from knotgym.common.errors import InvalidInput
-from knotgym.envs.environment import task_config
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.observations import observation_space
-from knotgym.rope.actions import action_space
+from knotgym.common import InvalidInput
+from knotgym.envs import EpisodeBatch, observation_space, task_config
+from knotgym.rope import action_space
 
 Indices = int | Iterable[int] | None
 

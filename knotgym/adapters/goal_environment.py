@@ -13,11 +13,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.envs.environment import KnotEnv
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.observations import SYMBOLS, cut, observation_space
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidInput
+from knotgym.envs import SYMBOLS, EpisodeBatch, KnotEnv, TaskConfig, cut, observation_space
 
 
 class GoalEnv(KnotEnv):

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.adapters.goal_environment import halves, require_one_side, rope_space
-from knotgym.common.errors import InvalidInput
-from knotgym.envs.environment import KnotEnv
+from knotgym.common import InvalidInput
+from knotgym.envs import KnotEnv
 
 TASKS = 5  # number of evaluation goals, as in OGBench
 

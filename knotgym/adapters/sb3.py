@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from knotgym.common.errors import MissingExtra
+from knotgym.common import MissingExtra
 
 
 def sb3_vec_env(

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.cli.options import RUN, Given, command, extra
-from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate import CollectConfig
 
 MINARI_ROOT = extra("out", Path, help="Minari root to write to; Minari's own by default.")
 
@@ -38,9 +38,9 @@ def collect(given: Given) -> None:
         task: Tasks, comma-separated: tie, unknot, convert.
         nx: Numbers of crossings: 3, 2,3 or 0-4.
     """
-    from knotgym.datasets.minari_form import loading_lines
-    from knotgym.generate.episodes.collect import collect as run
-    from knotgym.generate.episodes.collect import named, require_collectable
+    from knotgym.datasets import loading_lines
+    from knotgym.generate import collect as run
+    from knotgym.generate import named, require_collectable
 
     options, out = given.run, given["out"]
     several = [

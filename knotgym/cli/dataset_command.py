@@ -6,7 +6,7 @@ from pathlib import Path
 from cyclopts import App
 
 from knotgym.cli.options import APP, Given, command, extra
-from knotgym.common.errors import Failed, InvalidInput
+from knotgym.common import Failed, InvalidInput
 
 _command = partial(command, {}, lines=False)
 _SOURCE = extra(
@@ -56,7 +56,7 @@ def verify(given: Given) -> None:
     actions that led to each state, and checks the splits. Exit status 1 on any fault.
     """
     from knotgym.cli.inspection import checked, faults
-    from knotgym.runs.compilation import compile_first
+    from knotgym.runs import compile_first
 
     path, progress, count = given["path_or_id"], given.progress, 0
     compile_first(progress)
@@ -89,7 +89,7 @@ def merge(given: Given) -> None:
     sources = given["sources"] or ()
     if not sources:
         raise InvalidInput("name what to merge: two datasets at least")
-    from knotgym.datasets.merging import merge as merge_datasets
+    from knotgym.datasets import merge as merge_datasets
 
     given.progress.stage("merging")
     given.progress.say(merge_datasets(sources, given["out"], given["id"], given.run.overwrite))
@@ -143,8 +143,8 @@ def export(given: Given) -> None:
             huggingface or minari for a folder ready to upload; webdataset for pictures as tar
             files, and coco for photos with masks and keypoints.
     """
-    from knotgym.control.verification import replay
-    from knotgym.datasets.exports.exporters import export as convert
+    from knotgym.control import replay
+    from knotgym.datasets import export as convert
 
     given.progress.stage("exporting")
     path, out, to = given["path_or_id"], given["out"], given["to"]
@@ -169,12 +169,13 @@ def select(given: Given) -> None:
             those that there are. Needs the extra select.
         sample: Keep this many of the rows, drawn at random.
     """
-    from knotgym.datasets import subsets
+    from knotgym.datasets import kept
+    from knotgym.datasets import select as select_rows
 
     given.progress.stage("selecting")
     chosen = {name: given[name] for name in ("where", "sample", "seed", "out")}
-    made = subsets.select(given["path_or_id"], **chosen, overwrite=given.run.overwrite)
-    given.progress.say(f"{made}: {subsets.kept(made)}")
+    made = select_rows(given["path_or_id"], **chosen, overwrite=given.run.overwrite)
+    given.progress.say(f"{made}: {kept(made)}")
 
 
 @_command("run.overwrite", _SOURCE, extra("parts", str, ...), _SEED, _FILE)
@@ -186,12 +187,13 @@ def split(given: Given) -> None:
     Args:
         parts: Names and fractions of the parts, such as train=0.8,val=0.2.
     """
-    from knotgym.datasets import subsets
+    from knotgym.datasets import kept
+    from knotgym.datasets import split as split_rows
 
     given.progress.stage("splitting")
     chosen = {name: given[name] for name in ("parts", "seed", "out")}
-    for made in subsets.split(given["path_or_id"], **chosen, overwrite=given.run.overwrite):
-        given.progress.say(f"{made}: {subsets.kept(made)}")
+    for made in split_rows(given["path_or_id"], **chosen, overwrite=given.run.overwrite):
+        given.progress.say(f"{made}: {kept(made)}")
 
 
 @_command("run.overwrite", _SOURCE, extra("rows", str, ...), _FILE)
@@ -201,12 +203,13 @@ def delete(given: Given) -> None:
     Args:
         rows: Rows of states or pictures, or numbers of episodes, such as 3,7-9.
     """
-    from knotgym.datasets import subsets
+    from knotgym.datasets import delete as delete_rows
+    from knotgym.datasets import kept
 
     given.progress.stage("deleting")
     chosen = {name: given[name] for name in ("rows", "out")}
-    made = subsets.delete(given["path_or_id"], **chosen, overwrite=given.run.overwrite)
-    given.progress.say(f"{made}: {subsets.kept(made)}")
+    made = delete_rows(given["path_or_id"], **chosen, overwrite=given.run.overwrite)
+    given.progress.say(f"{made}: {kept(made)}")
 
 
 @_command("run.overwrite", extra("CURVES", list[str]), extra("out", Path, ...))
@@ -225,9 +228,9 @@ def import_(given: Given) -> None:
     """
     if not given["curves"]:
         raise InvalidInput("name the files of curves to import")
-    from knotgym.common.atomic_files import atomic_write, require_output
-    from knotgym.generate.states.imported_curves import import_curves
-    from knotgym.states.state_file import write_states
+    from knotgym.common import atomic_write, require_output
+    from knotgym.generate import import_curves
+    from knotgym.states import write_states
 
     out, overwrite = given["out"], given.run.overwrite
     given.progress.stage("relaxing curves")
@@ -255,6 +258,6 @@ def _print(given: Given, *lines: str) -> None:
 
 def _out(given: Given, name: str) -> Path:
     """Return the output that was typed, or a file of this name beside the dataset."""
-    from knotgym.datasets.located import locate
+    from knotgym.datasets import locate
 
     return given["out"] or locate(given["path_or_id"]).folder / name

@@ -20,19 +20,14 @@ def demo(given: Given) -> None:
     from PIL import Image
 
     from knotgym.cli.inspection import page
-    from knotgym.common.atomic_files import atomic_write, require_output
-    from knotgym.control.planning import compile_planning
-    from knotgym.control.policy_config import PolicyConfig
-    from knotgym.datasets.episode_dataset import open_episodes
-    from knotgym.envs.tasks import TaskConfig
-    from knotgym.generate.episodes.collect import collect
-    from knotgym.generate.episodes.collect_config import CollectConfig
-    from knotgym.generate.episodes.evaluate import film
+    from knotgym.common import atomic_write, require_output
+    from knotgym.control import PolicyConfig, compile_planning
+    from knotgym.datasets import open_episodes
+    from knotgym.envs import TaskConfig
+    from knotgym.generate import CollectConfig, collect, film
     from knotgym.loaders import Transitions
-    from knotgym.rendering.video import write_film
-    from knotgym.runs.compilation import compile_first
-    from knotgym.runs.progress import Progress
-    from knotgym.runs.run_options import RunOptions
+    from knotgym.rendering import write_film
+    from knotgym.runs import Progress, RunOptions, compile_first
 
     require_output(out, folder=True, overwrite=overwrite)
     compile_first(progress, plan=compile_planning)

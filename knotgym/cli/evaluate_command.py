@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, command, extra, field_help
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+from knotgym.control import PolicyConfig
+from knotgym.generate import EvaluateConfig
 
 
 @command(
@@ -33,7 +33,7 @@ def evaluate(given: Given) -> None:
         video: Film of the first episodes of each setup: .gif, or with the extra video .mp4 or
             .webm.
     """
-    from knotgym.generate.episodes.evaluate import run
+    from knotgym.generate import evaluate
 
     more = {}
     if "policy" in given.typed or given.has("policy"):
@@ -42,4 +42,4 @@ def evaluate(given: Given) -> None:
             for name in given["policy"]
         ]
     config = given.config(EvaluateConfig, more)
-    run(config, given.run, out=given["out"], video=given["video"], progress=given.progress)
+    evaluate(config, given.run, out=given["out"], video=given["video"], progress=given.progress)

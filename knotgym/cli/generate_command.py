@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 
 from knotgym.cli.options import RUN, Given, command, extra, numbers
-from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, generator
-from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.notation import code_texts, parse_code
+from knotgym.common import InvalidInput, Stream, generator
+from knotgym.generate import GenerateConfig
+from knotgym.topology import GaussCode, parse_code, split_codes
 
 HARD_UNKNOTS = "hard-unknots"  # the list of codes that ships
 MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
@@ -48,9 +46,9 @@ def generate(given: Given) -> None:
             Burton and others. --nx chooses by crossings, --count at random; --every-code gives the
             number of states per code, 1 by default.
     """
-    from knotgym.datasets.minari_form import loading_lines
-    from knotgym.generate.states.state_recipe import make_states
-    from knotgym.topology.knot_table import UNKNOT, diagram_of
+    from knotgym.datasets import loading_lines
+    from knotgym.generate import make_states
+    from knotgym.topology import UNKNOT, diagram_of
 
     options, progress, knot = given.run, given.progress, given.get("knot")
     codes, every_code, nx = given["codes"], given.get("every_code"), given["nx"]
@@ -78,7 +76,7 @@ def generate(given: Given) -> None:
 def code_list(
     path: Path, nx: Sequence[int] | None, count: int | None, rng: np.random.Generator
 ) -> list[GaussCode]:
-    """Read Gauss, PD or DT codes from a file; see `code_texts`.
+    """Read Gauss, PD or DT codes from a file; see `split_codes`.
 
     Args:
         path: the file, of at most MOST_CODES codes, or HARD_UNKNOTS for the one that ships.
@@ -95,7 +93,7 @@ def code_list(
         raise InvalidInput(f"--codes {path} is not a regular file")
     try:
         with open(path, encoding="utf-8-sig") as lines:
-            found = [parse_code(text) for text in islice(code_texts(lines), MOST_CODES + 1)]
+            found = [parse_code(text) for text in islice(split_codes(lines), MOST_CODES + 1)]
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"--codes {path} can't be read: {error}") from error
     if len(found) > MOST_CODES:

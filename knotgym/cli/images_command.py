@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, as_typed, command, extra
-from knotgym.generate.images.images_config import ImagesConfig
+from knotgym.generate import ImagesConfig
 
 
 @command(
@@ -35,9 +35,9 @@ def images(given: Given) -> None:
             which are included; or a states.h5.
         vary: What varies: all, none, or some of colours,width,background,turn,zoom,noise,blur.
     """
-    from knotgym.generate.images.image_recipe import make_images
-    from knotgym.rendering.appearance_config import VARIED
-    from knotgym.states.state_file import ships
+    from knotgym.generate import make_images
+    from knotgym.rendering import VARIED
+    from knotgym.states import ships
 
     states, vary = given["states"], given["vary"]
     vary = {("all",): VARIED, ("none",): ()}.get(vary, vary)

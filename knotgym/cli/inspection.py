@@ -10,26 +10,30 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
-from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.errors import Failed, InvalidInput
-from knotgym.control import verification
-from knotgym.datasets.episode_dataset import open_episodes
-from knotgym.datasets.episode_verification import expanded
-from knotgym.datasets.episodes import differences
-from knotgym.datasets.foreign_file import try_files
-from knotgym.datasets.gallery import episode_tiles, picture_tiles, state_tiles, write_gallery
-from knotgym.datasets.image_table import read_table
-from knotgym.datasets.located import locate, locate_own
-from knotgym.datasets.manifest import read_manifest
-from knotgym.datasets.page.page_data import page_data, page_html
-from knotgym.generate.episodes.evaluate import film as film_of
-from knotgym.prompting.transcripts import transcripts_at
-from knotgym.rendering.video import film_frames, require_film, write_film
-from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import rope_of
-from knotgym.runs.executors import executor
-from knotgym.runs.progress import Progress
-from knotgym.states.state_file import read_states, root_of
+from knotgym.common import Failed, InvalidInput, atomic_write, require_output
+from knotgym.control import dataset_faults, replay
+from knotgym.datasets import (
+    differences,
+    episode_tiles,
+    expanded,
+    locate,
+    locate_own,
+    open_episodes,
+    page_data,
+    page_html,
+    picture_tiles,
+    read_manifest,
+    read_table,
+    state_tiles,
+    try_files,
+    write_gallery,
+)
+from knotgym.generate import film as film_of
+from knotgym.prompting import transcripts_at
+from knotgym.rendering import film_frames, require_film, write_film
+from knotgym.rope import rope_of, simulation_of
+from knotgym.runs import Progress, executor
+from knotgym.states import read_states, root_of
 
 Image: TypeAlias = NDArray[np.uint8]
 _LARGE = 4_000_000  # bytes; larger tables are checked faster by several processes than by one
@@ -63,7 +67,7 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
     large = sum(file.stat().st_size for file in tables) > _LARGE
     progress.stage(f"checking {root}")
     with executor(0 if large else 1) as pool:
-        yield from verification.faults(named, pool.map, progress.stage)
+        yield from dataset_faults(named, pool.map, progress.stage)
 
 
 def checked(named: str) -> str:
@@ -165,7 +169,7 @@ def _episode_film(path: Path, row: int) -> tuple[list[Image], int, str]:
     dataset = open_episodes(path)
     _require_row(row, dataset.episodes.episodes.rows)
     stored = dataset.select([row])
-    made = expanded(stored, verification.replay).episodes
+    made = expanded(stored, replay).episodes
     steps, difference = int(made.episodes["length"][0]), differences(made, stored.episodes)
     return film_of(made, dataset.task), steps, "; ".join(difference[:3])
 

@@ -22,10 +22,8 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_ori
 
 from cyclopts import App, Group, Parameter
 
-from knotgym.common.configuration import from_json, merged, read_json
-from knotgym.common.errors import InvalidInput
-from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import RunOptions
+from knotgym.common import InvalidInput, from_json, merged, read_json
+from knotgym.runs import Progress, RunOptions
 
 Config = TypeVar("Config")
 Sections = Mapping[str, type]  # of a command's settings; "" is the outermost

@@ -7,8 +7,8 @@ from functools import partial
 
 from knotgym.cli.collect_command import MINARI_ROOT
 from knotgym.cli.options import Given, command, extra
-from knotgym.common.errors import MissingExtra, install_command
-from knotgym.play.page_config import PageConfig
+from knotgym.common import MissingExtra, install_command
+from knotgym.play import PageConfig
 
 
 @command(
@@ -35,10 +35,8 @@ def play(given: Given) -> None:
     """
     if importlib.util.find_spec("viser") is None:
         raise MissingExtra("viser", install_command("play"), "knotgym play")
-    from knotgym.play.hand import HandTab
-    from knotgym.play.page import Page
-    from knotgym.play.recorder import Recorder
-    from knotgym.runs.compilation import compile_first
+    from knotgym.play import HandTab, Page, Recorder
+    from knotgym.runs import compile_first
 
     config, progress = given.config(PageConfig), given.progress
     compile_first(progress, config.task.engine)

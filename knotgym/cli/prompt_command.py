@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.cli.options import EXISTING, Given, command, extra
-from knotgym.common.errors import InvalidInput
-from knotgym.prompting.prompt_config import PromptConfig
-from knotgym.runs.progress import Progress
+from knotgym.common import InvalidInput
+from knotgym.prompting import PromptConfig
+from knotgym.runs import Progress
 
 
 @command(
@@ -36,8 +36,7 @@ def prompt(given: Given) -> None:
         out: Folder to write.
         show: Print the whole prompt and send nothing; with --out also write its pictures.
     """
-    from knotgym.prompting.prompt_run import run_prompts
-    from knotgym.prompting.prompts import READ
+    from knotgym.prompting import READ, run_prompts
 
     pictures, out, split = given["pictures"], given["out"], given["split"]
     usual = {"chat.model": "none" if given["show"] else ""}
@@ -69,8 +68,8 @@ def prompt(given: Given) -> None:
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
     """Return the first `count` pictures of a split; the table is shuffled."""
-    from knotgym.common.errors import InvalidFile
-    from knotgym.datasets.image_table import read_rows
+    from knotgym.common import InvalidFile
+    from knotgym.datasets import read_rows
 
     columns = ["image", "gauss_code", "nx", "grade", "accepted"]
     rows = list(islice(read_rows(pictures, split, columns), count))
@@ -87,8 +86,8 @@ def _show(
     progress: Progress,
 ) -> None:
     """Print the first request of a run; write its pictures to the folder `out`, if given."""
-    from knotgym.common.atomic_files import atomic_write, require_output
-    from knotgym.prompting.prompt_run import sample_prompt
+    from knotgym.common import atomic_write, require_output
+    from knotgym.prompting import sample_prompt
 
     text, shown = sample_prompt(config, rows)
     pictures = {} if out is None else {out / f"{name}.png": png for name, png in shown.items()}

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from knotgym.cli.collect_command import MINARI_ROOT
 from knotgym.cli.options import RUN, Given, command, extra
-from knotgym.common.errors import InvalidInput
-from knotgym.generate.episodes.suite_config import POLICIES, SuiteConfig
+from knotgym.common import InvalidInput
+from knotgym.generate import POLICIES, SuiteConfig
 
 
 @command(
@@ -35,7 +35,7 @@ def suite(given: Given) -> None:
         episodes: Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default
             as many as the benchmark has.
     """
-    from knotgym.generate.episodes.suite import make_suite
+    from knotgym.generate import make_suite
 
     words, policies = given["episodes"], given.get("policies") or POLICIES
     more = {"episodes": _sizes(words, policies)} if words else {}

@@ -8,16 +8,26 @@ from typing import Any
 
 from rich.console import Console
 
-from knotgym.common.errors import InvalidFile
-from knotgym.datasets.cards import image_card, state_card
-from knotgym.datasets.cards.fact_tables import CardTable
-from knotgym.datasets.episode_verification import show_episodes
-from knotgym.datasets.image_table import read_table, shards
-from knotgym.datasets.manifest import read_manifest
-from knotgym.prompting.summary import HEAD, reading_scores, score_rows, summarize
-from knotgym.prompting.transcripts import read_transcripts, transcripts_at
-from knotgym.runs.progress import narrow_table
-from knotgym.states.state_file import read_states
+from knotgym.common import InvalidFile
+from knotgym.datasets import (
+    CardTable,
+    image_card_tables,
+    read_manifest,
+    read_table,
+    shards,
+    show_episodes,
+    state_card_tables,
+)
+from knotgym.prompting import (
+    HEAD,
+    read_transcripts,
+    reading_scores,
+    score_rows,
+    summarize,
+    transcripts_at,
+)
+from knotgym.runs import narrow_table
+from knotgym.states import read_states
 
 _LISTED = 24  # entries of a mapping that are printed, at most
 # paths stay whole, to be copied
@@ -32,7 +42,7 @@ def print_states(path: str, file: Path, console: Console) -> None:
     if "policy" in states.source:
         made = sorted(Counter(states.source["policy"].tolist()).items())
         _say(console, f"sources: {', '.join(f'{policy} {count}' for policy, count in made)}")
-    _print_tables(state_card.tables(states, report), console)
+    _print_tables(state_card_tables(states, report), console)
 
 
 def print_images(path: Path, console: Console) -> None:
@@ -40,7 +50,7 @@ def print_images(path: Path, console: Console) -> None:
     size = sum(shard.stat().st_size for shard in shards(path))
     count = len(read_table(path, columns=["nx"]))
     _say(console, f"{path}: {count} pictures, {size / count:.0f} bytes each")
-    _print_tables(image_card.tables(path), console)
+    _print_tables(image_card_tables(path), console)
 
 
 def print_episodes(path: Path, console: Console) -> None:

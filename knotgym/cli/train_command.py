@@ -4,8 +4,8 @@ import importlib.util
 from pathlib import Path
 
 from knotgym.cli.options import EXISTING, Given, command, extra
-from knotgym.common.errors import InvalidInput, MissingExtra, install_command
-from knotgym.learn.train_config import CloneConfig, ReaderConfig
+from knotgym.common import InvalidInput, MissingExtra, install_command
+from knotgym.learn import CloneConfig, ReaderConfig
 
 
 @command(
@@ -44,7 +44,7 @@ def train(given: Given) -> None:
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
             raise MissingExtra(library, install_command("learn"), "knotgym train")
-    from knotgym.learn.train_recipe import train as train_learner
+    from knotgym.learn import train as train_learner
 
     train_learner(given["data"] or [], out, config, given.run, given.progress)
     given.progress.say(f"next: knotgym evaluate --policy {out} --split train,test")

@@ -1,1 +1,5 @@
 """Shared foundations: errors, random streams, configurations, and file access."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -203,7 +203,7 @@ def joined(tables: Sequence[Table]) -> Table:
     )
 
 
-def write(
+def write_tables(
     path: str | os.PathLike[str],
     tables: Iterable[Table | Sequence[Table]],
     attributes: Mapping[str, Any],
@@ -302,7 +302,7 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
             at += len(one)
 
 
-def read(
+def read_tables(
     path: str | os.PathLike[str], *schemas: Schema, format: str
 ) -> tuple[list[Table], dict[str, Any]]:
     """Read tables from a file and check them against their schemas.
@@ -358,7 +358,7 @@ def format_of(path: str | os.PathLike[str]) -> str | None:
         return None
 
 
-def digest(*parts: Table) -> str:
+def table_digest(*parts: Table) -> str:
     """Hash the names, types, shapes and values of all columns (SHA-256, hexadecimal).
 
     Args:

@@ -7,13 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput, InvalidPolicy, one_line
-from knotgym.control.rollouts import Ids, Pulls
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.action_views import ActionView
-from knotgym.rope.actions import choices, nearest_beads
-from knotgym.rope.simulation import ROUNDING
+from knotgym.common import InvalidInput, InvalidPolicy, one_line
+from knotgym.control.sampler import Ids, Pulls
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.rope import ROUNDING, ActionView, choices, nearest_beads
 
 Generators = Sequence[np.random.Generator]
 

@@ -10,7 +10,7 @@
 Actions are those of the task's action view, by default six numbers in [-1, 1]. Episodes are played
 side by side, so each gets its own deep copy of the object; a class is called once, without
 arguments, to make the object to copy. Random draws should come from the episode's generator, or the
-run can't be repeated. A `control.rollouts.Policy` acts in many episodes at once. A module may list
+run can't be repeated. A `control.sampler.Policy` acts in many episodes at once. A module may list
 the files that it reads, such as weights, in `FILES`; results hold their digests.
 """
 
@@ -26,11 +26,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.errors import InvalidPolicy, KnotgymError, one_line
+from knotgym.common import InvalidPolicy, KnotgymError, one_line
 from knotgym.control.basic_policies import ActionPlayer, Generators
-from knotgym.control.rollouts import Ids, Player, Policy, Pulls
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.control.sampler import Ids, Player, Policy, Pulls
+from knotgym.envs import EpisodeBatch, TaskConfig
 
 
 class OwnPolicy:

@@ -26,8 +26,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import InvalidPolicy, one_line
+from knotgym.common import InvalidPolicy, one_line, sha256
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.own_policies import OwnPolicy, load_own, module_files
 from knotgym.control.planning import CHANGES, PASSES, PassPlanner, PullPlanner
@@ -35,7 +34,7 @@ from knotgym.control.planning.pass_policies import Mixed, Noisy, Play, Scripted
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.recorded_policy import PREFIX as RECORDED
 from knotgym.control.recorded_policy import load_recording, recording_files
-from knotgym.control.rollouts import Policy
+from knotgym.control.sampler import Policy
 
 GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
 

@@ -6,8 +6,7 @@ Whether a policy of that name exists is found out when it is made, see `policies
 from math import inf
 from pathlib import Path
 
-from knotgym.common.configuration import Count, Share, Whole, configuration
-from knotgym.common.errors import InvalidPolicy
+from knotgym.common import Count, InvalidPolicy, Share, Whole, configuration
 
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
 _PLANNED = ("expert", "noisy", "play", "planner", "mixed")

@@ -10,13 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from knotgym.common.errors import InvalidPolicy, KnotgymError
+from knotgym.common import InvalidPolicy, KnotgymError
 from knotgym.control.basic_policies import Generators
-from knotgym.control.rollouts import Ids, Pulls
-from knotgym.datasets.episode_dataset import episode_file, open_episodes
-from knotgym.datasets.episodes import MACROS, Episodes
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.control.sampler import Ids, Pulls
+from knotgym.datasets import MACROS, Episodes, episode_file, open_episodes
+from knotgym.envs import EpisodeBatch, TaskConfig
 
 PREFIX = "recorded:"  # of a policy's name; a dataset's id or path follows
 

@@ -11,15 +11,19 @@ from typing import Any
 import numpy as np
 
 from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episode_dataset import open_episodes
-from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
-from knotgym.datasets.episodes import Episodes
-from knotgym.datasets.located import locate
-from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import read_states
+from knotgym.control.sampler import episode_seed, rollouts
+from knotgym.datasets import (
+    Count,
+    Episodes,
+    folder_faults,
+    locate,
+    open_episodes,
+    state_faults,
+    uncounted,
+    verify_episodes,
+)
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.states import read_states
 
 # a phrase in the faults of replays, which may differ on another machine because of rounding
 _REPLAYED = ("bit for bit", "played again")
@@ -47,10 +51,10 @@ def verify(source: str | os.PathLike[str]) -> list[str]:
         FileNotFoundError: there is nothing at `source`.
         MissingExtra: `source` is a table of pictures and pyarrow isn't installed.
     """
-    return list(faults(source))
+    return list(dataset_faults(source))
 
 
-def faults(
+def dataset_faults(
     source: str | os.PathLike[str], each: Map = map, count: Count = uncounted
 ) -> Iterator[str]:
     """Yield the faults that `verify` lists, each as soon as it is found.
@@ -74,7 +78,7 @@ def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator
     found = locate(os.fspath(source))
     if found.pictures:
         # imported here, because only this check needs pyarrow
-        from knotgym.datasets.image_verification import image_faults
+        from knotgym.datasets import image_faults
 
         yield from image_faults(found.pictures, each, count)
     elif found.states and found.root.is_dir():

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput, MissingExtra, install_command, printable
+from knotgym.common import InvalidInput, MissingExtra, install_command, printable
 
 _LONGEST = 2000  # characters
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")

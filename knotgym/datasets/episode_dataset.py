@@ -32,15 +32,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import tables
-from knotgym.common.configuration import as_json, from_json
-from knotgym.common.errors import (
+from knotgym.common import (
     InvalidFile,
     InvalidInput,
     KnotgymError,
     MissingFile,
+    as_json,
+    from_json,
     one_line,
     printable,
+    read_tables,
+    table_digest,
+    write_tables,
 )
 from knotgym.datasets.episodes import (
     EPISODES,
@@ -52,8 +55,8 @@ from knotgym.datasets.episodes import (
     fitted,
     merged,
 )
-from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import leads_out, root_of, ships, states_file
+from knotgym.envs import TaskConfig
+from knotgym.states import leads_out, root_of, ships, states_file
 
 FORMAT = "knotgym-episodes"
 FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, PULLS)}
@@ -160,7 +163,7 @@ def open_episodes(source: Any) -> EpisodeDataset:
             f"{path} was recorded by Minari, without what playing it again needs: loaders read it,"
             " other commands don't"
         )
-    _, attributes = tables.read(path, format=FORMAT)
+    _, attributes = read_tables(path, format=FORMAT)
     schemas = FORMS.get(str(attributes.get("form")))
     if schemas is None:
         raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
@@ -169,7 +172,7 @@ def open_episodes(source: Any) -> EpisodeDataset:
     except (KnotgymError, KeyError, TypeError) as error:
         raise InvalidFile(f"{path} has no valid task: {one_line(error)}") from error
     sized = [schema.sized(beads=task.beads) for schema in schemas]
-    (rows, steps), _ = tables.read(path, *sized, format=FORMAT)
+    (rows, steps), _ = read_tables(path, *sized, format=FORMAT)
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
@@ -286,13 +289,13 @@ def write_episodes(
     if not parts[0].is_recording:
         attributes["expansion"] = expansion_digest(same)
     rows, steps = [part.episodes for part in same], [part.steps for part in same]
-    tables.write(path, [rows, steps], attributes, format=FORMAT, pack=pack)
+    write_tables(path, [rows, steps], attributes, format=FORMAT, pack=pack)
 
 
 def content_digest(episodes: Episodes) -> str:
     """Hash the starts and pulls of episodes, from which everything else follows (SHA-256)."""
     kept = fitted([episodes.recording()])[0]
-    return hashlib.sha256("".join(map(tables.digest, kept)).encode()).hexdigest()
+    return hashlib.sha256("".join(map(table_digest, kept)).encode()).hexdigest()
 
 
 def expansion_digest(parts: Sequence[Episodes]) -> str:
@@ -305,7 +308,7 @@ def expansion_digest(parts: Sequence[Episodes]) -> str:
     for tables_of in zip(*parts, strict=True):
         shared = set.intersection(*({*table} for table in tables_of))  # as `joined` keeps them
         kept = shared - NOT_STEPPED
-        found.append(tables.digest(*(table.only(*kept) for table in tables_of)))
+        found.append(table_digest(*(table.only(*kept) for table in tables_of)))
     return hashlib.sha256("".join(found).encode()).hexdigest()
 
 

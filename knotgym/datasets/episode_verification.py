@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import as_json
-from knotgym.common.errors import InvalidFile, KnotgymError, MissingFile, one_line
+from knotgym.common import InvalidFile, KnotgymError, MissingFile, as_json, one_line
 from knotgym.datasets.episode_dataset import (
     EpisodeDataset,
     content_digest,
@@ -23,11 +22,8 @@ from knotgym.datasets.episode_dataset import (
 from knotgym.datasets.episodes import Episodes, differences, distinct, gauss_codes, merged
 from knotgym.datasets.minari_form import minari_faults
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
-from knotgym.envs.tasks import TaskConfig
-from knotgym.topology.crossings import label_many
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import knot_type
-from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.envs import TaskConfig
+from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
 Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
 Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.verification.replay`

@@ -1,7 +1,7 @@
 """Episodes: a table of episodes and a table of their steps, in two forms.
 
 A *recording* keeps what can't be computed: where each rope was laid, how it was pulled, and what
-for. *Columns* add what follows from that by stepping. `control.rollouts` makes both; expanding a
+for. *Columns* add what follows from that by stepping. `control.sampler` makes both; expanding a
 recording is the rollout of a policy that repeats its pulls.
 
     row          0    1    2         T     an episode of T pulls has T + 1 rows of steps
@@ -23,10 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.common.tables import Column, Schema, Table, joined
-from knotgym.envs.tasks import TaskConfig
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
+from knotgym.common import Column, InvalidInput, Schema, Table, joined
+from knotgym.envs import TaskConfig
+from knotgym.topology import NEGATIVE, POSITIVE, GaussCode
 
 _STARTS = (
     Column("seed", "int64", (), "", "of start, goal and the policy's draws; -1 if none is known"),

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import h5py
 
-from knotgym.common.errors import InvalidFile
-from knotgym.common.tables import require_stored_here
+from knotgym.common import InvalidFile, require_stored_here
 
 _LIMIT = 60.0  # seconds
 _SLOWEST = 5_000_000  # bytes per second; a file adds the time that reading it at this rate takes

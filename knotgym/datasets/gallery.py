@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.rendering.diagram import draw_diagram
-from knotgym.states.state_file import States
+from knotgym.rendering import draw_diagram
+from knotgym.states import States
 
 SHOWN = 64  # maximum number of episodes or pictures in a gallery
 _WHITE = (225, 225, 225)
@@ -82,7 +82,7 @@ def state_tiles(states: States) -> list[Tile]:
 
 def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
     """Return the knot diagrams of the final states of the first SHOWN episodes."""
-    from knotgym.rendering.video import OUTCOMES  # here, as states need no films
+    from knotgym.rendering import OUTCOMES
 
     tiles: list[Tile] = []
     for dataset in datasets:

@@ -11,20 +11,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.streams import Stream, generator
+from knotgym.common import Stream, generator
 from knotgym.datasets.image_table import encode, parquet, table_of
-from knotgym.quality.difficulty import grade
-from knotgym.quality.limits import LEGIBLE, Quality
-from knotgym.rendering.appearance import Appearance, appearance, render
-from knotgym.rendering.appearance_config import AppearanceConfig
-from knotgym.rendering.photo import drawn_photo, take
-from knotgym.rendering.photo_look import Photo
-from knotgym.rendering.photo_painting import Shot
-from knotgym.rendering.picture import crossing_pixels
-from knotgym.rope.model import Array
-from knotgym.states.derivation import derived_row
-from knotgym.topology.crossings import find_crossings
-from knotgym.topology.symmetry import diagram_form
+from knotgym.quality import LEGIBLE, Quality, grade
+from knotgym.rendering import (
+    Appearance,
+    AppearanceConfig,
+    Photo,
+    Shot,
+    appearance,
+    crossing_pixels,
+    drawn_photo,
+    render,
+    take,
+)
+from knotgym.rope import Array
+from knotgym.states import derived_row
+from knotgym.topology import diagram_form, find_crossings
 
 _RGB = ("first", "last", "background")
 _OF_PHOTOS = {one.name for one in fields(Photo)} - {one.name for one in fields(Appearance)}

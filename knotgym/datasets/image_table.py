@@ -21,16 +21,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import require_regular
-from knotgym.common.errors import (
+from knotgym.common import (
     InvalidFile,
     MissingExtra,
     MissingFile,
     install_command,
     one_line,
+    require_regular,
 )
-from knotgym.quality.limits import UNITS
-from knotgym.states.splits import IMAGE_SPLITS
+from knotgym.quality import UNITS
+from knotgym.states import IMAGE_SPLITS
 
 FORMAT = "knotgym-images"
 _FORMAT_VERSION = 1

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from knotgym.common.errors import InvalidFile, KnotgymError, MissingFile, one_line
+from knotgym.common import InvalidFile, KnotgymError, MissingFile, one_line
 from knotgym.datasets.episode_verification import Count, uncounted
 from knotgym.datasets.image_rows import appearance_of, derived
 from knotgym.datasets.image_table import (
@@ -27,11 +27,11 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.datasets.split_verification import shared_faults
-from knotgym.quality.limits import UNAMBIGUOUS, Quality
-from knotgym.rendering.appearance_config import SIZES
-from knotgym.rope.model import Rope
-from knotgym.states.derivation import row_faults as state_faults
-from knotgym.states.splits import IMAGE_SPLITS
+from knotgym.quality import UNAMBIGUOUS, Quality
+from knotgym.rendering import SIZES
+from knotgym.rope import Rope
+from knotgym.states import IMAGE_SPLITS
+from knotgym.states import row_faults as state_faults
 
 _COLOURS = ("published", "single", "gradient", "lines", "photo")
 # what foreign numbers make the renderer and NumPy raise

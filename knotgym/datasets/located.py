@@ -7,13 +7,11 @@ included set of states.
 from pathlib import Path
 from typing import NamedTuple
 
-from knotgym.common.atomic_files import require_no_links
-from knotgym.common.errors import InvalidInput
-from knotgym.common.tables import format_of
+from knotgym.common import InvalidInput, format_of, require_no_links
 from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
 from knotgym.datasets.image_table import is_images, shards
 from knotgym.datasets.minari_form import dataset_files
-from knotgym.states.state_file import minari_root, root_of, states_at
+from knotgym.states import minari_root, root_of, states_at
 
 
 class Located(NamedTuple):

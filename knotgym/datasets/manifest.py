@@ -9,10 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
-from knotgym.common.atomic_files import atomic_write, sha256
-from knotgym.common.configuration import read_json
-from knotgym.common.errors import InvalidInput, one_line, printable
-from knotgym.states.state_file import leads_out
+from knotgym.common import InvalidInput, atomic_write, one_line, printable, read_json, sha256
+from knotgym.states import leads_out
 
 
 def _inside(name: str) -> str:

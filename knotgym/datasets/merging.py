@@ -7,17 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from knotgym.common.atomic_files import atomic_write, require_apart, sha256
-from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.common import InvalidFile, InvalidInput, atomic_write, require_apart, sha256
 from knotgym.datasets.episode_dataset import EpisodeDataset, require_alike, write_episodes
 from knotgym.datasets.episodes import episode_digests
 from knotgym.datasets.located import locate
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.datasets.selectable import EpisodeRows, StateRows, opened, require_file
-from knotgym.envs.task_states import task_sides
-from knotgym.envs.tasks import TaskConfig
-from knotgym.states.near_duplicates import repeated
-from knotgym.states.state_file import merge_states, minari_root, ships, write_states
+from knotgym.envs import TaskConfig, task_sides
+from knotgym.states import merge_states, minari_root, repeated, ships, write_states
 
 
 def merge(

@@ -30,10 +30,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, copy_file, require_output
-from knotgym.common.configuration import as_json, read_json
-from knotgym.common.errors import InvalidFile, InvalidInput, one_line
-from knotgym.common.tables import new_hdf5
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    as_json,
+    atomic_write,
+    copy_file,
+    new_hdf5,
+    one_line,
+    read_json,
+    require_output,
+)
 from knotgym.datasets.episode_dataset import (
     FILE,
     MAIN,
@@ -42,10 +49,9 @@ from knotgym.datasets.episode_dataset import (
     write_episodes,
 )
 from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes, goal_reached
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.actions import action_space
-from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
-from knotgym.states.state_file import minari_root
+from knotgym.envs import TaskConfig
+from knotgym.rope import action_space
+from knotgym.states import CODE_SPLITS, STATE_SPLITS, minari_root
 
 MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default
 METADATA = "metadata.json"
@@ -323,7 +329,7 @@ def _minari_episodes(
 def _observations(dataset: EpisodeDataset, k: int) -> dict[str, NDArray[Any]]:
     """Return an episode's observations by path."""
     # needs OpenCV
-    from knotgym.envs.observations import alone, looks, observe, picture_config, pixels
+    from knotgym.envs import alone, looks, observe, picture_config, pixels
 
     task, (own, table), offsets = dataset.task, dataset.episodes, dataset.episodes.offsets
     rows = slice(offsets[k], offsets[k + 1])
@@ -396,7 +402,7 @@ def _bounds(task: TaskConfig) -> str:
     """
     from minari.serialization import serialize_space
 
-    from knotgym.envs.observations import observation_space
+    from knotgym.envs import observation_space
 
     bounds = serialize_space(observation_space(task), to_string=False)
     return json.dumps(bounds, separators=(",", ":"))

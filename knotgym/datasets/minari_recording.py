@@ -18,11 +18,18 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import from_json, read_json
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line
-from knotgym.common.tables import Table, require_stored_here
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    KnotgymError,
+    Table,
+    from_json,
+    one_line,
+    read_json,
+    require_stored_here,
+)
 from knotgym.datasets.episodes import EPISODES, MACROS, STEPS, Episodes, goal_reached, merged
-from knotgym.envs.tasks import TaskConfig
+from knotgym.envs import TaskConfig
 
 
 def recorded_columns(path: Path) -> tuple[Episodes, TaskConfig]:
@@ -61,9 +68,8 @@ def _episode(
     items: Mapping[str, Any], name: str, task: TaskConfig, policy: str, path: Path
 ) -> Episodes:
     """Read one episode of T pulls."""
-    from knotgym.rope.actions import decode_actions  # here, because loaders need no simulator
-    from knotgym.rope.model import Rope
-    from knotgym.topology.code_arrays import read_codes
+    from knotgym.rope import Rope, decode_actions
+    from knotgym.topology import read_codes
 
     def read(key: str) -> NDArray[Any]:
         require_stored_here(items[f"{name}/{key}"], key)

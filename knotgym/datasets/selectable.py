@@ -14,8 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, require_apart, require_output, sha256
-from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    atomic_write,
+    require_apart,
+    require_output,
+    sha256,
+)
 from knotgym.datasets.episode_dataset import (
     open_episodes,
     single_of,
@@ -32,9 +38,8 @@ from knotgym.datasets.image_table import (
     shards,
 )
 from knotgym.datasets.located import locate_own, refuse_minaris_folder
-from knotgym.rope.model import Array
-from knotgym.states.near_duplicates import families
-from knotgym.states.state_file import read_states, root_of, write_states
+from knotgym.rope import Array
+from knotgym.states import families, read_states, root_of, write_states
 
 Rows = NDArray[np.int64]
 Selections = list[dict[str, Any]]

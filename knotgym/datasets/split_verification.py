@@ -10,13 +10,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common import KnotgymError
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import episode_digests
-from knotgym.envs.task_states import task_sides
-from knotgym.rope.model import Array, Rope
-from knotgym.states.near_duplicates import NEAR, distances, pairs_within, repeated
-from knotgym.states.state_file import States
+from knotgym.envs import task_sides
+from knotgym.rope import Array, Rope
+from knotgym.states import NEAR, States, distances, pairs_within, repeated
 
 # metres, root mean square over the beads, after the best translation and rotation about z. Reset
 # noise at its default scale stays below 6 mm, and no two states of a curated set are that close.

@@ -9,27 +9,48 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import from_json
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, MissingFile, one_line
-from knotgym.common.streams import Stream, generator_of
-from knotgym.common.tables import digest
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    KnotgymError,
+    MissingFile,
+    Stream,
+    from_json,
+    generator_of,
+    one_line,
+    table_digest,
+)
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
 from knotgym.datasets.episode_verification import Count, Replay, uncounted, verify_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.datasets.split_verification import shared_faults
-from knotgym.drawing.drawing_config import DrawingConfig
-from knotgym.drawing.drawn_curve import drawn_curve
-from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS
-from knotgym.rope.actions import drawn_actions
-from knotgym.rope.engines import MUJOCO, require_engine, simulation
-from knotgym.rope.model import Array, Rope, RopeConfig, rope_of
-from knotgym.states.derivation import row_faults
-from knotgym.states.near_duplicates import repeated
-from knotgym.states.schema import DRAWING, IMPORT, PLAY, RANDOM_WALK, STATES
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.state_file import BY_VERTICES, States, read_states
-from knotgym.topology.gauss import GaussCode
+from knotgym.drawing import DrawingConfig, drawn_curve
+from knotgym.envs import MAX_BEADS, MIN_BEADS
+from knotgym.rope import (
+    MUJOCO,
+    Array,
+    Rope,
+    RopeConfig,
+    drawn_actions,
+    require_engine,
+    rope_of,
+    simulation,
+)
+from knotgym.states import (
+    BY_VERTICES,
+    DRAWING,
+    IMPORT,
+    PLAY,
+    RANDOM_WALK,
+    STATE_SPLITS,
+    STATES,
+    States,
+    read_states,
+    repeated,
+    row_faults,
+)
+from knotgym.topology import GaussCode
 
 # in your own files quality and source may be missing, but then rows can't be verified
 _NEEDED = {c.name for c in STATES.columns if not c.optional or "/" in c.name} - {"image"}
@@ -83,7 +104,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         yield f"states.h5 {fault}"
     for first, row in repeated(one.tobytes() for one in states.points):
         yield f"states.h5 rows {first} and {row} are the same configuration"
-    if states.digest and states.image is not None and states.digest != digest(states.table):
+    if states.digest and states.image is not None and states.digest != table_digest(states.table):
         yield "states.h5: its columns don't match content_sha256"
 
 

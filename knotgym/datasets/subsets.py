@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.atomic_files import atomic_writes
-from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, generator
+from knotgym.common import InvalidInput, Stream, atomic_writes, generator
 from knotgym.datasets.conditions import matching_rows
 from knotgym.datasets.selectable import Rows, opened, require_file, write_rows
 

@@ -1,6 +1,6 @@
 """Settings of drawings; nothing here computes, because the command line reads them."""
 
-from knotgym.common.configuration import NonNegative, Positive, configuration
+from knotgym.common import NonNegative, Positive, configuration
 
 
 @configuration

@@ -25,7 +25,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.compiled import inner
+from knotgym.common import inner
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.topology.diagrams import faces
-from knotgym.topology.gauss import GaussCode
+from knotgym.topology import GaussCode, faces
 
 CUTS = 3  # nodes inside an edge; two are enough for a simple triangulation
 

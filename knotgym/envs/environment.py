@@ -12,17 +12,16 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import observation_space
 from knotgym.envs.tasks import TaskConfig, UnknownKeyword
-from knotgym.rope.actions import action_space
-from knotgym.rope.engines import warn_of_compilation
+from knotgym.rope import action_space, warn_of_compilation
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
 
-    from knotgym.rendering.window import PictureWindow
+    from knotgym.rendering import PictureWindow
 
 _FPS = 5  # an action lasts 0.192 s
 _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
@@ -45,7 +44,7 @@ class KnotEnv(gym.Env[Any, NDArray[Any]]):
         self.render_mode = _checked(render_mode, "rgb_array", "human")
         self._window: PictureWindow | None = None
         if render_mode == "human":
-            from knotgym.rendering.window import PictureWindow  # only this mode needs pygame
+            from knotgym.rendering import PictureWindow
 
             self._window = PictureWindow(_FPS)
         self.episodes = EpisodeBatch(self.config)

@@ -1,7 +1,7 @@
 """The episode engine: many episodes of one task, one rope each, as arrays.
 
 Starts and goals, reset noise, stepping, Gauss codes, rewards and observations are implemented here.
-`environment` wraps a batch in Gymnasium's two interfaces, `control.rollouts` plays policies in one.
+`environment` wraps a batch in Gymnasium's two interfaces, `control.sampler` plays policies in one.
 What happens in an episode depends on its seed and its pulls, not on the episodes beside it.
 """
 
@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.common.threads import FEW, Meanwhile
+from knotgym.common import FEW, InvalidInput, Meanwhile
 from knotgym.envs.observations import (
     SYMBOLS,
     alone,
@@ -28,13 +27,18 @@ from knotgym.envs.observations import (
 from knotgym.envs.reward import Outcome, outcome
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.action_views import ActionView
-from knotgym.rope.engines import simulation
-from knotgym.rope.model import Array, Rope
-from knotgym.rope.reset_noise import least_clearance, start_qpos
-from knotgym.rope.towing import TowBound, centres, distances_towed
-from knotgym.topology.code_arrays import CodeArrays, code_texts, plain_codes, read_codes, visits_of
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import (
+    ActionView,
+    Array,
+    Rope,
+    TowBound,
+    centres,
+    distances_towed,
+    least_clearance,
+    simulation,
+    start_qpos,
+)
+from knotgym.topology import CodeArrays, GaussCode, code_texts, plain_codes, read_codes, visits_of
 
 Ids = NDArray[np.int64]
 Seed = int | np.random.Generator

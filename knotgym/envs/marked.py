@@ -26,8 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.topology.crossings import find_crossings
-from knotgym.topology.gauss import GaussCode
+from knotgym.topology import GaussCode, find_crossings
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -13,14 +13,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.threads import ALONE, FEW, Threads
+from knotgym.common import ALONE, FEW, Threads
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.camera import PictureConfig, picture_of
-from knotgym.rendering.picture import draw_many
-from knotgym.topology.code_arrays import plain_codes
+from knotgym.rendering import PictureConfig, draw_many, picture_of
+from knotgym.topology import plain_codes
 
 if TYPE_CHECKING:
-    from knotgym.rendering.appearance import Appearance
+    from knotgym.rendering import Appearance
 
 SYMBOLS = 64  # visits of a code in an observation, two per crossing
 
@@ -59,10 +58,10 @@ def looks(task: TaskConfig, goals: Iterable[tuple[int, ArrayLike]]) -> list[Appe
     if task.appearance == "published":
         return [None for _ in goals]
     if task.appearance == "line":
-        from knotgym.rendering.appearance import line_look
+        from knotgym.rendering import line_look
 
         return [line_look(task.image_size) for _ in goals]
-    from knotgym.rendering.photo import episode_look
+    from knotgym.rendering import episode_look
 
     return [episode_look(_stored(points), task.image_size, row) for row, points in goals]
 
@@ -73,9 +72,7 @@ def alone(
     """Draw ropes (n, beads, 3), metres, each as its episode looks; see `draw_many`."""
     if all(look is None for look in looks):
         return draw_many(points, picture)
-    from knotgym.rendering.appearance import render
-    from knotgym.rendering.photo import take
-    from knotgym.rendering.photo_look import Photo
+    from knotgym.rendering import Photo, render, take
 
     ropes = zip(_stored(points), looks, strict=True)
     return np.stack(

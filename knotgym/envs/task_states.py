@@ -10,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.model import RopeConfig, rope_of
-from knotgym.states.split_names import CODE_SPLITS
-from knotgym.states.state_file import States, read_states, shipped, ships, states_file
-from knotgym.topology.knot_table import UNKNOT
+from knotgym.rope import RopeConfig, rope_of
+from knotgym.states import CODE_SPLITS, States, read_states, shipped, ships, states_file
+from knotgym.topology import UNKNOT
 
 OWN, SHIPPED = "own", "shipped"  # origin of states: the user's file, or a set that ships
 

@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import Field
 
 import knotgym
-from knotgym.common.configuration import (
+from knotgym.common import (
     Count,
     Distinct,
     Int,
+    InvalidInput,
     ListToo,
     Positive,
     Real,
     choice,
     configuration,
 )
-from knotgym.common.errors import InvalidInput
-from knotgym.quality.limits import RESET_NOISE
-from knotgym.rendering.camera import Views, require_depth
-from knotgym.rope.engines import MUJOCO, EngineName
-from knotgym.states.split_names import CODE_SPLITS, STATE_SPLITS
+from knotgym.quality import RESET_NOISE
+from knotgym.rendering import Views, require_depth
+from knotgym.rope import MUJOCO, EngineName
+from knotgym.states import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
-    from knotgym.rope.model import RopeConfig
+    from knotgym.rope import RopeConfig
 
 OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
@@ -215,7 +215,7 @@ class TaskConfig:
     @property
     def rope(self) -> RopeConfig:
         """The rope, with an action's time divided into `integrator_steps`."""
-        from knotgym.rope.model import rope_of  # here, so that loaders need no simulator
+        from knotgym.rope import rope_of
 
         default = rope_of(self.beads)
         return replace(

@@ -1,14 +1,5 @@
 """Learners: one from pictures, which plans; a clone of macro-actions; a reader. They need torch."""
 
-from knotgym.common.lazy_exports import lazy_exports
+import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_exports(
-    __name__,
-    {
-        "knotgym.learn.clone_policy": "ClonePolicy load_clone",
-        "knotgym.learn.picture_policy": "PicturePolicy load_picture_policy",
-        "knotgym.learn.rope_reader": "RopeReader load_rope_reader",
-        "knotgym.learn.train_config": "CloneConfig ReaderConfig",
-        "knotgym.learn.train_recipe": "train",
-    },
-)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -13,15 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.planning import BatchedSearch, PullSearch, shipped_guide
-from knotgym.control.policy_config import PullPlannerConfig
+from knotgym.control import BatchedSearch, PullPlannerConfig, PullSearch, shipped_guide
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.position_belief import REACH
 from knotgym.learn.reader import Reader
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, perturb_heights
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.topology.crossings import label_many
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import ChainSimulation
+from knotgym.topology import GaussCode, label_many
 
 Array = NDArray[np.float64]
 

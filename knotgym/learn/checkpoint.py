@@ -18,9 +18,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from knotgym.common.atomic_files import atomic_write, require_regular, sha256
-from knotgym.common.configuration import read_json
-from knotgym.common.errors import InvalidFile, one_line
+from knotgym.common import InvalidFile, atomic_write, one_line, read_json, require_regular, sha256
 from knotgym.learn.reader import Reader
 
 FORMAT, FORMAT_VERSION = "knotgym-policy", 1

@@ -22,13 +22,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.common.errors import InvalidFile, InvalidPolicy, one_line
-from knotgym.control.basic_policies import ActionPlayer, Generators
-from knotgym.control.planning import PassValues, pass_values, see
-from knotgym.control.rollouts import Player
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.marked import Marked, mark
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidFile, InvalidPolicy, one_line
+from knotgym.control import ActionPlayer, Generators, PassValues, Player, pass_values, see
+from knotgym.envs import EpisodeBatch, Marked, TaskConfig, mark
 from knotgym.learn.checkpoint import (
     CARD,
     PRETRAINED,
@@ -43,10 +39,8 @@ from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
-from knotgym.rope.action_views import ActionView
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import ActionView, ChainSimulation
+from knotgym.topology import GaussCode, label
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]

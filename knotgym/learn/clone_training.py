@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from knotgym.common.streams import Stream, generator
+from knotgym.common import Stream, generator
 from knotgym.learn.clone_network import CloneNetwork, inputs
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.decisions import Examples

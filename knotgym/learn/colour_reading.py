@@ -18,8 +18,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common.compiled import inner
-from knotgym.topology.crossing_kernel import OVER_PLACE, UNDER_PLACE, X, Y, scan
+from knotgym.common import inner
+from knotgym.topology import OVER_PLACE, UNDER_PLACE, X, Y, scan
 
 Array = NDArray[np.float64]
 

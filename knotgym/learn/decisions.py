@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.envs.marked import mark
-from knotgym.topology.gauss import GaussCode
+from knotgym.envs import mark
+from knotgym.topology import GaussCode
 
 
 class Examples(NamedTuple):

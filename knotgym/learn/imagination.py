@@ -6,8 +6,7 @@ It is the engine of the house, `knotgym.rope.chain`, and gets nothing of the epi
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.model import Array
+from knotgym.rope import Array, ChainSimulation
 
 
 def imagine(

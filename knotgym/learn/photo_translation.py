@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from knotgym.learn.colour_reading import BEADS, enforce_votes
 from knotgym.learn.rope_reader import VIEWS, RopeReader
-from knotgym.rendering.camera import DEFAULT
-from knotgym.rendering.picture import draw
-from knotgym.rope.model import RopeConfig
-from knotgym.topology.crossings import find_crossings
+from knotgym.rendering import DEFAULT, draw
+from knotgym.rope import RopeConfig
+from knotgym.topology import find_crossings
 
 Array = NDArray[np.float64]
 

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidPolicy
-from knotgym.control.rollouts import Player, Pulls
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidPolicy
+from knotgym.control import Player, Pulls
+from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.learn.agent import Agent
 from knotgym.learn.checkpoint import PRETRAINED, Learned, load_reader
 from knotgym.learn.colour_reading import BEADS, SIZE

@@ -8,11 +8,8 @@ import importlib.util
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.errors import InvalidPolicy, install_command
-from knotgym.control.planning import CHANGES, EVERY_CODE, PASSES
-from knotgym.control.policies import PolicyFamily
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import Policy
+from knotgym.common import InvalidPolicy, install_command
+from knotgym.control import CHANGES, EVERY_CODE, PASSES, Policy, PolicyConfig, PolicyFamily
 
 _SHIPPED = "pretrained", "pretrained-clone"
 

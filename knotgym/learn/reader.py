@@ -32,7 +32,7 @@ from knotgym.learn.colour_reading import (
     enforce_votes,
     interpolated_axis,
 )
-from knotgym.rendering.camera import DEFAULT, bead_colours
+from knotgym.rendering import DEFAULT, bead_colours
 
 Array = NDArray[np.float64]
 

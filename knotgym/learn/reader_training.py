@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.common.streams import Stream, generator
+from knotgym.common import Stream, generator
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.imagination import imagine
 from knotgym.learn.reader import PIXEL, Reader, look, waves
 from knotgym.learn.train_config import ReaderConfig
 from knotgym.learn.training import Training
 from knotgym.learn.training_data import TrainingData
-from knotgym.rendering.picture import draw
-from knotgym.rope.chain.chain_simulation import ChainSimulation
+from knotgym.rendering import draw
+from knotgym.rope import ChainSimulation
 
 Array = NDArray[np.float64]
 

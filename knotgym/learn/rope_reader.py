@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.common.errors import InvalidFile, InvalidInput, one_line
+from knotgym.common import InvalidFile, InvalidInput, one_line
 from knotgym.learn.checkpoint import ROPE_READER, policy_folder, read_weights
 from knotgym.learn.reader import inference
 from knotgym.learn.strand_network import CELL, DEPTH, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.learn.strand_walk import exchange, follow, link, ridge_points
-from knotgym.topology.crossings import Crossings, find_crossings
-from knotgym.topology.gauss import GaussCode
+from knotgym.topology import Crossings, GaussCode, find_crossings
 
 Array = NDArray[np.float64]
 

@@ -12,27 +12,27 @@ from functools import partial
 
 import numpy as np
 
-from knotgym.common.streams import Stream, derived_seed, generator
-from knotgym.control.planning.batched_search import BatchedSearch, Orders, Search, Trial
-from knotgym.control.planning.passes import (
+from knotgym.common import Stream, derived_seed, generator
+from knotgym.control import (
+    BatchedSearch,
+    Orders,
     PassPlan,
+    PassPlannerConfig,
     PassSearch,
     PassValues,
+    Search,
+    Trial,
     TriedPass,
     pass_values,
     random_pass,
 )
-from knotgym.control.policy_config import PassPlannerConfig
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.learn.decisions import examples
 from knotgym.learn.train_config import CloneConfig
-from knotgym.rope.macro_actions import LONGEST, Pass
-from knotgym.rope.model import Array
-from knotgym.runs.journal import Result
-from knotgym.states.split_names import CODE_SPLITS
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import LONGEST, Array, Pass
+from knotgym.runs import Result
+from knotgym.states import CODE_SPLITS
+from knotgym.topology import GaussCode, label
 
 TOGETHER = 250  # searches of one call
 _ROPES = 128  # that are searched in side by side

@@ -18,10 +18,9 @@ from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.imagination import imagine
 from knotgym.learn.position_belief import PositionBelief
 from knotgym.learn.reader import Reader
-from knotgym.rendering.picture import draw
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.topology.crossings import label_many
-from knotgym.topology.gauss import GaussCode
+from knotgym.rendering import draw
+from knotgym.rope import ChainSimulation
+from knotgym.topology import GaussCode, label_many
 
 Array = NDArray[np.float64]
 

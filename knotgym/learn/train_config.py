@@ -4,8 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from knotgym.common.configuration import Count, Crossings, Positive, Seed, Whole, configuration
-from knotgym.common.errors import InvalidInput
+from knotgym.common import Count, Crossings, InvalidInput, Positive, Seed, Whole, configuration
 
 
 @configuration

@@ -14,9 +14,8 @@ import numpy as np
 import torch
 
 import knotgym
-from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, generator
-from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
+from knotgym.common import InvalidInput, Stream, generator
+from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.learn.checkpoint import CARD, Learned, save_reader
 from knotgym.learn.clone_policy import save_clone
 from knotgym.learn.clone_training import CloneTraining, first_guesses
@@ -31,11 +30,17 @@ from knotgym.learn.training_data import (
     require_trainable,
     states_and_pulls,
 )
-from knotgym.runs.compilation import compile_first
-from knotgym.runs.identity import identity, identity_of
-from knotgym.runs.progress import Progress
-from knotgym.runs.run import Call, Recipe, checkpoint_of, run
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs import (
+    Call,
+    Progress,
+    Recipe,
+    RunOptions,
+    checkpoint_of,
+    compile_first,
+    identity,
+    identity_of,
+    run,
+)
 
 
 def train(

@@ -22,9 +22,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from knotgym.common.atomic_files import atomic_write, require_regular
-from knotgym.common.errors import InvalidFile, one_line
-from knotgym.runs.progress import Progress
+from knotgym.common import InvalidFile, atomic_write, one_line, require_regular
+from knotgym.runs import Progress
 
 _SEAL = "seal"  # name of the array that holds the digest of the others
 # set by hand; no record says what others would score

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episodes import Episodes
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidInput
+from knotgym.datasets import Episodes
+from knotgym.envs import TaskConfig
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.decisions import Examples, examples
-from knotgym.rope.model import RopeConfig
-from knotgym.topology.code_arrays import plain_codes
+from knotgym.rope import RopeConfig
+from knotgym.topology import plain_codes
 
 
 class TrainingData(NamedTuple):

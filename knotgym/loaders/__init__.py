@@ -26,37 +26,11 @@ Torch, d3rlpy and TensorDict are imported only by the loaders that need them, an
 only when first used.
 """
 
-from typing import TYPE_CHECKING
+import lazy_loader
 
 if __name__ == "loaders":
     raise ImportError(
         "this is the link `loaders` at the top of a checkout of knotgym: import knotgym.loaders"
     )
 
-if TYPE_CHECKING:
-    from knotgym.loaders.converters import to_d3rlpy as to_d3rlpy
-    from knotgym.loaders.converters import to_tensordict as to_tensordict
-    from knotgym.loaders.converters import torch_dataset as torch_dataset
-    from knotgym.loaders.perception import images as images
-    from knotgym.loaders.rows import arrays as arrays
-    from knotgym.loaders.sequences import Sequences as Sequences
-    from knotgym.loaders.symmetries import Symmetries as Symmetries
-    from knotgym.loaders.symmetries import multiplied as multiplied
-    from knotgym.loaders.transitions import Transitions as Transitions
-    from knotgym.loaders.windows import GoalSampling as GoalSampling
-    from knotgym.loaders.windows import Window as Window
-else:
-    from knotgym.common.lazy_exports import lazy_exports
-
-    __getattr__, __dir__, __all__ = lazy_exports(
-        __name__,
-        {
-            "knotgym.loaders.converters": "to_d3rlpy to_tensordict torch_dataset",
-            "knotgym.loaders.perception": "images",
-            "knotgym.loaders.rows": "arrays",
-            "knotgym.loaders.sequences": "Sequences",
-            "knotgym.loaders.symmetries": "Symmetries multiplied",
-            "knotgym.loaders.transitions": "Transitions",
-            "knotgym.loaders.windows": "GoalSampling Window",
-        },
-    )
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

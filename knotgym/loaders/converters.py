@@ -9,7 +9,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput, MissingExtra, install_command
+from knotgym.common import InvalidInput, MissingExtra, install_command
 from knotgym.loaders.rows import drawn_generator, rows
 from knotgym.loaders.transitions import Opening, Transitions
 

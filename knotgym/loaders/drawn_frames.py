@@ -24,12 +24,9 @@ from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, require_own
-from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.common.threads import Threads
-from knotgym.datasets.episode_dataset import EpisodeDataset, content_digest
-from knotgym.datasets.episodes import gauss_code
-from knotgym.envs.tasks import OBSERVATIONS
+from knotgym.common import InvalidFile, InvalidInput, Threads, atomic_write, require_own
+from knotgym.datasets import EpisodeDataset, content_digest, gauss_code
+from knotgym.envs import OBSERVATIONS
 
 Ids = NDArray[np.int64]
 _AT_ONCE = 256  # pictures drawn between two writes
@@ -181,19 +178,19 @@ class DrawnFrames:
         return self._column(ids, "visits", "goal_visits")
 
     def _symbols(self, ids: Ids) -> NDArray[np.int16]:
-        from knotgym.envs.observations import cut
+        from knotgym.envs import cut
 
         return cut(self._codes(ids))[:, None]
 
     def _marked(self, ropes: Ids, goals: Ids) -> NDArray[np.float32]:
-        from knotgym.envs.marked import join, mark
+        from knotgym.envs import join, mark
 
         points = self._column(ropes, "observation", "goal_points").astype(np.float64)
         return join(mark(points, [gauss_code(visits) for visits in self._codes(goals)]))
 
     def _drawn(self, ids: Ids) -> NDArray[np.uint8]:
         # imported here, so that loading vertices doesn't need OpenCV
-        from knotgym.envs.observations import alone
+        from knotgym.envs import alone
 
         points = self._column(ids, "observation", "goal_points").astype(np.float64)
         of = self._dataset.episodes.offsets
@@ -203,7 +200,7 @@ class DrawnFrames:
 
     @cached_property
     def _looks(self) -> list[Any]:
-        from knotgym.envs.observations import looks
+        from knotgym.envs import looks
 
         own = self._dataset.episodes.episodes
         if self._picture is not None:
@@ -213,7 +210,7 @@ class DrawnFrames:
 
     @cached_property
     def _style(self) -> Any:
-        from knotgym.envs.observations import picture_config
+        from knotgym.envs import picture_config
 
         return self._picture or picture_config(self._dataset.task)
 

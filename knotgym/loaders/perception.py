@@ -3,7 +3,7 @@
 import os
 from typing import Any
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.loaders.converters import import_client
 
 
@@ -38,7 +38,7 @@ def images(
         return PictureDataset(path, split, max_nx)
     if kind != "huggingface":
         raise InvalidInput(f"kind must be one of torch, huggingface, got {kind!r}")
-    from knotgym.datasets.image_table import file_stem, shards  # imports OpenCV
+    from knotgym.datasets import file_stem, shards
 
     library = import_client("datasets")
     files: dict[str, list[str]] = {}

@@ -9,9 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from knotgym.common.errors import InvalidFile
-from knotgym.datasets.image_table import GRADES, arrow, read_table
-from knotgym.topology.gauss import GaussCode
+from knotgym.common import InvalidFile
+from knotgym.datasets import GRADES, arrow, read_table
+from knotgym.topology import GaussCode
 
 _COLUMNS = ("image", "gauss_code_chiral", "nx", "crossings", "grade", "accepted", "split")
 _CROSSING_FIELDS = ("x", "y", "over_place", "under_place")

@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from knotgym.common.streams import Stream, generator
-from knotgym.envs.observations import each
+from knotgym.common import Stream, generator
+from knotgym.envs import each
 from knotgym.loaders.transitions import Transitions
 
 _SEVERAL = ("pulls", "negatives")  # of one transition

@@ -4,7 +4,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from knotgym.common.streams import Stream, generator
+from knotgym.common import Stream, generator
 from knotgym.loaders.transitions import Opening, Transitions
 
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.datasets.episode_dataset import columns_of
+from knotgym.common import InvalidInput
+from knotgym.datasets import columns_of
 
 
 class Sequences:

@@ -31,13 +31,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.envs.marked import mark
-from knotgym.envs.observations import SYMBOLS, each
-from knotgym.rope.actions import chosen_forces, force_choices
-from knotgym.topology.code_arrays import plain_code
-from knotgym.topology.crossings import label_many
-from knotgym.topology.symmetry import Symmetry
+from knotgym.common import InvalidInput
+from knotgym.envs import SYMBOLS, each, mark
+from knotgym.rope import chosen_forces, force_choices
+from knotgym.topology import Symmetry, label_many, plain_code
 
 Array = NDArray[Any]
 _OBSERVATIONS = ("observations", "next_observations", "negatives")

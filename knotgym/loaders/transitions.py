@@ -15,14 +15,12 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.common.tables import Table
-from knotgym.datasets.episode_dataset import columns_of
-from knotgym.datasets.episodes import codes_held, goals_reached, ranges
-from knotgym.envs.tasks import ACTIONS
+from knotgym.common import InvalidInput, Table
+from knotgym.datasets import codes_held, columns_of, goals_reached, ranges
+from knotgym.envs import ACTIONS
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
-from knotgym.rope.actions import decode_actions, force_choices
+from knotgym.rope import decode_actions, force_choices
 
 
 class Opening(TypedDict, total=False):

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from knotgym.common.configuration import Count, Positive, Seed, Share, Whole, configuration
-from knotgym.common.errors import InvalidInput
+from knotgym.common import Count, InvalidInput, Positive, Seed, Share, Whole, configuration
 
 Integers = NDArray[np.int64]
 

@@ -15,7 +15,7 @@ from contextlib import contextmanager, redirect_stdout
 from http import HTTPStatus
 from typing import Any, Self
 
-from knotgym.common.errors import Failed, one_line
+from knotgym.common import Failed, one_line
 from knotgym.play.page_config import PageConfig
 
 _MOST_TABS = 16  # ropes at a time

@@ -4,9 +4,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from knotgym.common.configuration import Seed, configuration
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.engines import CHAIN
+from knotgym.common import Seed, configuration
+from knotgym.envs import TaskConfig
+from knotgym.rope import CHAIN
 
 
 @configuration

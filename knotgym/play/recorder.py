@@ -23,20 +23,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import sha256
-from knotgym.common.configuration import as_json
-from knotgym.common.errors import InvalidFile, InvalidInput, printable
-from knotgym.common.streams import Stream
-from knotgym.control.rollouts import Player, Pulls, episode_seed, rollouts
-from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
-from knotgym.datasets.minari_form import MinariMetadata, publish
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, printable, sha256
+from knotgym.control import Player, Pulls, episode_seed, rollouts
+from knotgym.datasets import EpisodeDataset, MinariMetadata, open_episodes, publish
+from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.play.session import HandPull
-from knotgym.runs.identity import identity
-from knotgym.runs.run import staged
-from knotgym.runs.run_options import Existing
-from knotgym.states.state_file import minari_root, ships, states_file
+from knotgym.runs import Existing, identity, staged
+from knotgym.states import minari_root, ships, states_file
 
 HUMAN = "human"  # name of the policy, which who played may follow
 _LONGEST_NAME = 80  # characters of a player's name

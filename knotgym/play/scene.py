@@ -12,9 +12,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from knotgym.rendering.camera import bead_colours
-from knotgym.rope.model import Array, RopeConfig
-from knotgym.topology.crossings import find_crossings
+from knotgym.rendering import bead_colours
+from knotgym.rope import Array, RopeConfig
+from knotgym.topology import find_crossings
 
 SCALE = 10.0  # scene units per metre
 _LATITUDES, _SIDES = 7, 10  # of a bead's drawn capsule

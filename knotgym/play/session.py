@@ -9,14 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.streams import Stream, generator
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import Player, Policy, Pulls, episode_seed
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.macro_actions import ARRIVED, STRIDE
-from knotgym.rope.model import Array
+from knotgym.common import Stream, generator
+from knotgym.control import Player, Policy, PolicyConfig, Pulls, episode_seed, make_policy
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.rope import ARRIVED, STRIDE, Array
 
 _ROPE = np.zeros(1, dtype=np.int64)  # the only one of a batch
 

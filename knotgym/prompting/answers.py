@@ -17,8 +17,8 @@ import math
 import re
 from typing import NamedTuple
 
-from knotgym.common.errors import InvalidInput
-from knotgym.topology.gauss import GaussCode
+from knotgym.common import InvalidInput
+from knotgym.topology import GaussCode
 
 _LIST = re.compile(r"\[([^\[\]]*)\]")
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")

@@ -19,11 +19,14 @@ from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 import knotgym
-from knotgym.common.configuration import Count, NonNegative, Positive, configuration
-from knotgym.common.errors import (
+from knotgym.common import (
+    Count,
     Failed,
     InvalidInput,
     MissingExtra,
+    NonNegative,
+    Positive,
+    configuration,
     install_command,
     one_line,
 )

@@ -2,9 +2,8 @@
 
 from typing import Literal
 
-from knotgym.common.configuration import Count, Seed, configuration
-from knotgym.common.errors import InvalidInput
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import Count, InvalidInput, Seed, configuration
+from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 
 

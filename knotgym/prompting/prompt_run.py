@@ -16,11 +16,7 @@ from knotgym.prompting.prompted_episodes import flat, packed, play, read, unpack
 from knotgym.prompting.prompts import as_text
 from knotgym.prompting.summary import reading_scores, summarize
 from knotgym.prompting.transcripts import FILE, line
-from knotgym.runs.identity import identity, identity_of
-from knotgym.runs.journal import Result
-from knotgym.runs.progress import Progress
-from knotgym.runs.run import Recipe, run
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs import Progress, Recipe, Result, RunOptions, identity, identity_of, run
 
 _RESULT = "result.json"
 _FREE = ("timeout", "attempts", "backoff")  # settings of the client that don't change a request
@@ -44,7 +40,7 @@ def run_prompts(
         progress: where to show progress.
 
     Raises:
-        Occupied, InvalidInput, InvalidFile: as `runs.run`; or the key is missing or invalid.
+        Occupied, InvalidInput, InvalidFile: as `runs.runner`; or the key is missing or invalid.
         InvalidInput, Failed: as `Chat.ask`; replies are kept for `--resume`.
     """
     settings, stop = flat(config), threading.Event()

@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import as_json
-from knotgym.common.streams import Stream
-from knotgym.control.rollouts import episode_seed
-from knotgym.datasets.image_table import encode
-from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.common import Stream, as_json
+from knotgym.control import episode_seed
+from knotgym.datasets import encode
+from knotgym.envs import EpisodeBatch
 from knotgym.prompting.answers import read_actions, read_code
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompts import (
@@ -40,8 +39,7 @@ from knotgym.prompting.prompts import (
 )
 from knotgym.prompting.summary import total
 from knotgym.prompting.transcripts import TOKENS
-from knotgym.runs.journal import Result
-from knotgym.runs.run import Call, Recipe
+from knotgym.runs import Call, Recipe, Result
 
 Transcripts = Recipe[list[dict[str, Any]]]
 Ask = Callable[[list[dict[str, Any]]], Result]  # sends messages; returns a reply, see `packed`

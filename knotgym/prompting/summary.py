@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.datasets.image_table import GRADES
+from knotgym.datasets import GRADES
 from knotgym.prompting.transcripts import TOKENS
-from knotgym.runs.intervals import cluster_interval
-from knotgym.topology.gauss import GaussCode
+from knotgym.runs import cluster_interval
+from knotgym.topology import GaussCode
 
 HEAD = ("", "pictures", "exact", "crossings", "edits")
 

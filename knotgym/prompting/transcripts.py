@@ -13,8 +13,7 @@ from annotated_types import Predicate
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
-from knotgym.common.configuration import MOST_JSON
-from knotgym.common.errors import InvalidFile, MissingFile, one_line
+from knotgym.common import MOST_JSON, InvalidFile, MissingFile, one_line
 
 FORMAT = "knotgym-transcript"
 FORMAT_VERSION = 1

@@ -6,7 +6,7 @@ Lengths are in pixels of the 128 x 128 picture, 5.2 mm each; the rope is two pix
 
 from dataclasses import dataclass, field, fields
 
-from knotgym.common.configuration import NonNegative, Real, Share, configuration
+from knotgym.common import NonNegative, Real, Share, configuration
 
 # Scale of the reset noise, radians per joint and metres: the environment's default, and the scale
 # at which `Quality.noise_survival` is measured.

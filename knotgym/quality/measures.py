@@ -15,16 +15,11 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.common.compiled import inner
-from knotgym.common.streams import Stream, generator
+from knotgym.common import Stream, generator, inner
 from knotgym.quality.limits import RESET_NOISE, UNITS, Limits, Quality
-from knotgym.rendering.camera import DEFAULT, PictureConfig, picture_of, project
-from knotgym.rendering.strand_spacing import strand_spacing
-from knotgym.rope.model import Array
-from knotgym.rope.reset_noise import noised
-from knotgym.topology.crossings import Crossings, find_crossings, label_many
-from knotgym.topology.diagrams import faces
-from knotgym.topology.gauss import GaussCode
+from knotgym.rendering import DEFAULT, PictureConfig, picture_of, project, strand_spacing
+from knotgym.rope import Array, noised
+from knotgym.topology import Crossings, GaussCode, faces, find_crossings, label_many
 
 __all__ = [
     "NOISE_DRAWS",

@@ -1,1 +1,5 @@
 """Pictures of the rope: camera, renderers, varied appearance, diagrams and videos."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

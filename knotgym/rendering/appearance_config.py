@@ -4,9 +4,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from knotgym.common.configuration import (
+from knotgym.common import (
     Distinct,
     Int,
+    InvalidInput,
     NonNegative,
     Ordered,
     Positive,
@@ -15,7 +16,6 @@ from knotgym.common.configuration import (
     choice,
     configuration,
 )
-from knotgym.common.errors import InvalidInput
 
 VARIED = ("colours", "width", "background", "turn", "zoom", "noise", "blur")
 SIZES = (64, 512)  # smallest and largest size of a picture, pixels

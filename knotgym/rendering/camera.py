@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
-from knotgym.common.configuration import Int, ListToo, Positive, Real, configuration
-from knotgym.common.errors import InvalidInput
+from knotgym.common import Int, InvalidInput, ListToo, Positive, Real, configuration
 
 RGB = tuple[int, int, int]
 Level = Annotated[Int, Field(ge=0, le=255)]

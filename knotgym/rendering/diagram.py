@@ -29,8 +29,7 @@ from knotgym.rendering.camera import (
 )
 from knotgym.rendering.polygon_fill import SHIFT
 from knotgym.rendering.rasterizer import EDGE, average, polygons
-from knotgym.topology.crossings import Crossings, find_crossings
-from knotgym.topology.gauss import GaussCode
+from knotgym.topology import Crossings, GaussCode, find_crossings
 
 Array = NDArray[np.float64]
 

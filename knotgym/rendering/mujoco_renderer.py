@@ -25,7 +25,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import Failed
+from knotgym.common import Failed
 from knotgym.rendering.camera import FOVY, PictureConfig
 from knotgym.rendering.rasterizer import average
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.streams import Stream, generator
+from knotgym.common import Stream, generator
 from knotgym.rendering.appearance_config import TILT
 from knotgym.rendering.camera import DEFAULT
 from knotgym.rendering.photo_look import (

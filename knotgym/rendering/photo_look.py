@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rendering.appearance import Appearance
 from knotgym.rendering.camera import DEFAULT, RGB
+from knotgym.rendering.variation import Appearance
 
 Array = NDArray[Any]
 

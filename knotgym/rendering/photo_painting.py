@@ -29,8 +29,8 @@ from knotgym.rendering.photo_look import (
     light_of,
     low_of,
 )
-from knotgym.rendering.strand_spacing import strand_spacing
-from knotgym.topology.crossings import Crossings, find_crossings
+from knotgym.rendering.spacing import strand_spacing
+from knotgym.topology import Crossings, find_crossings
 
 Array = NDArray[Any]
 

@@ -26,7 +26,7 @@ from knotgym.rendering.camera import (
     seen_from,
 )
 from knotgym.rendering.rasterizer import EDGE, paint
-from knotgym.topology.crossings import Crossings
+from knotgym.topology import Crossings
 
 
 def draw(

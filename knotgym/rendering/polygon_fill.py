@@ -21,7 +21,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.compiled import inner
+from knotgym.common import inner
 
 # Fractions of a pixel as OpenCV takes them in its argument `shift`; all products below stay within
 # int64.

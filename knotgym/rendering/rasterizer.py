@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.compiled import inner
+from knotgym.common import inner
 from knotgym.rendering.polygon_fill import SHIFT, fill, shrink
 
 # Painter's algorithm: pieces of beads are painted from the lowest to the highest, each at the

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import InvalidInput, install_command
+from knotgym.common import InvalidInput, atomic_write, install_command
 from knotgym.rendering.camera import seen_from
 from knotgym.rendering.diagram import draw_diagram, side_of
-from knotgym.topology.crossings import label
+from knotgym.topology import label
 
 Array = NDArray[np.float64]
 

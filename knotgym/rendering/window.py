@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import Failed
+from knotgym.common import Failed
 from knotgym.rendering.video import film_frame, film_side
 
 Array = NDArray[np.float64]

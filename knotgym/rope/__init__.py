@@ -1,1 +1,5 @@
 """The closed rope: model, kinematics, batched simulation and actions."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -15,10 +15,10 @@ After a change run `pytest tests/envs/test_action_views.py`.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.rope.actions import CHOICES, choices, chosen_forces
+from knotgym.rope.interface import Simulation
 from knotgym.rope.macro_actions import LONGEST, WaypointFollower
-from knotgym.rope.simulation import Simulation
 
 
 class ActionView:

@@ -23,7 +23,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.streams import generator_of
+from knotgym.common import generator_of
 
 if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig  # not at run time, so that loaders need no simulator

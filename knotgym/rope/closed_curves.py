@@ -7,8 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.compiled import inner
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput, inner
 
 Array = NDArray[np.float64]
 

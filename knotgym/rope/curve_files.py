@@ -24,8 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.common.atomic_files import require_regular
-from knotgym.common.errors import InvalidInput, one_line
+from knotgym.common import InvalidInput, one_line, require_regular
 from knotgym.rope.model import Array
 
 _MOST = 1_000_000  # lines or points of a file, characters of a line

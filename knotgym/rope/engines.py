@@ -6,12 +6,11 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from knotgym.common.configuration import choice
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput, choice
 
 if TYPE_CHECKING:
+    from knotgym.rope.interface import Simulation
     from knotgym.rope.model import Rope, RopeConfig
-    from knotgym.rope.simulation import Simulation
 
 MUJOCO, CHAIN = "mujoco", "chain"
 ENGINES = (MUJOCO, CHAIN)  # the reference, and the fast solver of `rope.chain`
@@ -64,9 +63,9 @@ def simulation_of(count: int, config: RopeConfig, engine: str = MUJOCO) -> Simul
 
 def is_compiled(engine: str) -> bool:
     """Return whether numba's cache holds the kernels of an engine and of the crossing search."""
-    from knotgym.topology import crossing_kernel
+    from knotgym.topology import scan_is_compiled
 
-    compiled = crossing_kernel.is_compiled()
+    compiled = scan_is_compiled()
     if engine == CHAIN and compiled:
         from knotgym.rope.chain.solver import advance
 
@@ -76,7 +75,7 @@ def is_compiled(engine: str) -> bool:
 
 def compile_engine(engine: str) -> None:
     """Compile the kernels of an engine and of the crossing search, or load them."""
-    from knotgym.topology.crossings import label
+    from knotgym.topology import label
 
     first = simulation(engine)
     first.step([0], [[0.0, 0.0, 0.0]])

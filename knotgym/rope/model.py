@@ -21,8 +21,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.configuration import Count, NonNegative, Positive, choice, configuration
-from knotgym.common.errors import InvalidInput
+from knotgym.common import Count, InvalidInput, NonNegative, Positive, choice, configuration
 from knotgym.rope.closed_curves import clearance, equal_chords
 from knotgym.rope.kinematics import backward, forward, transported
 

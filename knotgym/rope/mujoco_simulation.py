@@ -11,9 +11,9 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.threads import Meanwhile
+from knotgym.common import Meanwhile
+from knotgym.rope.interface import Ids, Simulation
 from knotgym.rope.model import Array, Rope
-from knotgym.rope.simulation import Ids, Simulation
 
 # MuJoCo's own three signs of a simulation that diverged, each counted per rope.
 _BLOWN_UP = [

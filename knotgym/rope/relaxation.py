@@ -17,10 +17,9 @@ of its edges get the length of a bead.
 import numba
 import numpy as np
 
-from knotgym.common.compiled import inner
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput, inner
 from knotgym.rope.model import Array, Rope
-from knotgym.topology.crossings import label
+from knotgym.topology import label
 
 # Set by hand when pictures were relaxed, too; what other values gave was not recorded. A change
 # must keep every curve of tests/generate/test_imported_curves.py.

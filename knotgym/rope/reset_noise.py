@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from knotgym.rope.closed_curves import clearance, close_loops
 from knotgym.rope.model import Array, Rope
-from knotgym.topology.crossings import label_many
-from knotgym.topology.gauss import GaussCode
+from knotgym.topology import GaussCode, label_many
 
 # Of 1,000 resets of states whose noise survival is 0.25, the least that sets allow, 3 need more
 # than FULL_DRAWS (0.75^20); SMALLER_DRAWS end at a millionth of the scale, where no code changes.

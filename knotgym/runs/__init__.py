@@ -1,1 +1,5 @@
 """Long runs: recipes and their journal, executors, progress, confidence intervals."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,7 +4,7 @@ import gc
 from collections.abc import Callable
 from concurrent.futures import Executor
 
-from knotgym.rope.engines import CHAIN, MUJOCO, compile_engine, is_compiled
+from knotgym.rope import CHAIN, MUJOCO, compile_engine, is_compiled
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress
 
@@ -50,22 +50,22 @@ def compile_first(
 def _compile(kernels: str) -> None:
     import numpy as np
 
-    from knotgym.rope.model import Rope
+    from knotgym.rope import Rope
 
     gc.disable()  # it finds nothing meanwhile, and takes a twentieth of the time
     rope, rng = Rope(), np.random.default_rng(0)
     if kernels == _PICTURES:
-        from knotgym.rendering.picture import draw
+        from knotgym.rendering import draw
 
         draw(rope.loop())
     elif kernels == _DRAWINGS:
-        from knotgym.drawing.drawn_curve import drawn_curve
-        from knotgym.topology.gauss import GaussCode
+        from knotgym.drawing import drawn_curve
+        from knotgym.topology import GaussCode
 
         drawn_curve(GaussCode.parse("1+,1-"), rng, rope)
     elif kernels == _MEASURES:
-        from knotgym.quality.measures import measure, noise_survival
-        from knotgym.topology.reference_labeller import pyknotid_code
+        from knotgym.quality import measure, noise_survival
+        from knotgym.topology import pyknotid_code
 
         t = np.linspace(0, 2 * np.pi, 200, endpoint=False)
         eight = np.stack([0.3 * np.sin(t), 0.15 * np.sin(2 * t), 0.01 * np.cos(t)], axis=1)

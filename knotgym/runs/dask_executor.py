@@ -14,8 +14,8 @@ from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
 from typing import Any
 
-from knotgym.common.errors import Failed, InvalidInput, MissingExtra, install_command
-from knotgym.runs.identity import versions
+from knotgym.common import Failed, InvalidInput, MissingExtra, install_command
+from knotgym.runs.identities import versions
 
 TIMEOUT = 10.0  # seconds to wait for the scheduler, and for a first worker
 

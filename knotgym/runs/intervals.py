@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.streams import Stream, generator
+from knotgym.common import Stream, generator
 
 DRAWS = 2000  # resamples per bootstrap
 _Z = 1.959963984540054  # normal quantile of a two-sided 95 % interval

@@ -25,8 +25,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import differences
-from knotgym.common.errors import InvalidFile, InvalidInput, Occupied, printable
+from knotgym.common import InvalidFile, InvalidInput, Occupied, differences, printable
 
 Result = Mapping[str, NDArray[Any]]
 

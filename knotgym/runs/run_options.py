@@ -10,8 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from knotgym.common.configuration import Whole, configuration
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput, Whole, configuration
 
 
 @dataclass(frozen=True)

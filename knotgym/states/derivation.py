@@ -10,14 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.quality.measures import measure, noise_survival
-from knotgym.rendering.camera import picture_of
-from knotgym.rendering.picture import draw
-from knotgym.rope.model import Rope
-from knotgym.topology.crossings import find_crossings
-from knotgym.topology.knots import knot_type
-from knotgym.topology.notation import dt_text, pd_text
-from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.quality import measure, noise_survival
+from knotgym.rendering import draw, picture_of
+from knotgym.rope import Rope
+from knotgym.topology import dt_text, find_crossings, knot_type, pd_text, pyknotid_code
 
 # tolerance of a measure, relative to 1 + its modulus: other processors round differently
 _ROUNDING = 1e-9

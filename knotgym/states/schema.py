@@ -6,8 +6,8 @@ are ATTRIBUTES and DIGEST.
 
 from collections.abc import Iterable
 
-from knotgym.common.tables import Column, Schema
-from knotgym.quality.limits import UNITS
+from knotgym.common import Column, Schema
+from knotgym.quality import UNITS
 
 FORMAT = "knotgym-states"
 

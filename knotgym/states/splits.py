@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from knotgym.states.near_duplicates import families, nearest
 from knotgym.states.split_names import STATE_SPLITS
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import diagram_form
+from knotgym.topology import GaussCode, diagram_form
 
 if TYPE_CHECKING:
     from knotgym.states.state_file import States

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.states.near_duplicates import distances
-from knotgym.topology.crossings import find_crossings
+from knotgym.topology import find_crossings
 
 MOST = 500  # configurations that are compared pairwise
 

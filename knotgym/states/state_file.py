@@ -18,10 +18,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import knotgym
-from knotgym.common.atomic_files import require_no_links
-from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile
-from knotgym.common.tables import Table, digest, format_of, joined, read, write
-from knotgym.rope.engines import MUJOCO
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    MissingFile,
+    Table,
+    format_of,
+    joined,
+    read_tables,
+    require_no_links,
+    table_digest,
+    write_tables,
+)
+from knotgym.rope import MUJOCO
 from knotgym.states.near_duplicates import repeated
 from knotgym.states.schema import (
     ATTRIBUTES,
@@ -33,10 +42,7 @@ from knotgym.states.schema import (
     WITHOUT_IMAGES,
 )
 from knotgym.states.split_names import STATE_SPLITS
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import UNKNOWN
-from knotgym.topology.notation import dt_text, pd_text
-from knotgym.topology.symmetry import diagram_form
+from knotgym.topology import UNKNOWN, GaussCode, diagram_form, dt_text, pd_text
 
 _ACTIONS = "source/actions"
 BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
@@ -117,7 +123,7 @@ class States:
         """
         import mujoco  # here, so that reading states needs no simulator
 
-        from knotgym.rope.model import Rope, rope_of
+        from knotgym.rope import Rope, rope_of
         from knotgym.states.derivation import derived_row
 
         curves, splits = np.asarray(points, dtype=np.float64), np.asarray(split, dtype=np.str_)
@@ -315,8 +321,8 @@ def write_states(path: str | os.PathLike[str], states: States) -> None:
     """Write a state file atomically."""
     if states.image is None:
         raise InvalidInput("a state file needs images, but these states were read without")
-    attributes = {**states.attributes, DIGEST: digest(states.table)}
-    write(path, [states.table], attributes, format=FORMAT, pack=True)
+    attributes = {**states.attributes, DIGEST: table_digest(states.table)}
+    write_tables(path, [states.table], attributes, format=FORMAT, pack=True)
 
 
 def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
@@ -331,9 +337,9 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         InvalidFile: the file is foreign, truncated or of an unknown format version.
     """
     if format_of(path) == VERTICES_FORMAT:
-        (table,), attributes = read(path, VERTICES, format=VERTICES_FORMAT)
+        (table,), attributes = read_tables(path, VERTICES, format=VERTICES_FORMAT)
         return _laid(table, attributes, images=images)
-    (table,), attributes = read(path, STATES if images else WITHOUT_IMAGES, format=FORMAT)
+    (table,), attributes = read_tables(path, STATES if images else WITHOUT_IMAGES, format=FORMAT)
     attributes.pop("form", None)  # the reader's word for a file by vertices, not a file's own
     for name in (*ATTRIBUTES, DIGEST):
         kinds = (dict, list) if name == "config" else str
@@ -344,10 +350,10 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
 
 def write_vertices(path: str | os.PathLike[str], table: Table, **attributes: Any) -> None:
     """Write a state file by vertices atomically; `table` fits `schema.VERTICES`."""
-    from knotgym.rope.model import rope_of
+    from knotgym.rope import rope_of
 
     whole = {"rope": rope_of(table["points"].shape[1]).fingerprint, **attributes}
-    write(path, [table], whole, format=VERTICES_FORMAT, pack=True)
+    write_tables(path, [table], whole, format=VERTICES_FORMAT, pack=True)
 
 
 def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> States:
@@ -356,7 +362,7 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
     Laying a rope needs + - * / and square roots alone, so that every processor computes the same.
     """
     # imported here, because only this form needs the simulator
-    from knotgym.rope.model import Rope, rope_of
+    from knotgym.rope import Rope, rope_of
 
     rope = Rope(rope_of(table["points"].shape[1]))
     try:
@@ -376,7 +382,7 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
         "source/seed": table["source/trajectory"][:, None] * np.array([1, 0, 0, 0, 0]),
     }
     if images:
-        from knotgym.rendering.picture import draw
+        from knotgym.rendering import draw
 
         columns["image"] = np.stack([draw(one) for one in points])
     return States.of(columns, {**attributes, "form": BY_VERTICES})

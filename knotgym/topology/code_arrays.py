@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.common.threads import ALONE, FEW, Threads
+from knotgym.common import ALONE, FEW, InvalidInput, Threads
 from knotgym.topology.crossing_kernel import scan_rows
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 

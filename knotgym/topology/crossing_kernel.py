@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from knotgym.common.compiled import inner
+from knotgym.common import inner
 from knotgym.topology.orientation import side
 
 # columns of the crossing table
@@ -281,6 +281,6 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     return walk
 
 
-def is_compiled() -> bool:
+def scan_is_compiled() -> bool:
     """Return whether numba's cache holds machine code of `scan` from an earlier process."""
     return any(Path(scan.stats.cache_path).glob("crossing_kernel.scan-*.nbi"))

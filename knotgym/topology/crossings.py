@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.topology.code_arrays import FINITE, read_codes
 from knotgym.topology.crossing_kernel import (
     OVER_PLACE,

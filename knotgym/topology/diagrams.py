@@ -25,7 +25,7 @@ from itertools import product
 
 import numpy as np
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
 
 

@@ -18,7 +18,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 
 POSITIVE = "c"
 NEGATIVE = "a"

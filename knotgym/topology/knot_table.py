@@ -20,7 +20,7 @@ from functools import lru_cache
 from importlib.resources import files
 from itertools import combinations_with_replacement, product
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.polynomials import (
     JonesPolynomial,

@@ -18,7 +18,7 @@ all 249 knots of the table keep their names.
 
 from functools import lru_cache
 
-from knotgym.common.errors import Failed
+from knotgym.common import Failed
 from knotgym.topology.diagrams import planar_codes, summands, with_chirality
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import (

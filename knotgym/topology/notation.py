@@ -32,7 +32,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, invalid_code
 
@@ -256,13 +256,13 @@ def parse_code(text: str) -> GaussCode:
     return code
 
 
-def code_texts(lines: Iterable[str]) -> Iterator[str]:
+def split_codes(lines: Iterable[str]) -> Iterator[str]:
     """Yield the codes of a list, one a line; "#" begins a comment.
 
     Brackets may be closed in a later line, and consecutive lines with one crossing of a PD code
     each make one code; Knoto-ID writes both.
 
-    >>> [*code_texts(["1+,1-", "4 6 2 # DT", "2 2 3 1", "3 4 4 1", "", "PD[", "X[1,1,2,2]", "];"])]
+    >>> [*split_codes(["1+,1-", "4 6 2 # DT", "2 2 3 1", "3 4 4 1", "", "PD[", "X[1,1,2,2]", "];"])]
     ['1+,1-', '4 6 2', '2 2 3 1\\n3 4 4 1', 'PD[\\nX[1,1,2,2]\\n];']
     """
     held: list[str] = []

@@ -15,7 +15,7 @@ arithmetic, for points that lie on a line, too.
 
 import numpy as np
 
-from knotgym.common.compiled import inner
+from knotgym.common import inner
 
 _HALF_ULP = 2.0**-53  # rounding error of one operation, relative
 # Shewchuk's ccwerrboundA: |error of the determinant| <= _FILTER * (|left| + |right|)

@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.topology.gauss import GaussCode
 
 _ALIASES: dict[str, type] = {"float": float, "int": int, "complex": complex}

@@ -17,15 +17,11 @@ import numpy as np
 import pytest
 
 import knotgym
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import rollouts
+from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import MinariMetadata, open_episodes, publish
-from knotgym.envs.environment import KnotEnv
-from knotgym.envs.tasks import TaskConfig
+from knotgym.envs import KnotEnv, TaskConfig
 from knotgym.loaders import arrays, torch_dataset
-from knotgym.play.recorder import Recorder
-from knotgym.play.session import Session
+from knotgym.play import Recorder, Session
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/clients.md").read_text(encoding="utf-8")

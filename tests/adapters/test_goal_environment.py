@@ -10,8 +10,8 @@ import pytest
 
 from knotgym.adapters import GoalEnv, OGBenchEnv, goal_env
 from knotgym.adapters.goal_environment import halves
-from knotgym.common.errors import InvalidInput
-from knotgym.envs.environment import KnotEnv
+from knotgym.common import InvalidInput
+from knotgym.envs import KnotEnv
 
 STATE: dict[str, Any] = {"nx": 1, "observation": "state"}
 

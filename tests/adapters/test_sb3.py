@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from knotgym.adapters import goal_env, sb3_vec_env
-from knotgym.common.errors import InvalidInput
-from knotgym.envs.environment import KnotEnv
+from knotgym.common import InvalidInput
+from knotgym.envs import KnotEnv
 
 from ..envs.test_env import same as equal
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.atomic_files import sha256
-from knotgym.control.planning.moves import Moves
-from knotgym.states.state_file import shipped
+from knotgym.common import sha256
+from knotgym.control import Moves
+from knotgym.states import shipped
 
 from ..scripts import ROOT, run_script
 from ..small_job import knotgym

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from knotgym.cli.main import COMMANDS, application
 from knotgym.cli.options import _read_value, field_help, numbers
-from knotgym.common.errors import InvalidInput
-from knotgym.states.state_file import shipped
+from knotgym.cli.program import COMMANDS, application
+from knotgym.common import InvalidInput
+from knotgym.states import shipped
 
 from ..small_job import knotgym
 
@@ -29,7 +29,7 @@ def configs(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """The configurations that `evaluate` was run with, instead of running it."""
     found: list[Any] = []
     monkeypatch.setattr(
-        "knotgym.generate.episodes.evaluate.run",
+        "knotgym.generate.episodes.evaluate.evaluate",
         lambda config, options, **_: found.append((config, options)),
     )
     return found
@@ -311,7 +311,7 @@ def test_help_and_version_are_shown_with_status_0(
 def test_no_help_imports_the_simulator() -> None:
     code = """
 import sys
-from knotgym.cli.main import COMMANDS, application
+from knotgym.cli.program import COMMANDS, application
 for words in ([], *([name] for name in COMMANDS), ["dataset", "page"]):
     application()([*words, "--help"], result_action="return_value")
 print(*sys.modules, file=sys.stderr)

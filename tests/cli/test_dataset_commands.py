@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 from synthetic_episodes import TINY
 
-from knotgym.datasets.merging import merge
-from knotgym.states.state_file import shipped
+from knotgym.datasets import merge
+from knotgym.states import shipped
 
 from ..small_job import knotgym
 

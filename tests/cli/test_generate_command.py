@@ -1,5 +1,5 @@
 """`knotgym generate` from end to end: what it leaves, and nothing after a mistake; that its bytes
-are the same however it was run is in tests/runs/test_run.py.
+are the same however it was run is in tests/runs/test_runner.py.
 """
 
 import json
@@ -18,12 +18,11 @@ import numpy as np
 import pytest
 
 import knotgym as package
-from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import InvalidFile
+from knotgym.common import InvalidFile, sha256
 from knotgym.loaders import arrays
-from knotgym.rendering.diagram import draw_diagram
-from knotgym.rope.model import Rope
-from knotgym.states.state_file import States, read_states
+from knotgym.rendering import draw_diagram
+from knotgym.rope import Rope
+from knotgym.states import States, read_states
 
 from ..small_job import SECONDS, WANTED, knotgym, typed, wait_for_file
 

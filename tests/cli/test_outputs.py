@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from knotgym.runs.journal import Journal
-from knotgym.runs.run import staging_folder
+from knotgym.runs import Journal, staging_folder
 
 from ..small_job import knotgym
 

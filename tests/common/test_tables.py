@@ -13,7 +13,16 @@ import numpy as np
 import pytest
 
 from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile
-from knotgym.common.tables import Column, Schema, Table, digest, format_of, joined, read, write
+from knotgym.common.tables import (
+    Column,
+    Schema,
+    Table,
+    format_of,
+    joined,
+    read_tables,
+    table_digest,
+    write_tables,
+)
 
 SCHEMA = Schema(
     "rows",
@@ -41,20 +50,20 @@ def table(rows: int = 5, beads: int = 4) -> Table:
 
 
 def read_back(path: Path) -> Table:
-    return read(path, SCHEMA, format="ours")[0][0]
+    return read_tables(path, SCHEMA, format="ours")[0][0]
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    write(tmp_path / "rows.h5", [table()], {}, format="ours")
+    write_tables(tmp_path / "rows.h5", [table()], {}, format="ours")
     return tmp_path / "rows.h5"
 
 
 @pytest.mark.parametrize("pack", [False, True])
 def test_a_table_comes_back_as_it_was(tmp_path: Path, pack: bool) -> None:
-    write(tmp_path / "rows.h5", [table()], {}, format="ours", pack=pack)
+    write_tables(tmp_path / "rows.h5", [table()], {}, format="ours", pack=pack)
     back = read_back(tmp_path / "rows.h5")
-    assert digest(back) == digest(table())
+    assert table_digest(back) == table_digest(table())
     assert dict(back.schema.sizes) == {"beads": 4}
 
 
@@ -71,9 +80,13 @@ def test_contiguous_columns_are_mapped_and_read_only(path: Path) -> None:
 
 @pytest.mark.parametrize("rows", [0, 1, 7])
 def test_parts_are_appended(tmp_path: Path, path: Path, rows: int) -> None:
-    write(tmp_path / "all.h5", [[table(rows), read_back(path)]], {}, format="ours", pack=True)
-    whole = digest(joined([table(rows), table()]))
-    assert digest(read_back(tmp_path / "all.h5")) == digest(table(rows), table()) == whole
+    write_tables(
+        tmp_path / "all.h5", [[table(rows), read_back(path)]], {}, format="ours", pack=True
+    )
+    whole = table_digest(joined([table(rows), table()]))
+    assert (
+        table_digest(read_back(tmp_path / "all.h5")) == table_digest(table(rows), table()) == whole
+    )
 
 
 def test_tables_of_other_sizes_are_not_appended(tmp_path: Path) -> None:
@@ -96,8 +109,8 @@ def test_sizes_of_columns_that_are_left_out_do_not_count() -> None:
 
 def test_attributes_come_back(tmp_path: Path) -> None:
     given = {"name": "ä", "count": 3, "share": 0.5, "config": {"a": [1, None]}, "list": ["x"]}
-    write(tmp_path / "rows.h5", [], given, format="ours")
-    assert read(tmp_path / "rows.h5", format="ours") == ([], given)
+    write_tables(tmp_path / "rows.h5", [], given, format="ours")
+    assert read_tables(tmp_path / "rows.h5", format="ours") == ([], given)
 
 
 def test_rows_and_columns_are_taken_in_the_order_given() -> None:
@@ -118,7 +131,7 @@ def test_the_digest_depends_on_names_types_shapes_and_values() -> None:
         Table(Schema("", (Column("b", "int64"),)), {"b": np.arange(2)}),
         Table(Schema("", (Column("a", "uint64"),)), {"a": np.arange(2, dtype=np.uint64)}),
     ]
-    assert len({digest(one) for one in others}) == len(others)
+    assert len({table_digest(one) for one in others}) == len(others)
 
 
 def test_columns_to_fill_have_the_schemas_types_and_shapes() -> None:
@@ -271,16 +284,16 @@ def test_a_size_is_the_same_in_the_whole_file(tmp_path: Path) -> None:
     other = Schema("other", (Column("x", "int64", ("beads",)),))
     for beads in (4, 5):
         more = Table(other, {"x": np.zeros((2, beads), int)})
-        write(tmp_path / f"{beads}.h5", [table(beads=4), more], {}, format="ours")
-    assert len(read(tmp_path / "4.h5", SCHEMA, other, format="ours")[0]) == 2
+        write_tables(tmp_path / f"{beads}.h5", [table(beads=4), more], {}, format="ours")
+    assert len(read_tables(tmp_path / "4.h5", SCHEMA, other, format="ours")[0]) == 2
     with pytest.raises(InvalidFile, match=r"column x is int64 \(2, 5\), should be int64 \(2, 4\)"):
-        read(tmp_path / "5.h5", SCHEMA, other, format="ours")
+        read_tables(tmp_path / "5.h5", SCHEMA, other, format="ours")
 
 
 def test_what_could_not_be_read_is_not_written(tmp_path: Path) -> None:
     harmed = Table(SCHEMA, {**table(), "code": np.array(["\x07"] * 5)})
     with pytest.raises(InvalidInput, match="control characters"):
-        write(tmp_path / "rows.h5", [harmed], {}, format="ours")
+        write_tables(tmp_path / "rows.h5", [harmed], {}, format="ours")
     assert not list(tmp_path.iterdir())
 
 
@@ -292,7 +305,7 @@ def test_a_full_disk_is_an_error_that_leaves_nothing(tmp_path: Path, pack: bool,
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
         with pytest.raises(OSError, match="too large"):
-            write(tmp_path / "rows.h5", [table(20_000)], {}, format="ours", pack=pack)
+            write_tables(tmp_path / "rows.h5", [table(20_000)], {}, format="ours", pack=pack)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, before)

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import InvalidPolicy
-from knotgym.common.tables import Table
+from knotgym.common import InvalidPolicy, Table, sha256
 from knotgym.control import policies
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.own_policies import OwnPolicy
@@ -26,14 +24,11 @@ from knotgym.control.policies import (
 )
 from knotgym.control.policy_config import MIXED, PolicyConfig, PullPlannerConfig
 from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.rollouts import Pulls, episode_seed, rollouts
-from knotgym.datasets.episode_dataset import write_episodes
-from knotgym.datasets.episodes import PULLS, Episodes, differences
-from knotgym.envs.environment import KnotEnv
-from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import States
-from knotgym.topology.code_arrays import WIDTH, code_texts
-from knotgym.topology.crossings import label
+from knotgym.control.sampler import Pulls, episode_seed, rollouts
+from knotgym.datasets import PULLS, Episodes, differences, write_episodes
+from knotgym.envs import KnotEnv, TaskConfig
+from knotgym.states import States
+from knotgym.topology import WIDTH, code_texts, label
 
 TASK = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=12)
 ENDLESS = dataclasses.replace(TASK, endless=True)

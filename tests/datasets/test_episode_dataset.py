@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, episodes, written
 
-from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile
+from knotgym.common import InvalidFile, InvalidInput, MissingFile
 from knotgym.datasets.episode_dataset import (
     columns_of,
     content_digest,

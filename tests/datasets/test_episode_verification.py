@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from synthetic_episodes import TINY
 
 import knotgym
-from knotgym.control.verification import replay
+from knotgym.control import replay
 from knotgym.datasets import show_episodes
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episode_verification import expanded, verify_episodes
 from knotgym.datasets.episodes import Episodes, distinct, gauss_codes
-from knotgym.envs.tasks import TaskConfig
+from knotgym.envs import TaskConfig
 
 Change = Callable[[NDArray[np.generic]], None]
 

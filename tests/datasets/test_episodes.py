@@ -15,7 +15,7 @@ from knotgym.datasets.episodes import (
     goals_reached,
     merged,
 )
-from knotgym.topology.gauss import GaussCode
+from knotgym.topology import GaussCode
 
 CODES = ["", "1+a,1-a", "1+a,2-c,2+c,1-a"]
 

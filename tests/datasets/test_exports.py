@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
-from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.control.verification import replay, verify
+from knotgym.common import InvalidFile, InvalidInput
+from knotgym.control import replay, verify
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.datasets.cards.citation import citation_file
 from knotgym.datasets.episodes import differences, gauss_codes
@@ -25,7 +25,7 @@ from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located, locate_own
 from knotgym.datasets.merging import merge
-from knotgym.states.state_file import read_states
+from knotgym.states import read_states
 
 EXPERT = str(TINY["expert"])
 ID = "knotgym/tie-nx2/tiny-v0"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.common.errors import InvalidFile
+from knotgym.common import InvalidFile
 from knotgym.datasets.foreign_file import try_files
-from knotgym.runs.executors import InProcess
+from knotgym.runs import InProcess
 
 
 def test_a_sound_file_and_one_that_is_no_hdf5_pass(states_path: str, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from knotgym.datasets.gallery import Tile, contact_sheet
-from knotgym.rendering.video import OUTCOMES
+from knotgym.rendering import OUTCOMES
 
 
 def test_a_contact_sheet_holds_every_picture_unchanged() -> None:

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidFile
+from knotgym.common import InvalidFile
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import decode, encode, read_table
 from knotgym.datasets.image_verification import shard_faults
-from knotgym.rendering.appearance_config import AppearanceConfig
-from knotgym.states.state_file import read_states, shipped
+from knotgym.rendering import AppearanceConfig
+from knotgym.states import read_states, shipped
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.configuration import read_json
-from knotgym.common.errors import InvalidFile
-from knotgym.control import verification
+from knotgym.common import InvalidFile, read_json
+from knotgym.control import dataset_faults
 from knotgym.datasets.manifest import listed_faults, machine, read_manifest
 
 SOUND: dict[str, Any] = {
@@ -113,6 +112,6 @@ def test_only_replays_that_differ_may_be_another_machines_rounding(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, faults: list[str]
 ) -> None:
     written(tmp_path)
-    monkeypatch.setattr(verification, "folder_faults", lambda *given: iter(faults))
-    told = list(verification.faults(tmp_path))[1:]
+    monkeypatch.setattr("knotgym.control.verification.folder_faults", lambda *given: iter(faults))
+    told = list(dataset_faults(tmp_path))[1:]
     assert len(told) == ("bit for bit" in faults[0]) and all("other machines" in o for o in told)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, TINY, episodes
 
-from knotgym.common.errors import InvalidInput, Occupied
+from knotgym.common import InvalidInput, Occupied
 from knotgym.datasets.episode_dataset import open_episodes
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.minari_form import (

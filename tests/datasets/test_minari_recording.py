@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from minari.data_collector.episode_buffer import EpisodeBuffer
 
-from knotgym.common.errors import InvalidFile, InvalidInput
+from knotgym.common import InvalidFile, InvalidInput
 from knotgym.loaders import GoalSampling, Transitions, Window, arrays
 
 NAME = "mine/fewer-v0"

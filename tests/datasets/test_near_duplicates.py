@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.states.near_duplicates import (
+from knotgym.states import (
     NEAR,
     Spectra,
     distances,
     families,
+    kept_together,
     nearest,
     pairs_within,
+    read_states,
+    shipped,
 )
-from knotgym.states.splits import kept_together
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import Symmetry
+from knotgym.topology import GaussCode, Symmetry
 
 STATES = read_states(shipped(), images=False).points[40:70]
 

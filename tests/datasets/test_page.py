@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.datasets import open_episodes
 from knotgym.datasets.located import Located
 from knotgym.datasets.page import page_data as data_module
 from knotgym.datasets.page.page_data import page_data, page_html
-from knotgym.states.state_file import States, write_states
+from knotgym.states import States, write_states
 
 HOSTILE = "</script><img src=http://a/ onerror=fault()>"
 

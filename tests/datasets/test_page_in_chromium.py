@@ -11,7 +11,7 @@ import pytest
 
 from knotgym.datasets.located import Located
 from knotgym.datasets.page.page_data import page_data, page_html
-from knotgym.states.state_file import States, write_states
+from knotgym.states import States, write_states
 
 from .. import chromium
 from ..chromium import Chromium

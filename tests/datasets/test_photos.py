@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.verification import replay
+from knotgym.control import replay
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.image_rows import PictureRow, appearance_of, record
 from knotgym.datasets.image_table import COLUMNS, decode, parquet, read_rows, table_of
 from knotgym.datasets.image_verification import row_faults
-from knotgym.rendering.appearance_config import AppearanceConfig
-from knotgym.rendering.photo import take, tilted
-from knotgym.rendering.photo_look import Photo
-from knotgym.states.state_file import read_states, shipped
+from knotgym.rendering import AppearanceConfig, Photo, take, tilted
+from knotgym.states import read_states, shipped
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,10 @@ from collections import Counter
 import gymnasium
 import pytest
 
-from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.envs.environment import KnotEnv
-from knotgym.states.state_file import States, read_states, shipped
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import is_unknot
-from knotgym.topology.reidemeister import without_bigons
-from knotgym.topology.symmetry import diagram_form
+from knotgym.common import InvalidFile, InvalidInput
+from knotgym.envs import KnotEnv
+from knotgym.states import States, read_states, shipped
+from knotgym.topology import GaussCode, diagram_form, is_unknot, without_bigons
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from synthetic_episodes import TINY
 
-from knotgym.common.tables import Table
+from knotgym.common import Table
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.datasets.state_verification import _demonstration_faults
-from knotgym.states.state_file import States, read_states, shipped
+from knotgym.states import States, read_states, shipped
 
 
 @pytest.fixture(scope="module")

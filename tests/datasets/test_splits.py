@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.states.splits import split
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import codes_of
+from knotgym.states import split
+from knotgym.topology import GaussCode, codes_of
 
 EIGHT = list(codes_of("0_1", 2))
 

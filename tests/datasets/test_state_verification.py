@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.atomic_files import sha256
-from knotgym.control.verification import replay
+from knotgym.common import sha256
+from knotgym.control import replay
 from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.states.state_file import States, read_states, shipped, write_states
+from knotgym.states import States, read_states, shipped, write_states
 
 ENDS_ELSEWHERE = "replay of its start and actions does not end in qpos bit for bit"
 

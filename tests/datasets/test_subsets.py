@@ -9,8 +9,8 @@ import pytest
 from synthetic_episodes import TASK, TINY, episodes, written
 
 import knotgym
-from knotgym.common.errors import InvalidInput, MissingFile, Occupied
-from knotgym.control.verification import replay
+from knotgym.common import InvalidInput, MissingFile, Occupied
+from knotgym.control import replay
 from knotgym.datasets import delete, open_episodes, select, split
 from knotgym.datasets.conditions import matching_rows
 from knotgym.datasets.episodes import differences, merged
@@ -19,7 +19,7 @@ from knotgym.datasets.merging import merge
 from knotgym.datasets.minari_form import MinariMetadata, publish
 from knotgym.datasets.selectable import write_rows
 from knotgym.datasets.subsets import kept
-from knotgym.states.state_file import read_states, shipped, write_states
+from knotgym.states import read_states, shipped, write_states
 
 COLUMNS = {
     "row": np.arange(4),

@@ -8,15 +8,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidInput
-from knotgym.control.basic_policies import RandomPolicy
-from knotgym.control.rollouts import rollouts
-from knotgym.datasets.episode_dataset import write_episodes
+from knotgym.common import InvalidInput
+from knotgym.control import RandomPolicy, rollouts
+from knotgym.datasets import write_episodes
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions, arrays
-from knotgym.rope.actions import FORCE_CHOICES, chosen_forces, force_choices, quantized
-from knotgym.rope.macro_actions import LONGEST
+from knotgym.rope import FORCE_CHOICES, LONGEST, chosen_forces, force_choices, quantized
 
 VIEWS = ("bead", "macro")
 

@@ -14,18 +14,15 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import knotgym
-from knotgym.common.errors import Failed, InvalidInput, MissingFile
+from knotgym.common import Failed, InvalidInput, MissingFile
 from knotgym.envs import tasks
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS, cut
 from knotgym.envs.task_states import task_sides
-from knotgym.rendering.camera import PictureConfig
-from knotgym.rendering.photo import episode_look, take
-from knotgym.rendering.picture import draw
-from knotgym.states.state_file import States, merge_states, write_states
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
+from knotgym.rendering import PictureConfig, draw, episode_look, take
+from knotgym.states import States, merge_states, write_states
+from knotgym.topology import GaussCode, label
 
 from ..conftest import blow_up
 

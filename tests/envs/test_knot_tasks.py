@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.envs.environment import KnotEnv
-from knotgym.states.state_file import States, merge_states, read_states, shipped, write_states
-from knotgym.topology.gauss import GaussCode
+from knotgym.states import States, merge_states, read_states, shipped, write_states
+from knotgym.topology import GaussCode
 
 
 @pytest.fixture

@@ -6,10 +6,8 @@ from numpy.typing import NDArray
 
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.marked import TOKENS, Marked, join, mark, size, split
-from knotgym.rope.macro_actions import WaypointFollower
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import Symmetry
+from knotgym.rope import WaypointFollower
+from knotgym.topology import GaussCode, Symmetry, label
 
 GOALS = [GaussCode.parse(text) for text in ("1+,2-,2+,1-", "1-,2+,1+,2-", "1+,1-,2-,2+", "")]
 SYMMETRIES = [

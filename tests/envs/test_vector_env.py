@@ -13,7 +13,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import SyncVectorEnv
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 
 from ..conftest import blow_up

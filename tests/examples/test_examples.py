@@ -10,17 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.datasets import image_table as tables
-from knotgym.datasets.image_rows import PictureRow, record
-from knotgym.datasets.image_table import COLUMNS, read_rows
-from knotgym.datasets.image_verification import row_faults
-from knotgym.generate.images.image_recipe import make_images
-from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.rendering.appearance_config import AppearanceConfig
-from knotgym.rope.model import Rope
-from knotgym.runs.run_options import RunOptions
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.notation import parse_code
+from knotgym.datasets import COLUMNS, PictureRow, parquet, read_rows, record, row_faults, table_of
+from knotgym.generate import ImagesConfig, make_images
+from knotgym.rendering import AppearanceConfig
+from knotgym.rope import Rope
+from knotgym.runs import RunOptions
+from knotgym.states import read_states, shipped
+from knotgym.topology import parse_code
 
 from ..conftest import curled
 from ..scripts import ROOT, run_script
@@ -106,7 +102,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
         record(PictureRow(points, "test", source), AppearanceConfig())
         for points, source in zip(ropes, sources, strict=True)
     ]
-    (tmp_path / "table.parquet").write_bytes(tables.parquet(tables.table_of(rows)))
+    (tmp_path / "table.parquet").write_bytes(parquet(table_of(rows)))
     page = tmp_path / "misread.png"
     run_script(FOLDER / "perception" / "trace.py", tmp_path / "table.parquet", "--page", page)
     told = capsys.readouterr().out.splitlines()
@@ -129,7 +125,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
         record(PictureRow(points, "test", source | {"rope": row, "row": row}), look)
         for row, points in enumerate(states.points[chosen])
     ]
-    (tmp_path / "table.parquet").write_bytes(tables.parquet(tables.table_of(rows)))
+    (tmp_path / "table.parquet").write_bytes(parquet(table_of(rows)))
     assert not list(row_faults(next(read_rows(tmp_path / "table.parquet"))))
     answers = tmp_path / "answers.jsonl"
     script = FOLDER / "perception" / "transcribe.py"

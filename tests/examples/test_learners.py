@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.rollouts import rollouts
-from knotgym.datasets.episode_dataset import columns_of
-from knotgym.generate.episodes.suite_scores import read_scores
+from knotgym.control import rollouts
+from knotgym.datasets import columns_of
+from knotgym.generate import read_scores
 
 from ..scripts import ROOT, run_script
 from ..small_job import knotgym

@@ -12,8 +12,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from knotgym.envs.tasks import TaskConfig
-from knotgym.runs.run_options import RunOptions
+from knotgym.envs import TaskConfig
+from knotgym.runs import RunOptions
 
 QUIET = RunOptions(workers=1, quiet=True)
 TASK = TaskConfig(task="tie", nx=2, observation="state", horizon=5, engine="chain")

@@ -8,17 +8,18 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import InvalidInput
-from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
-from knotgym.control.rollouts import episode_seed
-from knotgym.control.verification import verify
-from knotgym.datasets.episode_dataset import columns_of, content_digest, open_episodes
-from knotgym.datasets.episodes import differences
-from knotgym.datasets.merging import merge
-from knotgym.datasets.minari_form import metadata_of
-from knotgym.datasets.subsets import select
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidInput, sha256
+from knotgym.control import PolicyConfig, PullPlannerConfig, episode_seed, verify
+from knotgym.datasets import (
+    columns_of,
+    content_digest,
+    differences,
+    merge,
+    metadata_of,
+    open_episodes,
+    select,
+)
+from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import collect as collecting
 from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.collect import (
@@ -27,9 +28,9 @@ from knotgym.generate.episodes.collect import (
     run_facts,
 )
 from knotgym.generate.episodes.collect_config import CollectConfig
-from knotgym.rope.model import RopeConfig
-from knotgym.runs.run_options import RunOptions
-from knotgym.states.state_file import States, write_states
+from knotgym.rope import RopeConfig
+from knotgym.runs import RunOptions
+from knotgym.states import States, write_states
 
 from ..small_job import knotgym
 

@@ -10,21 +10,17 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
-from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import InvalidInput, InvalidPolicy
-from knotgym.common.streams import Stream
-from knotgym.control.basic_policies import RandomPolicy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episodes import episodes_of
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidInput, InvalidPolicy, Stream, sha256
+from knotgym.control import PolicyConfig, RandomPolicy, episode_seed, rollouts
+from knotgym.datasets import episodes_of
+from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
-from knotgym.generate.episodes.evaluate import film, report, run, sources_of
+from knotgym.generate.episodes.evaluate import evaluate, film, report, sources_of
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import show
-from knotgym.rope.model import RopeConfig
-from knotgym.runs.run_options import RunOptions, Shard
-from knotgym.states.state_file import States, write_states
+from knotgym.rope import RopeConfig
+from knotgym.runs import RunOptions, Shard
+from knotgym.states import States, write_states
 
 from ..small_job import knotgym
 
@@ -47,14 +43,14 @@ def printed(results: Any, engine: str = "mujoco") -> str:
 
 def test_every_setup_gets_its_row_in_order() -> None:
     tasks, splits = ("unknot", "tie"), ("train", "test")
-    results = run(config(tasks=tasks, nx=(1, 2), splits=splits, episodes=1), QUIET)
+    results = evaluate(config(tasks=tasks, nx=(1, 2), splits=splits, episodes=1), QUIET)
     found = [(one.task, one.split, one.nx) for one in results]
     assert found == [(task, split, nx) for task in tasks for split in splits for nx in (1, 2)]
 
 
 def test_an_expert_beats_random_and_says_what_planning_took() -> None:
     task = replace(CHAIN, horizon=25)
-    worse, better = run(config(policies=("random", "expert"), task=task, episodes=12), QUIET)
+    worse, better = evaluate(config(policies=("random", "expert"), task=task, episodes=12), QUIET)
     assert better.success_rate > 0.8 > worse.success_rate
     assert better.planned_actions > 0 == worse.planned_actions
     assert better.mean_return == pytest.approx(10 * better.success_rate - 5)
@@ -64,7 +60,7 @@ def test_an_expert_beats_random_and_says_what_planning_took() -> None:
 
 def test_the_file_holds_the_rate_the_interval_and_the_settings(tmp_path: Path) -> None:
     made = config()
-    results = run(made, QUIET, out=tmp_path / "r.json")
+    results = evaluate(made, QUIET, out=tmp_path / "r.json")
     held = json.loads((tmp_path / "r.json").read_text())
     assert held == json.loads(json.dumps(report(made, results, sources_of(made))))
     low, high = held["interval"]
@@ -75,44 +71,44 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(tmp_path: Path) -
 
 
 def test_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = run(config(), QUIET)
+    one = evaluate(config(), QUIET)
     monkeypatch.setattr(evaluating, "blocks", lambda *_: [range(4), range(4, 9)])
-    assert one == run(config(), QUIET)
+    assert one == evaluate(config(), QUIET)
 
 
 def test_a_shard_and_resuming_need_an_output() -> None:
     for options in (replace(QUIET, shard=Shard(1, 3)), replace(QUIET, resume=True)):
         with pytest.raises(InvalidInput, match="the --out of the evaluation"):
-            run(config(), options)
+            evaluate(config(), options)
 
 
 def test_a_finished_evaluation_is_only_shown(tmp_path: Path, monkeypatch: Any) -> None:
-    first = run(config(), QUIET, out=tmp_path / "r.json")
+    first = evaluate(config(), QUIET, out=tmp_path / "r.json")
     monkeypatch.setattr(evaluating, "play", None)
-    assert run(config(), replace(QUIET, resume=True), out=tmp_path / "r.json") == first
+    assert evaluate(config(), replace(QUIET, resume=True), out=tmp_path / "r.json") == first
     with pytest.raises(InvalidInput, match="config.seed is 0 there and 1 here"):
-        run(config(seed=1), replace(QUIET, resume=True), out=tmp_path / "r.json")
+        evaluate(config(seed=1), replace(QUIET, resume=True), out=tmp_path / "r.json")
 
 
 def test_what_does_not_fit_is_refused_before_any_work(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr(evaluating, "play", None)
     with pytest.raises(InvalidInput, match="no states with nx = 11 in split 'test'"):
-        run(config(nx=(1, 11)), QUIET, out=tmp_path / "r.json")
+        evaluate(config(nx=(1, 11)), QUIET, out=tmp_path / "r.json")
     with pytest.raises(InvalidPolicy, match="must be endless"):
-        run(config(policies=("random", "play")), QUIET, out=tmp_path / "r.json")
+        evaluate(config(policies=("random", "play")), QUIET, out=tmp_path / "r.json")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_result_says_whose_states_were_used(states: States, tmp_path: Path) -> None:
     write_states(tmp_path / "nx1.h5", states.taken(np.flatnonzero(states.nx == 1)))
     task = TaskConfig(task="unknot", states=str(tmp_path / "nx1.h5"), observation="state")
-    results = run(config(tasks=("unknot",), task=replace(task, horizon=2), episodes=1), QUIET)
+    results = evaluate(config(tasks=("unknot",), task=replace(task, horizon=2), episodes=1), QUIET)
     assert (results[0].start_states, results[0].goal_states) == ("own", "shipped")
     assert "unknot nx 1: the state file has no plain loops" in printed(results)
 
 
 def test_a_result_says_in_which_view_the_policy_acted() -> None:
-    results = run(config(task=replace(CHAIN, action="macro"), episodes=1), QUIET)
+    results = evaluate(config(task=replace(CHAIN, action="macro"), episodes=1), QUIET)
     assert results[0].action == "macro" and "random (macro)" in printed(results)
     assert "engine chain, not the reference engine" in printed(results, "chain")
 
@@ -133,7 +129,7 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
 
 
 def test_a_film_shows_the_episodes_of_every_setup(tmp_path: Path) -> None:
-    run(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
+    evaluate(config(nx=(1, 2), episodes=1), QUIET, video=tmp_path / "film.gif")
     with Image.open(tmp_path / "film.gif") as reel:
         assert getattr(reel, "n_frames", 1) >= 3 and np.ptp(np.asarray(reel)) > 0
 
@@ -168,7 +164,7 @@ def test_a_file_swapped_while_episodes_are_played_is_refused(
 
     monkeypatch.setattr(evaluating, "play", swap)
     with pytest.raises(InvalidInput, match=r"changed while it ran.*scored_policy\.py"):
-        run(own_policy, QUIET, out=tmp_path / "r.json")
+        evaluate(own_policy, QUIET, out=tmp_path / "r.json")
     assert not (tmp_path / "r.json").exists()
 
 

@@ -1,5 +1,5 @@
 """Pictures: what `knotgym images` writes, that it is true, that `verify` finds what is not, and how
-it is read. Interrupted, divided and merged runs are in tests/runs/test_run.py.
+it is read. Interrupted, divided and merged runs are in tests/runs/test_runner.py.
 """
 
 import importlib.metadata
@@ -13,29 +13,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import Failed, InvalidFile
-from knotgym.datasets import image_table as tables
-from knotgym.datasets.image_rows import PictureRow, record
-from knotgym.datasets.image_table import (
+from knotgym.common import Failed, InvalidFile
+from knotgym.datasets import (
     COLUMNS,
+    PictureRow,
+    arrow,
     decode,
+    image_faults,
+    parquet,
+    points_of,
     read_rows,
     read_table,
+    record,
     shards,
+    table_of,
 )
-from knotgym.datasets.image_verification import image_faults
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
 from knotgym.loaders import images as load
-from knotgym.quality.difficulty import grade
-from knotgym.quality.measures import Limits, measure
-from knotgym.rendering.appearance_config import VARIED, AppearanceConfig
-from knotgym.rope.model import Rope
-from knotgym.runs.run_options import RunOptions
-from knotgym.states.near_duplicates import NEAR, distances
-from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.topology.crossings import label
-from knotgym.topology.symmetry import Symmetry
+from knotgym.quality import Limits, grade, measure
+from knotgym.rendering import VARIED, AppearanceConfig
+from knotgym.rope import Rope
+from knotgym.runs import RunOptions
+from knotgym.states import IMAGE_SPLITS, NEAR, distances
+from knotgym.topology import Symmetry, label
 
 from ..small_job import knotgym
 
@@ -89,7 +90,7 @@ def test_every_check_passes(folder: Path) -> None:
 
 
 def test_no_two_rows_are_near_duplicates(folder: Path) -> None:
-    points = tables.points_of(read_table(folder))
+    points = points_of(read_table(folder))
     assert len(points) == CONFIG.count
     for k in range(len(points) - 1):
         assert distances(points[k], points[k + 1 :]).min() >= NEAR
@@ -102,9 +103,7 @@ def test_a_leak_between_splits_is_found(
     shutil.copytree(folder, copy)
     test, train = shards(copy, "test")[0], next(row for row in rows if row["split"] == "train")
     test.write_bytes(
-        tables.parquet(
-            tables.table_of([{**row, "split": "test"} for row in [*read_rows(test), train]])
-        )
+        parquet(table_of([{**row, "split": "test"} for row in [*read_rows(test), train]]))
     )
     found = "\n".join(image_faults(copy))
     assert (
@@ -130,7 +129,7 @@ def test_a_near_duplicate_in_another_split_is_found(
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
     planted = PictureRow(points, "test", {**train["source"], "rope": 10**6, "row": 10**6})
     (tmp_path / "data.parquet").write_bytes(
-        tables.parquet(tables.table_of([train, record(planted, AppearanceConfig())]))
+        parquet(table_of([train, record(planted, AppearanceConfig())]))
     )
     [fault] = image_faults(tmp_path / "data.parquet")
     assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault
@@ -149,7 +148,7 @@ def test_missing_and_torn_files_are_found(folder: Path, tmp_path: Path) -> None:
 def test_a_foreign_parquet_file_is_refused(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidFile, match="no split"):
         read_table(folder, "validation")
-    pa, parquet = tables.arrow(), tables.arrow("pyarrow.parquet")
+    pa, parquet = arrow(), arrow("pyarrow.parquet")
     parquet.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
     with pytest.raises(InvalidFile, match="format"):
         read_table(tmp_path / "a.parquet")

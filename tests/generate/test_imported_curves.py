@@ -13,19 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.control.verification import verify
-from knotgym.drawing.drawn_curve import drawn_curve
+from knotgym.common import InvalidInput
+from knotgym.control import verify
+from knotgym.drawing import drawn_curve
 from knotgym.generate.states.imported_curves import _shown_code, import_curves
-from knotgym.rope.curve_files import read_curves
-from knotgym.rope.model import Rope, rope_of
-from knotgym.states.state_file import read_states, shipped, write_states
-from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import with_chirality
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import knot_type
-from knotgym.topology.notation import parse_code
-from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.rope import Rope, read_curves, rope_of
+from knotgym.states import read_states, shipped, write_states
+from knotgym.topology import GaussCode, knot_type, label, parse_code, pyknotid_code, with_chirality
 
 from ..conftest import trefoil
 from ..small_job import knotgym

@@ -7,17 +7,13 @@ import numpy as np
 import pytest
 
 import knotgym
-from knotgym.cli import generate_command
-from knotgym.cli.generate_command import code_list
-from knotgym.common.errors import InvalidFile, InvalidInput, InvalidPolicy
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.envs.environment import KnotEnv
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering.camera import picture_of
-from knotgym.rendering.picture import draw
-from knotgym.rope.model import rope_of
-from knotgym.states.state_file import merge_states, read_states, shipped
+from knotgym.cli import code_list
+from knotgym.common import InvalidFile, InvalidInput, InvalidPolicy
+from knotgym.control import PolicyConfig, make_policy
+from knotgym.envs import KnotEnv, TaskConfig
+from knotgym.rendering import draw, picture_of
+from knotgym.rope import rope_of
+from knotgym.states import merge_states, read_states, shipped
 
 from ..small_job import knotgym as run
 
@@ -99,6 +95,6 @@ def test_a_list_of_codes_may_be_sampled_and_filtered(
     assert all(len(one) == 2 for one in samples) and len(samples) > 5
     assert read(count=2, seed=3) == read(count=2, seed=3)
     assert read(count=9) == everything  # in the order of the file
-    monkeypatch.setattr(generate_command, "MOST_CODES", 4)
+    monkeypatch.setattr("knotgym.cli.generate_command.MOST_CODES", 4)
     with pytest.raises(InvalidInput, match="more than 4 codes"):
         read()

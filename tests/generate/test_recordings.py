@@ -7,12 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episodes import Episodes, differences, episodes_of
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidFile, InvalidInput
+from knotgym.control import PolicyConfig, episode_seed, make_policy, rollouts
+from knotgym.datasets import Episodes, differences, episodes_of
+from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.recordings import (
     digests,

@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import Failed
-from knotgym.control.verification import replay
-from knotgym.datasets.episode_dataset import open_episodes
-from knotgym.datasets.episodes import merged
-from knotgym.datasets.state_verification import folder_faults
+from knotgym.common import Failed
+from knotgym.control import replay
+from knotgym.datasets import folder_faults, merged, open_episodes
 from knotgym.generate.states import demonstrations, drawing_source, generate_config
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
@@ -26,14 +24,11 @@ from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_recipe import make_states
 from knotgym.generate.states.state_rows import Rows, taken
 from knotgym.generate.states.wanted_codes import WantedCodes
-from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
-from knotgym.rope.model import Rope
-from knotgym.runs.run import compute
-from knotgym.runs.run_options import RunOptions, Shard
-from knotgym.states.near_duplicates import pairs_within
-from knotgym.states.state_file import States, read_states
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
+from knotgym.quality import LEGIBLE, UNTWISTED, Limits
+from knotgym.rope import Rope
+from knotgym.runs import RunOptions, Shard, compute
+from knotgym.states import States, pairs_within, read_states
+from knotgym.topology import GaussCode, label
 
 ALONE = RunOptions(workers=1, quiet=True)
 DRAWN = GenerateConfig(nx=(0, 1), every_code=1, demonstrations=False, engine="chain")

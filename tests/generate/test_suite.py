@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
-from knotgym.datasets.episode_dataset import FILE, open_episodes, write_episodes
-from knotgym.datasets.episodes import Episodes, differences, distinct
+from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
+from knotgym.datasets import FILE, Episodes, differences, distinct, open_episodes, write_episodes
 from knotgym.generate.episodes import suite as module
 from knotgym.generate.episodes.collect import run_facts
 from knotgym.generate.episodes.suite import SETUPS, describe_set, make_suite
 from knotgym.generate.episodes.suite_config import POLICIES, SPLITS, STATES, SuiteConfig
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs import RunOptions
 
 ID = "knotgym/unknot-nx2/{}-v0"
 QUIET = RunOptions(workers=1, quiet=True)

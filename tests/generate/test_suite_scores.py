@@ -6,16 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidFile
-from knotgym.common.tables import Table
-from knotgym.control.policy_config import PolicyConfig, PullPlannerConfig
-from knotgym.datasets.episodes import RECORDED
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidFile, Table
+from knotgym.control import PolicyConfig, PullPlannerConfig
+from knotgym.datasets import RECORDED
+from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import as_text, report, sources_of
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.suite_scores import read_scores, score_table
-from knotgym.runs.intervals import cluster_interval
+from knotgym.runs import cluster_interval
 
 STARTS = 8
 

@@ -7,14 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import rollouts
-from knotgym.datasets.episodes import Episodes
-from knotgym.datasets.minari_form import MinariMetadata, publish
-from knotgym.envs.tasks import TaskConfig
+from knotgym.control import PolicyConfig, make_policy, rollouts
+from knotgym.datasets import Episodes, MinariMetadata, publish
+from knotgym.envs import TaskConfig
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs import RunOptions
 
 READER = ReaderConfig(steps=6, batch=2, save_every=2)
 CLONE = CloneConfig(steps=4, batch=4, save_every=2, width=16, layers=1, guided=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.atomic_files import sha256
+from knotgym.common import sha256
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
@@ -28,7 +28,7 @@ def changed(learner: Path, tmp_path: Path, **card: object) -> Path:
 
 
 def refusal(folder: Path) -> str:
-    from knotgym.common.errors import InvalidFile
+    from knotgym.common import InvalidFile
     from knotgym.learn.checkpoint import load_reader
 
     with pytest.raises(InvalidFile) as raised:
@@ -97,7 +97,7 @@ def test_a_pipe_is_not_waited_for(learner: Path, tmp_path: Path) -> None:
 def test_a_clone_is_as_large_as_its_weights_whatever_its_card_says(
     clone: Path, tmp_path: Path
 ) -> None:
-    from knotgym.common.errors import InvalidFile
+    from knotgym.common import InvalidFile
     from knotgym.learn.clone_policy import load_clone
 
     huge = changed(clone, tmp_path, config={"width": 10**9, "layers": 10**9, "guided": False})

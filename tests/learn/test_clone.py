@@ -10,19 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidInput, InvalidPolicy
-from knotgym.control.planning import pass_values, see
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episodes import Episodes, differences
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidInput, InvalidPolicy
+from knotgym.control import PolicyConfig, episode_seed, make_policy, pass_values, rollouts, see
+from knotgym.datasets import Episodes, differences
+from knotgym.envs import TaskConfig
 from knotgym.learn.train_config import CloneConfig
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_actions import WaypointFollower
-from knotgym.states.state_file import States
-from knotgym.topology.crossings import label_many
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import ChainSimulation, WaypointFollower
+from knotgym.states import States
+from knotgym.topology import GaussCode, label_many
 
 from .conftest import CLONE, TASK, train, weights
 

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidPolicy
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidPolicy
+from knotgym.control import PolicyConfig, make_policy
+from knotgym.envs import EpisodeBatch, TaskConfig
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.rendering.photo import episode_look, photograph, take
-from knotgym.states.state_file import States, read_states, shipped
-from knotgym.topology.crossings import find_crossings, label
-from knotgym.topology.gauss import GaussCode
+from knotgym.common import InvalidFile, InvalidInput
+from knotgym.rendering import episode_look, photograph, take
+from knotgym.states import States, read_states, shipped
+from knotgym.topology import GaussCode, find_crossings, label
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("safetensors")

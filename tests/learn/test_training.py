@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidFile, InvalidInput, MissingFile, Occupied
-from knotgym.datasets.episodes import Episodes
-from knotgym.runs.run import staging_folder
+from knotgym.common import InvalidFile, InvalidInput, MissingFile, Occupied
+from knotgym.datasets import Episodes
+from knotgym.runs import staging_folder
 
 from .conftest import CLONE, READER, TASK, published, train, weights
 

@@ -8,16 +8,14 @@ import pytest
 from numpy.typing import NDArray
 from synthetic_episodes import TINY
 
-from knotgym.common.errors import InvalidInput
-from knotgym.envs.marked import mark
+from knotgym.common import InvalidInput
+from knotgym.envs import mark
 from knotgym.loaders import arrays
 from knotgym.loaders.symmetries import Symmetries, multiplied
-from knotgym.rope.engines import CHAIN, MUJOCO
-from knotgym.rope.engines import simulation as simulation_of
-from knotgym.rope.kinematics import backward
-from knotgym.rope.model import Rope
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.crossings import label_many
+from knotgym.rope import CHAIN, MUJOCO, Rope, backward
+from knotgym.rope import simulation as simulation_of
+from knotgym.states import read_states, shipped
+from knotgym.topology import label_many
 
 Array = NDArray[np.float64]
 COUNT = 64
@@ -104,7 +102,7 @@ def test_symmetries_of_a_batch_change_state_goal_and_action_alike(view: str) -> 
 
 
 def test_pictures_turn_with_the_rope(rope: Rope) -> None:
-    from knotgym.rendering.picture import draw
+    from knotgym.rendering import draw
 
     points = read_states(shipped(), images=False).points[:6]
     drawn = Symmetries.drawn(6, np.random.default_rng(3), of_pictures=True)

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 from synthetic_episodes import BEADS, TASK, TINY, episodes, written
 
-from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.common.tables import Table
-from knotgym.datasets import open_episodes
-from knotgym.datasets.episodes import STEPS, Episodes, goals_reached
-from knotgym.envs.environment import KnotEnv
+from knotgym.common import InvalidFile, InvalidInput, Table
+from knotgym.datasets import STEPS, Episodes, goals_reached, open_episodes
+from knotgym.envs import KnotEnv
 from knotgym.loaders import (
     Sequences,
     Transitions,
@@ -26,7 +24,7 @@ from knotgym.loaders import (
     to_tensordict,
     torch_dataset,
 )
-from knotgym.rendering.camera import PictureConfig
+from knotgym.rendering import PictureConfig
 
 LENGTHS = [3, 1, 6, 2]
 N, S = sum(LENGTHS), len(LENGTHS)

@@ -15,10 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from synthetic_episodes import TASK, TINY, episodes, written
 
-from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, generator
-from knotgym.common.tables import Table
-from knotgym.datasets.episodes import STEPS, Episodes
+from knotgym.common import InvalidInput, Stream, Table, generator
+from knotgym.datasets import STEPS, Episodes
 from knotgym.loaders import GoalSampling, Transitions, Window, arrays
 from knotgym.loaders.windows import other_codes
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import Failed
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import Failed
+from knotgym.envs import TaskConfig
 from knotgym.play.hand import HandTab
 from knotgym.play.page import Page
 from knotgym.play.page_config import PageConfig

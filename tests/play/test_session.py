@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidFile, InvalidInput, InvalidPolicy, Occupied
-from knotgym.datasets.episode_dataset import open_episodes
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidFile, InvalidInput, InvalidPolicy, Occupied
+from knotgym.datasets import open_episodes
+from knotgym.envs import TaskConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.session import Session
-from knotgym.runs.run import staging_folder
+from knotgym.runs import staging_folder
 
 TASK = TaskConfig(task="tie", nx=1, observation="state", horizon=6)
 PULLS = ((3, (1, 0, 0.5)), (40, (-1, 0.2, 0)), (77, (0, 0.7, -1)))

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.errors import Failed, InvalidInput
+from knotgym.common import Failed, InvalidInput
 from knotgym.prompting.chat import Chat, ChatConfig
 
 from .chat_server import Answer, ChatServer

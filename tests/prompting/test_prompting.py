@@ -12,18 +12,17 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from knotgym.cli.summaries import print_transcripts
-from knotgym.common.errors import Failed, InvalidFile, InvalidInput, Occupied
-from knotgym.datasets.image_table import decode, encode
-from knotgym.envs.tasks import TaskConfig
+from knotgym.cli import print_transcripts
+from knotgym.common import Failed, InvalidFile, InvalidInput, Occupied
+from knotgym.datasets import decode, encode
+from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import run_prompts, sample_prompt
 from knotgym.prompting.prompts import first
 from knotgym.prompting.summary import reading_scores
 from knotgym.prompting.transcripts import read_transcripts
-from knotgym.runs.run import staging_folder
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs import RunOptions, staging_folder
 
 from .chat_server import Answer, ChatServer, hashes, kinds
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.datasets.image_table import decode, encode
-from knotgym.envs.tasks import TaskConfig
+from knotgym.datasets import decode, encode
+from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import sample_prompt
 from knotgym.prompting.prompts import MODES, READ, STATEFUL, first
-from knotgym.topology.crossings import label
+from knotgym.topology import label
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.quality import measures
 from knotgym.quality.limits import LEGIBLE, UNAMBIGUOUS, UNTWISTED, Limits, Quality
 from knotgym.quality.measures import base_spacing, noise_survival
-from knotgym.rendering.camera import DEFAULT
-from knotgym.rendering.strand_spacing import strand_spacing
-from knotgym.rope.model import Rope
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.crossings import find_crossings
+from knotgym.rendering import DEFAULT, strand_spacing
+from knotgym.rope import Rope
+from knotgym.states import read_states, shipped
+from knotgym.topology import find_crossings
 
 from ..conftest import curled
 

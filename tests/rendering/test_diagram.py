@@ -5,8 +5,8 @@ import pytest
 
 from knotgym.rendering.camera import PictureConfig, project
 from knotgym.rendering.diagram import BACKGROUND, draw_diagram, side_of, smooth_curve
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.crossings import find_crossings, label
+from knotgym.states import read_states, shipped
+from knotgym.topology import find_crossings, label
 
 STATES = [
     (name, row) for name, count in (("readable", 12), ("hard-unknots", 2)) for row in range(count)

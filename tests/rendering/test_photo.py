@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from knotgym.rendering import photo_kernels
 from knotgym.rendering.photo import photograph, take
 from knotgym.rendering.photo_painting import Shot
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.notation import pd_code
+from knotgym.states import read_states, shipped
+from knotgym.topology import pd_code
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from knotgym.rendering.camera import PictureConfig, bead_colours, project
 from knotgym.rendering.picture import crossing_pixels, draw, draw_many
-from knotgym.states.state_file import read_states, shipped
-from knotgym.topology.crossings import find_crossings
+from knotgym.states import read_states, shipped
+from knotgym.topology import find_crossings
 
 from ..scripts import ROOT
 

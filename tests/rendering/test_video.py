@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.rendering.video import (
     FRAMES_PER_SECOND,
     OUTCOMES,
@@ -16,7 +16,7 @@ from knotgym.rendering.video import (
     film_frames,
     write_film,
 )
-from knotgym.rope.model import Rope
+from knotgym.rope import Rope
 
 from ..conftest import curled
 

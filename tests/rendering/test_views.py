@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from knotgym.rendering.camera import PictureConfig
 from knotgym.rendering.picture import crossing_pixels, draw, draw_many
-from knotgym.topology.crossings import find_crossings
+from knotgym.topology import find_crossings
 
 from .test_picture import curves, shown_strands
 

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from knotgym.rope.model import Rope
 from knotgym.rope.reset_noise import noised, start_qpos
-from knotgym.states.state_file import States, read_states, shipped
-from knotgym.topology.crossings import label, label_many
-from knotgym.topology.gauss import GaussCode
+from knotgym.states import States, read_states, shipped
+from knotgym.topology import GaussCode, label, label_many
 
 from ..conftest import trefoil
 from .test_rope import BEAD, ROPE, chords

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.rope.closed_curves import _add_solution, clearance
 from knotgym.rope.model import Rope, RopeConfig, sub_chains
-from knotgym.topology.crossings import label
+from knotgym.topology import label
 
 from ..conftest import curled, trefoil
 

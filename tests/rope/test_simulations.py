@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.rope.engines import ENGINES, simulation
+from knotgym.rope.interface import Simulation
 from knotgym.rope.model import Rope, RopeConfig
-from knotgym.rope.simulation import Simulation
 
 from ..conftest import curled
 

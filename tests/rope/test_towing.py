@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.basic_policies import RandomPolicy
-from knotgym.control.planning import PassPlanner
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import Policy, rollouts
-from knotgym.control.verification import verify
-from knotgym.datasets.episode_dataset import write_episodes
-from knotgym.datasets.episodes import Episodes, merged
-from knotgym.envs.environment import KnotEnv
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.control import (
+    PassPlanner,
+    Policy,
+    PolicyConfig,
+    RandomPolicy,
+    make_policy,
+    rollouts,
+    verify,
+)
+from knotgym.datasets import Episodes, merged, write_episodes
+from knotgym.envs import EpisodeBatch, KnotEnv, TaskConfig
 from knotgym.rope.towing import TowBound, centres, distances_towed
 
 from ..envs.test_env import goal_is_shown

@@ -11,18 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import collect
-from knotgym.generate.episodes.collect_config import CollectConfig
-from knotgym.generate.episodes.evaluate import run as evaluate
-from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.images.image_recipe import make_images
-from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.state_recipe import make_states
-from knotgym.runs.run import Call, Recipe, run
+from knotgym.control import PolicyConfig
+from knotgym.envs import TaskConfig
+from knotgym.generate import (
+    CollectConfig,
+    EvaluateConfig,
+    GenerateConfig,
+    ImagesConfig,
+    collect,
+    evaluate,
+    make_images,
+    make_states,
+)
 from knotgym.runs.run_options import RunOptions, Shard
+from knotgym.runs.runner import Call, Recipe, run
 
 
 def drawn(seed: int, number: int, scale: float) -> dict[str, Any]:

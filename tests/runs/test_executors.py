@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.common.errors import Failed, InvalidInput
+from knotgym.common import Failed, InvalidInput
 from knotgym.runs.executors import executor
 from knotgym.runs.journal import Journal
 from knotgym.runs.run_options import RunOptions

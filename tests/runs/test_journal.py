@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError
+from knotgym.common import InvalidFile, InvalidInput, KnotgymError
 from knotgym.runs.journal import Journal
 
 RUN = {"config": {"seed": 0}}

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from knotgym.rope.engines import warn_of_compilation
+from knotgym.rope import warn_of_compilation
 from knotgym.runs.compilation import compile_first
 from knotgym.runs.progress import Progress
 

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.tables import Table
-from knotgym.datasets.episode_dataset import write_episodes
-from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, code_sizes
-from knotgym.envs.tasks import TaskConfig
-from knotgym.topology.gauss import GaussCode
+from knotgym.common import Table
+from knotgym.datasets import EPISODES, STEPS, Episodes, code_sizes, write_episodes
+from knotgym.envs import TaskConfig
+from knotgym.topology import GaussCode
 
 TINY = {
     name: Path(__file__).parents[1] / "data/episodes" / f"{name}.h5"

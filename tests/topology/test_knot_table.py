@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import (
     _types_by_polynomials,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import chiralities, faces, is_planar, planar_codes, with_chirality
 from knotgym.topology.gauss import GaussCode

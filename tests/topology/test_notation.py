@@ -10,16 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.common.errors import InvalidInput
-from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.states.state_file import read_states, shipped
+from knotgym.common import InvalidInput
+from knotgym.rope import MujocoSimulation
+from knotgym.states import read_states, shipped
 from knotgym.topology.crossings import label_many
 from knotgym.topology.diagrams import parts, uniform_code, with_chirality
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import diagram_of, prime_diagrams
 from knotgym.topology.knots import is_unknot, knot_type
 from knotgym.topology.notation import (
-    code_texts,
     dt_code,
     dt_text,
     from_dt,
@@ -27,6 +26,7 @@ from knotgym.topology.notation import (
     parse_code,
     pd_code,
     pd_text,
+    split_codes,
 )
 from knotgym.topology.reidemeister import without_bigons
 from knotgym.topology.symmetry import diagram_form
@@ -311,7 +311,7 @@ def test_a_list_has_a_code_a_line_or_a_crossing_a_line() -> None:
     lines = ["# two", *trefoil, "", *(f"X[{row.replace(' ', ',')}]" for row in trefoil), "O1U1"]
     lines += ["4 6 8 2", "4 6 8 2 # twice the figure-eight knot", "[[1,1,2,2]]"]
     lines += ["PD[", "X[1,5,2,4],", "", "X[5,3,6,2],X[3,1,4,6]", "];"]
-    codes = [parse_code(text) for text in code_texts(lines)]
+    codes = [parse_code(text) for text in split_codes(lines)]
     assert [code.nx for code in codes] == [3, 3, 1, 4, 4, 1, 3]
     assert codes[0] == codes[1] == codes[6] == TREFOIL
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.topology.crossings import find_crossings, label, visit_spacing
 from knotgym.topology.reference_labeller import pyknotid_code
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope import Rope, RopeConfig
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import chiralities, planar_codes
 from knotgym.topology.gauss import GaussCode

@@ -18,12 +18,18 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_actions import Haul, MacroAction, Pass, WaypointFollower
-from knotgym.rope.model import Array, Rope
-from knotgym.rope.towing import TowBound, distances_towed
-from knotgym.topology.crossings import label_many
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import (
+    Array,
+    ChainSimulation,
+    Haul,
+    MacroAction,
+    Pass,
+    Rope,
+    TowBound,
+    WaypointFollower,
+    distances_towed,
+)
+from knotgym.topology import GaussCode, label_many
 
 Result = TypeVar("Result")
 Ids = NDArray[np.int64]

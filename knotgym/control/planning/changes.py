@@ -28,22 +28,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.tables import Column, Schema
+from knotgym.common import Column, Schema
 from knotgym.control.planning.moves import MoveRow, Moves
 from knotgym.control.planning.passes import DATA
 from knotgym.control.planning.sights import REVERSE, SWITCH, Diagram, see
-from knotgym.rope.macro_actions import (
-    MacroAction,
-    cumulative_shares,
-    move_aside,
-    pass_strand,
-    propose,
-)
-from knotgym.rope.model import Array
-from knotgym.topology.diagrams import chiralities
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.single_moves import removals, sideways
-from knotgym.topology.symmetry import canonical_form, images
+from knotgym.rope import Array, MacroAction, cumulative_shares, move_aside, pass_strand, propose
+from knotgym.topology import GaussCode, canonical_form, chiralities, images, removals, sideways
 
 CHANGES = DATA / "changes.h5"  # the table that ships
 EXAMPLES = Schema(

@@ -28,10 +28,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.tables import Column, Schema, Table, read, write
+from knotgym.common import Column, Schema, Table, read_tables, write_tables
 from knotgym.control.planning.sights import IMAGES, Diagram
-from knotgym.rope.model import Array
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
+from knotgym.rope import Array
+from knotgym.topology import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
 FORMAT = "knotgym-moves"
 NODES = Schema(
@@ -172,7 +172,7 @@ class Moves:
         }
         outcomes = dict(zip(_NAMES, self.rows.T.astype(np.int32), strict=True))
         tables = Table(NODES, nodes), Table(OUTCOMES, outcomes)
-        write(path, [*tables, *more], {}, format=FORMAT, pack=True)
+        write_tables(path, [*tables, *more], {}, format=FORMAT, pack=True)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *more: Schema) -> tuple[Moves, list[Table]]:
@@ -182,7 +182,7 @@ class Moves:
             MissingFile: the file doesn't exist.
             InvalidFile: it is corrupted or of another format.
         """
-        (nodes, outcomes, *others), _ = read(path, NODES, OUTCOMES, *more, format=FORMAT)
+        (nodes, outcomes, *others), _ = read_tables(path, NODES, OUTCOMES, *more, format=FORMAT)
         table, columns = cls(), (nodes[name].tolist() for name in ("visits", "signs", "outer"))
         counts = (nodes["visits"] != 0).sum(axis=1).tolist()
         for count, visits, signs, outer in zip(counts, *columns, strict=True):

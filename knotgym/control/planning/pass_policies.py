@@ -9,17 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidPolicy
+from knotgym.common import InvalidPolicy
 from knotgym.control.planning.batched_search import Orders, Search, Trial
 from knotgym.control.planning.passes import PassPlan, random_pass
 from knotgym.control.planning.planners import SLOTS, ChoosesPulls, Ids, PassPlanner, PassPlayer
-from knotgym.control.rollouts import Player, Policy, Pulls
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.actions import quantized
-from knotgym.rope.macro_actions import LONGEST, MacroAction, Pass, WaypointFollower, propose
-from knotgym.rope.model import Array
-from knotgym.topology.gauss import GaussCode
+from knotgym.control.sampler import Player, Policy, Pulls
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.rope import LONGEST, Array, MacroAction, Pass, WaypointFollower, propose, quantized
+from knotgym.topology import GaussCode
 
 _WANDERING = 0.5  # share of noisy episodes that begin with a random pass; not measured
 

@@ -35,11 +35,9 @@ from knotgym.control.planning.sights import (
     see,
 )
 from knotgym.control.policy_config import PassPlannerConfig
-from knotgym.rope.macro_actions import LONGEST, Pass
-from knotgym.rope.model import Array
-from knotgym.rope.towing import TowBound
-from knotgym.states.split_names import CODE_SPLITS
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import LONGEST, Array, Pass, TowBound
+from knotgym.states import CODE_SPLITS
+from knotgym.topology import GaussCode
 
 DATA = Path(str(files("knotgym.control.planning") / "data"))
 # The tables that ship, by the split whose starts and goals were played: nobody who is tested on

@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidPolicy
+from knotgym.common import InvalidPolicy
 from knotgym.control.planning.batched_search import BatchedSearch, Search
 from knotgym.control.planning.changes import shipped_guide
 from knotgym.control.planning.passes import (
@@ -33,16 +33,19 @@ from knotgym.control.planning.passes import (
 )
 from knotgym.control.planning.pulls import PullPlan, PullSearch
 from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
-from knotgym.control.rollouts import Player, Pulls, rollouts
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.engines import CHAIN, simulation_of
-from knotgym.rope.macro_actions import LONGEST, Pass, WaypointFollower
-from knotgym.rope.model import Array
-from knotgym.rope.simulation import Simulation
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
+from knotgym.control.sampler import Player, Pulls, rollouts
+from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.rope import (
+    CHAIN,
+    LONGEST,
+    Array,
+    ChainSimulation,
+    Pass,
+    Simulation,
+    WaypointFollower,
+    simulation_of,
+)
+from knotgym.topology import GaussCode, label
 
 Ids = NDArray[np.int64]
 SLOTS = 12  # most slots that a search of a policy of passes takes

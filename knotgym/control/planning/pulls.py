@@ -27,12 +27,16 @@ from numpy.typing import NDArray
 from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
 from knotgym.control.planning.changes import Distances, Guide, Proposals
 from knotgym.control.policy_config import PullPlannerConfig
-from knotgym.rope.macro_actions import Haul, MacroAction, cumulative_shares, propose_haul
-from knotgym.rope.model import Array
-from knotgym.rope.simulation import Simulation
-from knotgym.rope.towing import TowBound
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import (
+    Array,
+    Haul,
+    MacroAction,
+    Simulation,
+    TowBound,
+    cumulative_shares,
+    propose_haul,
+)
+from knotgym.topology import GaussCode, label
 
 # Hauls, tried on the hard unknots of docs/drawing.md: without them none of 64 Culprits came undone.
 # Other values of these six numbers weren't measured.

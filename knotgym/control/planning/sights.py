@@ -21,12 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from knotgym.rope.model import Array
-from knotgym.topology.crossing_kernel import OVER_PLACE, UNDER_PLACE, scan
-from knotgym.topology.crossings import label_many
-from knotgym.topology.diagrams import faces
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import images
+from knotgym.rope import Array
+from knotgym.topology import OVER_PLACE, UNDER_PLACE, GaussCode, faces, images, label_many, scan
 
 # The eight symmetries are numbered as `symmetry.images` numbers a code's images. The bits of a
 # number say which are applied, so applying k after j is applying k ^ j.

@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.atomic_files import sha256
+from knotgym.common import sha256
 from knotgym.datasets.cards.citation import BIBTEX, write_text
 from knotgym.datasets.image_table import arrow
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.cards.citation import plain
-from knotgym.quality.limits import UNITS
+from knotgym.quality import UNITS
 
 
 class CardTable(NamedTuple):

@@ -14,14 +14,14 @@ from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.cards.fact_tables import CardTable, counted, measured
 from knotgym.datasets.image_table import GRADES, file_stem, read_table, shards
 from knotgym.datasets.manifest import write_manifest
-from knotgym.states.splits import IMAGE_SPLITS
+from knotgym.states import IMAGE_SPLITS
 
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")
 _SPLITS = {name: ("split", name) for name in IMAGE_SPLITS}
 _GRADES = {name: ("grade", name) for name in GRADES} | {"accepted": ("accepted", True)}
 
 
-def tables(path: Path) -> dict[str, CardTable]:
+def image_card_tables(path: Path) -> dict[str, CardTable]:
     """Return the tables of facts about a perception table by name."""
     rows = read_table(path, columns=[*_COUNTED, "quality"])
     quality = rows["quality"].combine_chunks()
@@ -31,7 +31,7 @@ def tables(path: Path) -> dict[str, CardTable]:
     return {one.title: one for one in (*counts, measured(measures))}
 
 
-def finish(folder: Path, report: Mapping[str, Any], request: Mapping[str, Any]) -> None:
+def finish_images(folder: Path, report: Mapping[str, Any], request: Mapping[str, Any]) -> None:
     """Write card, Croissant and manifest into a folder that has its Parquet files.
 
     Args:
@@ -71,7 +71,7 @@ def _card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) ->
         policies=" and ".join(config["policies"]),
         code_share=f"{config['code_share']:g}",
         test_nx=", ".join(map(str, config["test_nx"] or ())) or "none",
-        **{name: one.markdown() for name, one in tables(folder).items()},
+        **{name: one.markdown() for name, one in image_card_tables(folder).items()},
         ropes=report["ropes"],
         frames=report["frames"],
         not_used=plain(json.dumps({**report["dropped"], **report["refused"]})),

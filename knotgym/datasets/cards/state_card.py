@@ -9,14 +9,11 @@ from knotgym.datasets.cards.citation import code_span, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import CardTable, counted, measured
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.manifest import write_manifest
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.splits import overlap
-from knotgym.states.spread import spread_of
-from knotgym.states.state_file import States
-from knotgym.topology.gauss import GaussCode
+from knotgym.states import STATE_SPLITS, States, overlap, spread_of
+from knotgym.topology import GaussCode
 
 
-def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
+def state_card_tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
     """Return the tables of facts about states by name.
 
     `report` is that of the manifest; {} for states without one.
@@ -71,7 +68,7 @@ def tables(states: States, report: Mapping[str, Any]) -> dict[str, CardTable]:
     return {one.title: one for one in listed}
 
 
-def finish(
+def finish_states(
     folder: Path, states: States, report: Mapping[str, Any], request: Mapping[str, Any]
 ) -> None:
     """Write gallery, card and manifest into a folder that has the states and demonstrations.
@@ -87,7 +84,7 @@ def finish(
 
 def _card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
-    found = {name: one.markdown() for name, one in tables(states, report).items()}
+    found = {name: one.markdown() for name, one in state_card_tables(states, report).items()}
     return filled(
         "state_card.md",
         crossings=", ".join(map(str, sorted(set(states.nx.tolist())))),

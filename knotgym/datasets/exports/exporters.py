@@ -5,8 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from knotgym.common.atomic_files import atomic_write, require_apart, require_output
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput, atomic_write, require_apart, require_output
 from knotgym.datasets.episode_dataset import open_episodes, write_episodes
 from knotgym.datasets.episode_verification import Replay, expanded
 from knotgym.datasets.exports.huggingface_export import to_huggingface

@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import knotgym
-from knotgym.common.errors import InvalidInput
-from knotgym.common.tables import Table
+from knotgym.common import InvalidInput, Table
 from knotgym.datasets.cards.citation import (
     citation_file,
     filled,
@@ -34,8 +33,7 @@ from knotgym.datasets.exports.parquet_tables import step_tables, write_parquet
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.image_table import arrow
 from knotgym.datasets.located import Located
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.state_file import read_states
+from knotgym.states import STATE_SPLITS, read_states
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 

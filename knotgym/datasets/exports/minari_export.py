@@ -11,8 +11,7 @@ uploaded to hf://USER. All ids must begin with the same word, which Minari takes
 import json
 from pathlib import Path
 
-from knotgym.common.atomic_files import copy_file
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput, copy_file
 from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of, episode_file

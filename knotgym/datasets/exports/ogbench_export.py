@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.atomic_files import atomic_writes, copy_file, require_output
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput, atomic_writes, copy_file, require_output
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.located import Located
 
@@ -72,7 +71,7 @@ def _arrays(dataset: EpisodeDataset, look: str) -> dict[str, Any]:
     if look == "state":
         seen = steps["observation"].reshape(steps.rows, -1)
     else:
-        from knotgym.envs.observations import alone, looks, picture_config
+        from knotgym.envs import alone, looks, picture_config
 
         points, own = steps["observation"].astype(np.float64), dataset.episodes.episodes
         shown = looks(dataset.task, zip(own["goal"].tolist(), own["goal_points"], strict=True))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.tables import Column, Schema, Table
+from knotgym.common import Column, Schema, Table
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import STEPS, gauss_codes, goal_reached, ranges
 from knotgym.datasets.image_table import arrow, encode, picture_column, shown
@@ -67,7 +67,7 @@ def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
         "goal_points": own["goal_points"][episode],
     }
     if pictures:
-        from knotgym.envs.observations import alone, looks, picture_config, pixels
+        from knotgym.envs import alone, looks, picture_config, pixels
 
         picture, ropes = picture_config(part.task), own["goal_points"].astype(np.float64)
         shown = looks(part.task, zip(own["goal"].tolist(), ropes, strict=True))

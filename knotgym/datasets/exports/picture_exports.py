@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput
 from knotgym.datasets.image_table import decode, file_stem, read_rows, shards
 from knotgym.datasets.located import Located
-from knotgym.states.splits import IMAGE_SPLITS
+from knotgym.states import IMAGE_SPLITS
 
 _PER_SHARD = 1000  # pictures in a tar file
 _KEYPOINTS = ("crossing", "over_before", "over_behind", "under_before", "under_behind")

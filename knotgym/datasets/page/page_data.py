@@ -19,18 +19,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import as_json
-from knotgym.common.errors import InvalidInput
+from knotgym.common import InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import points_of, read_table
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest
-from knotgym.quality.limits import UNITS
-from knotgym.rendering.camera import bead_colours
-from knotgym.rope.model import Array, RopeConfig
-from knotgym.states.state_file import read_states
-from knotgym.topology.crossings import find_crossings
+from knotgym.quality import UNITS
+from knotgym.rendering import bead_colours
+from knotgym.rope import Array, RopeConfig
+from knotgym.states import read_states
+from knotgym.topology import find_crossings
 
 _UNIT = 1e-4  # metres
 MOST_STATES = 1500  # about 1.3 kB each

@@ -3,8 +3,8 @@
 Episode i of a run has a seed of its own, so a block may have any size and be played anywhere.
 """
 
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.engines import MUJOCO
+from knotgym.envs import TaskConfig
+from knotgym.rope import MUJOCO
 
 # pieces of a run, so that workers have equal shares; episodes of a block, at least and at most. The
 # chain engine steps many ropes in little more time than one, MuJoCo doesn't.

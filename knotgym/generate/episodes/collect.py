@@ -14,33 +14,49 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.atomic_files import require_output, sha256
-from knotgym.common.configuration import as_json, differences
-from knotgym.common.errors import InvalidFile, InvalidInput, Occupied
-from knotgym.common.tables import Table
-from knotgym.control.planning import compile_planning
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episode_dataset import FILE, open_episodes
-from knotgym.datasets.episodes import PULLS, STEPS, Episodes, episodes_of, merged
-from knotgym.datasets.manifest import machine
-from knotgym.datasets.minari_form import MinariMetadata, publish
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    Occupied,
+    Table,
+    as_json,
+    differences,
+    require_output,
+    sha256,
+)
+from knotgym.control import PolicyConfig, compile_planning, episode_seed, make_policy, rollouts
+from knotgym.datasets import (
+    FILE,
+    PULLS,
+    STEPS,
+    Episodes,
+    MinariMetadata,
+    episodes_of,
+    machine,
+    merged,
+    open_episodes,
+    publish,
+)
+from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.collect_config import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.episodes.recordings import RECORDINGS, replay
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.sources import sources
-from knotgym.rope.engines import MUJOCO
-from knotgym.rope.model import RopeConfig
-from knotgym.runs.compilation import compile_first
-from knotgym.runs.identity import FIELDS, identity
-from knotgym.runs.journal import Result
-from knotgym.runs.progress import Progress
-from knotgym.runs.run import Call, Recipe, require_no_interrupted_run, run
-from knotgym.runs.run_options import RunOptions
-from knotgym.states.state_file import minari_root, read_states, ships, states_file
+from knotgym.rope import MUJOCO, RopeConfig
+from knotgym.runs import (
+    FIELDS,
+    Call,
+    Progress,
+    Recipe,
+    Result,
+    RunOptions,
+    compile_first,
+    identity,
+    require_no_interrupted_run,
+    run,
+)
+from knotgym.states import minari_root, read_states, ships, states_file
 
 
 def distinct_id(config: CollectConfig) -> str:
@@ -97,7 +113,7 @@ def collect(
 
     Raises:
         InvalidPolicy, InvalidInput: the policy doesn't fit the task, or no episode is left to keep.
-        Occupied, InvalidFile, Failed: as in `runs.run.run`.
+        Occupied, InvalidFile, Failed: as in `runs.runner.run`.
     """
     config = named(config)
     make_policy(config.policy).compatible_task(config.seen_task)  # refused before any work is done

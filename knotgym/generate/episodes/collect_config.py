@@ -3,10 +3,10 @@
 from dataclasses import replace
 from typing import Annotated
 
-from knotgym.common.configuration import Count, Seed, Whole, choice, configuration
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
-from knotgym.rope.engines import MUJOCO
+from knotgym.common import Count, Seed, Whole, choice, configuration
+from knotgym.control import PolicyConfig
+from knotgym.envs import OBSERVATIONS, TaskConfig
+from knotgym.rope import MUJOCO
 
 OBSERVATION = "both"  # stored by `knotgym collect` by default
 

@@ -14,29 +14,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.errors import InvalidInput, Occupied
-from knotgym.common.streams import Stream
-from knotgym.common.tables import Table
-from knotgym.control.policies import make_policy, training_card
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episodes import STEPS, Episodes, episodes_of, goal_reached, merged
-from knotgym.envs.task_states import task_sides
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import InvalidInput, Occupied, Stream, Table, atomic_write, require_output
+from knotgym.control import PolicyConfig, episode_seed, make_policy, rollouts, training_card
+from knotgym.datasets import STEPS, Episodes, episodes_of, goal_reached, merged
+from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, evaluation_in, show
 from knotgym.generate.episodes.sources import sources
-from knotgym.runs.compilation import compile_first
-from knotgym.runs.executors import executor
-from knotgym.runs.identity import identity
-from knotgym.runs.intervals import cluster_interval
-from knotgym.runs.journal import Result as Kept
-from knotgym.runs.progress import Progress
-from knotgym.runs.run import Call, Recipe, compute
-from knotgym.runs.run import run as run_recipe
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs import (
+    Call,
+    Progress,
+    Recipe,
+    RunOptions,
+    cluster_interval,
+    compile_first,
+    compute,
+    executor,
+    identity,
+)
+from knotgym.runs import Result as Kept
+from knotgym.runs import run as run_recipe
 
 # fields of a learner's card
 _TRAINING = ("weights_sha256", "seconds", "episodes")
@@ -90,7 +88,7 @@ def sources_of(config: EvaluateConfig) -> dict[str, Any]:
     return sources(config.policies, (task for _, task in config.setups()))
 
 
-def run(
+def evaluate(
     config: EvaluateConfig,
     options: RunOptions,
     *,
@@ -113,7 +111,7 @@ def run(
     Raises:
         InvalidInput: resume, restart or a shard is requested without `out`, or a film of a shard.
         InvalidPolicy, InvalidInput: as in `_require_playable`.
-        InvalidInput, Occupied, Failed: as in `runs.run.run`, and for `video`.
+        InvalidInput, Occupied, Failed: as in `runs.runner.run`, and for `video`.
     """
     progress = progress or Progress(quiet=True)
     if out is None and (options.resume or options.restart):
@@ -122,7 +120,7 @@ def run(
         wrong = "needs the --out of the evaluation" if out is None else "can't be filmed"
         raise InvalidInput(f"a shard {wrong}")
     if video is not None:
-        from knotgym.rendering.video import require_film
+        from knotgym.rendering import require_film
 
         require_film(video)
     _require_playable(config)
@@ -213,7 +211,7 @@ def as_text(report: dict[str, Any]) -> str:
 
 def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.uint8]]:
     """Return the frames of a film of an episode, with all of its views and each pull."""
-    from knotgym.rendering.video import film_frames
+    from knotgym.rendering import film_frames
 
     one = episodes.select([row])
     own, steps = one.episodes, one.steps
@@ -232,7 +230,7 @@ def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.
 def _write_film(
     config: EvaluateConfig, films: Sequence[Episodes], video: Path, overwrite: bool
 ) -> None:
-    from knotgym.rendering.video import write_film
+    from knotgym.rendering import write_film
 
     frames = [
         frame

@@ -3,10 +3,9 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-from knotgym.common.configuration import Count, Crossings, Seed, configuration
-from knotgym.common.errors import InvalidInput
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import Count, Crossings, InvalidInput, Seed, configuration
+from knotgym.control import PolicyConfig
+from knotgym.envs import TaskConfig
 
 
 @configuration

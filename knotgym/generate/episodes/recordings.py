@@ -21,16 +21,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import tables
-from knotgym.common.configuration import as_json, from_json
-from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.common.tables import Column, Schema, Table
-from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.rollouts import episode_seed, rollouts
-from knotgym.datasets.episodes import MACROS, PULLS, RECORDED, Episodes
+from knotgym.common import (
+    Column,
+    InvalidFile,
+    InvalidInput,
+    Schema,
+    Table,
+    as_json,
+    from_json,
+    read_tables,
+    write_tables,
+)
+from knotgym.control import RecordedPolicy, episode_seed, rollouts
+from knotgym.datasets import MACROS, PULLS, RECORDED, Episodes
 from knotgym.generate.episodes.collect_config import CollectConfig
-from knotgym.rope.actions import FORCE_BINS, quantized
-from knotgym.runs.journal import Result
+from knotgym.rope import FORCE_BINS, quantized
+from knotgym.runs import Result
 
 RECORDINGS = Path(str(files("knotgym.generate.episodes") / "data" / "recordings.h5"))  # that ships
 FORMAT = "knotgym-recordings"
@@ -128,7 +134,7 @@ def recordings(path: Path = RECORDINGS) -> Mapping[str, Recording]:
         MissingFile: the file doesn't exist.
         InvalidFile: it is corrupted or in another format.
     """
-    (rows, steps), attributes = tables.read(path, EPISODES, STEPS, format=FORMAT)
+    (rows, steps), attributes = read_tables(path, EPISODES, STEPS, format=FORMAT)
     lengths = rows["length"].astype(np.int64)
     sets = attributes.get("sets")
     if not isinstance(sets, dict) or lengths.sum() != steps.rows:
@@ -189,4 +195,4 @@ def write_recordings(path: Path, all_sets: Sequence[Recording]) -> None:
         steps.append(Table(STEPS, columns))
         rows.append(Table(EPISODES, {"length": length.astype(np.uint16), "digest": one.digests}))
         sets[one.config.dataset_id] = {"config": as_json(one.config), "episodes": len(length)}
-    tables.write(path, [rows, steps], {"sets": sets}, format=FORMAT, pack=True)
+    write_tables(path, [rows, steps], {"sets": sets}, format=FORMAT, pack=True)

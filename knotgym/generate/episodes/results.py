@@ -9,11 +9,20 @@ from typing import Annotated, Any
 from pydantic import Field
 from rich.console import Console
 
-from knotgym.common.configuration import Count, Share, Whole, configuration, from_json, read_json
-from knotgym.common.errors import InvalidFile, InvalidInput, one_line
-from knotgym.envs.task_states import OWN, SHIPPED
-from knotgym.rope.engines import MUJOCO
-from knotgym.runs.progress import narrow_table
+from knotgym.common import (
+    Count,
+    InvalidFile,
+    InvalidInput,
+    Share,
+    Whole,
+    configuration,
+    from_json,
+    one_line,
+    read_json,
+)
+from knotgym.envs import OWN, SHIPPED
+from knotgym.rope import MUJOCO
+from knotgym.runs import narrow_table
 
 _SETUP = ("policy", "task", "split", "nx")  # columns
 _OUTCOMES = ("start", "goal", "success", "steps")

@@ -7,12 +7,10 @@ from collections.abc import Iterable
 from itertools import chain
 from typing import Any
 
-from knotgym.common.atomic_files import sha256
-from knotgym.control.policies import policy_digests
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.envs.task_states import SHIPPED, task_sides
-from knotgym.envs.tasks import TaskConfig
-from knotgym.states.state_file import shipped, ships, states_file
+from knotgym.common import sha256
+from knotgym.control import PolicyConfig, policy_digests
+from knotgym.envs import SHIPPED, TaskConfig, task_sides
+from knotgym.states import shipped, ships, states_file
 
 
 def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> dict[str, Any]:

@@ -17,23 +17,34 @@ from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, require_output
-from knotgym.common.configuration import read_json
-from knotgym.common.errors import Failed, InvalidFile, InvalidInput, KnotgymError, one_line
-from knotgym.datasets.cards.citation import code_span, filled, plain
-from knotgym.datasets.cards.fact_tables import table
-from knotgym.datasets.episode_dataset import content_digest, open_episodes
-from knotgym.datasets.episodes import distinct
+from knotgym.common import (
+    Failed,
+    InvalidFile,
+    InvalidInput,
+    KnotgymError,
+    atomic_write,
+    one_line,
+    read_json,
+    require_output,
+)
+from knotgym.datasets import (
+    code_span,
+    content_digest,
+    distinct,
+    filled,
+    open_episodes,
+    plain,
+    table,
+)
 from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
 from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.recordings import Recording, first_difference, recordings
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_config import BENCH, SIZES, SUITE, SuiteConfig
 from knotgym.generate.episodes.suite_scores import read_scores, score_table
-from knotgym.rope.engines import ENGINES
-from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import RunOptions
-from knotgym.states.state_file import minari_root
+from knotgym.rope import ENGINES
+from knotgym.runs import Progress, RunOptions
+from knotgym.states import minari_root
 
 SETUPS = tuple(product(SUITE["tasks"], SUITE["nx"]))
 _FORMAT = "knotgym-suite"

@@ -9,12 +9,11 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from knotgym.common.configuration import Count, Distinct, Seed, choice, configuration
-from knotgym.common.errors import InvalidInput
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import Count, Distinct, InvalidInput, Seed, choice, configuration
+from knotgym.control import PolicyConfig
+from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect_config import CollectConfig, plain_id
-from knotgym.rope.engines import MUJOCO
+from knotgym.rope import MUJOCO
 
 SUITE: dict[str, Any] = tomllib.loads(
     (files("knotgym.generate.episodes") / "data" / "suite.toml").read_text("utf-8")

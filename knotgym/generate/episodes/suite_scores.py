@@ -6,14 +6,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from knotgym.common.configuration import as_json
-from knotgym.common.errors import InvalidFile
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.datasets.cards.citation import plain
-from knotgym.datasets.cards.fact_tables import table
+from knotgym.common import InvalidFile, as_json
+from knotgym.control import PolicyConfig
+from knotgym.datasets import plain, table
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, evaluation_in
-from knotgym.runs.intervals import cluster_interval
+from knotgym.runs import cluster_interval
 
 # Episodes that agree in all of these fields are pooled: LINE says what played, CELL where.
 LINE = ("policy", "settings", "policy_sha256", "code_sha256", "versions")

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from knotgym.generate.images.frames import symmetry_of
-from knotgym.quality.difficulty import grade_of
-from knotgym.rope.model import Array
-from knotgym.runs.journal import Result
-from knotgym.states.near_duplicates import NEAR, Spectra
+from knotgym.quality import grade_of
+from knotgym.rope import Array
+from knotgym.runs import Result
+from knotgym.states import NEAR, Spectra
 
 Quota = tuple[str, int]  # split and nx
 

@@ -15,23 +15,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.streams import Stream, derived_seed, generator
-from knotgym.common.tables import Table
-from knotgym.control.policies import make_policy
-from knotgym.control.policy_config import PolicyConfig
-from knotgym.control.rollouts import rollouts
-from knotgym.datasets.episodes import STARTS, STEPS
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import Stream, Table, derived_seed, generator
+from knotgym.control import PolicyConfig, make_policy, rollouts
+from knotgym.datasets import STARTS, STEPS
+from knotgym.envs import TaskConfig
 from knotgym.generate.images.images_config import ImagesConfig
-from knotgym.quality.difficulty import ease
-from knotgym.quality.limits import LEGIBLE
-from knotgym.quality.measures import base_spacing, measure
-from knotgym.rendering.photo import clearest, drawn_camera, tilted
-from knotgym.rope.model import Array
-from knotgym.runs.journal import Result
-from knotgym.topology.crossings import find_crossings
-from knotgym.topology.reference_labeller import pyknotid_code
-from knotgym.topology.symmetry import Symmetry
+from knotgym.quality import LEGIBLE, base_spacing, ease, measure
+from knotgym.rendering import clearest, drawn_camera, tilted
+from knotgym.rope import Array
+from knotgym.runs import Result
+from knotgym.topology import Symmetry, find_crossings, pyknotid_code
 
 SYMMETRIES = 12  # drawn for each frame
 

@@ -12,26 +12,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.atomic_files import sha256
-from knotgym.common.errors import Failed, InvalidInput
-from knotgym.common.streams import Stream, generator
-from knotgym.datasets.cards import image_card
-from knotgym.datasets.image_rows import PictureRow, drawn
-from knotgym.datasets.image_table import arrow, shard_name
+from knotgym.common import Failed, InvalidInput, Stream, generator, sha256
+from knotgym.datasets import PictureRow, arrow, drawn, finish_images, shard_name
 from knotgym.generate.images.choice import Chooser, Quota
 from knotgym.generate.images.frames import PicturedRope, frames_of
 from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
-from knotgym.rope.model import RopeConfig
-from knotgym.runs.compilation import compile_first
-from knotgym.runs.identity import identity
-from knotgym.runs.journal import Result
-from knotgym.runs.progress import Progress
-from knotgym.runs.run import Call, Recipe, run
-from knotgym.runs.run_options import RunOptions
-from knotgym.states.near_duplicates import families
-from knotgym.states.splits import IMAGE_SPLITS
-from knotgym.states.state_file import States, read_states, states_file
-from knotgym.topology.knots import codes_of
+from knotgym.rope import RopeConfig
+from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compile_first, identity, run
+from knotgym.states import IMAGE_SPLITS, States, families, read_states, states_file
+from knotgym.topology import codes_of
 
 
 def make_images(
@@ -52,7 +41,7 @@ def make_images(
         progress: shows what is done.
 
     Raises:
-        Occupied, InvalidInput, Failed: as `runs.run.run` raises.
+        Occupied, InvalidInput, Failed: as `runs.runner.run` raises.
         InvalidInput: such pictures can't be made of these states.
         MissingExtra: pyarrow isn't installed.
     """
@@ -146,7 +135,7 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     for path, result in zip(files, results, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(result["parquet"].tobytes())
-    image_card.finish(place, waves.report(), made)
+    finish_images(place, waves.report(), made)
     return f"{len(waves.chooser.chosen)} pictures"
 
 

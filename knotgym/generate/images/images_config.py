@@ -5,13 +5,21 @@ from typing import Annotated
 
 from pydantic import Field
 
-from knotgym.common.configuration import Count, Distinct, Seed, Share, Whole, configuration
-from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, generator
-from knotgym.quality.limits import UNAMBIGUOUS, Limits
-from knotgym.rendering.appearance_config import AppearanceConfig
-from knotgym.rope.engines import MUJOCO, EngineName
-from knotgym.topology.knots import LISTED_NX
+from knotgym.common import (
+    Count,
+    Distinct,
+    InvalidInput,
+    Seed,
+    Share,
+    Stream,
+    Whole,
+    configuration,
+    generator,
+)
+from knotgym.quality import UNAMBIGUOUS, Limits
+from knotgym.rendering import AppearanceConfig
+from knotgym.rope import MUJOCO, EngineName
+from knotgym.topology import LISTED_NX
 
 
 @configuration

@@ -13,23 +13,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.streams import Stream, derived_seed
-from knotgym.common.tables import Table
-from knotgym.control.planning import PassPlanner, PullPlanner
-from knotgym.control.policy_config import PassPlannerConfig
-from knotgym.control.rollouts import Policy, rollouts
-from knotgym.datasets.episodes import STARTS, Episodes, episodes_of, merged
-from knotgym.datasets.minari_form import MinariMetadata, publish
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import Stream, Table, derived_seed
+from knotgym.control import PassPlanner, PassPlannerConfig, Policy, PullPlanner, rollouts
+from knotgym.datasets import STARTS, Episodes, MinariMetadata, episodes_of, merged, publish
+from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.states.drawing_source import CALLS, drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows, joined
-from knotgym.rope.engines import CHAIN, MUJOCO
-from knotgym.runs.run import Call, Recipe
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.state_file import States, demonstrations_id
-from knotgym.topology.knot_table import diagram_of, type_of
+from knotgym.rope import CHAIN, MUJOCO
+from knotgym.runs import Call, Recipe
+from knotgym.states import STATE_SPLITS, States, demonstrations_id
+from knotgym.topology import diagram_of, type_of
 
 HORIZON = 200  # actions, more than any demonstration needs
 _STARTS = 8  # drawn states that episodes start from, in both splits together

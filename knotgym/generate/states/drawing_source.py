@@ -1,6 +1,6 @@
 """States drawn from their Gauss codes.
 
-A curve with the code is drawn (`drawing.drawn_curve`), laid in the simulator, stirred a little,
+A curve with the code is drawn (`drawing.curves`), laid in the simulator, stirred a little,
 left to rest and judged. Drawings are random, so this is repeated until enough are accepted.
 
 After a change run `python benchmarks/golden.py --compare tests/data/golden.json`: nothing
@@ -16,10 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import as_json
-from knotgym.common.errors import Failed
-from knotgym.common.streams import Stream, generator_of, key
-from knotgym.drawing.drawn_curve import drawn_curve
+from knotgym.common import Failed, Stream, as_json, generator_of, key
+from knotgym.drawing import drawn_curve
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.selection import Selection
 from knotgym.generate.states.state_filter import judge
@@ -32,15 +30,11 @@ from knotgym.generate.states.state_rows import (
     without_report,
 )
 from knotgym.generate.states.wanted_codes import WantedCodes
-from knotgym.quality.measures import measure
-from knotgym.rope.engines import simulation_of
-from knotgym.rope.simulation import Simulation
-from knotgym.runs.run import Call, Recipe
-from knotgym.states.schema import DRAWING
-from knotgym.topology.diagrams import chiralities
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT, type_of
-from knotgym.topology.knots import shows
+from knotgym.quality import measure
+from knotgym.rope import Simulation, simulation_of
+from knotgym.runs import Call, Recipe
+from knotgym.states import DRAWING
+from knotgym.topology import UNKNOT, GaussCode, chiralities, shows, type_of
 
 # The first drawings of a code must differ from all other states under every symmetry. Codes that a
 # symmetry maps to each other have similar drawings, so later ones need only differ as they lie;

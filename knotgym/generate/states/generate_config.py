@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from knotgym.common.configuration import (
-    Count,
-    Crossings,
-    Seed,
-    Share,
-    Whole,
-    configuration,
+from knotgym.common import Count, Crossings, InvalidInput, Seed, Share, Whole, configuration
+from knotgym.drawing import DrawingConfig
+from knotgym.envs import MAX_BEADS, MIN_BEADS, max_nx
+from knotgym.quality import LEGIBLE, UNTWISTED, Limits
+from knotgym.topology import (
+    LISTED_NX,
+    UNKNOT,
+    GaussCode,
+    codes_of,
+    diagram_of,
+    is_planar,
+    knot_type,
+    not_planar,
+    shows,
+    type_of,
 )
-from knotgym.common.errors import InvalidInput
-from knotgym.drawing.drawing_config import DrawingConfig
-from knotgym.envs.tasks import MAX_BEADS, MIN_BEADS, max_nx
-from knotgym.quality.limits import LEGIBLE, UNTWISTED, Limits
-from knotgym.topology.diagrams import is_planar, not_planar
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
-from knotgym.topology.knots import LISTED_NX, codes_of, knot_type, shows
 
 if TYPE_CHECKING:
-    from knotgym.rope.model import RopeConfig
+    from knotgym.rope import RopeConfig
 
 _BEADS = 100  # of the rope that demonstrations are made with
 # Settings that states taken from ropes need.
@@ -196,7 +196,7 @@ class GenerateConfig:
     @property
     def rope(self) -> RopeConfig:
         """The rope."""
-        from knotgym.rope.model import rope_of  # here, so that the command line has no simulator
+        from knotgym.rope import rope_of
 
         return rope_of(self.beads)
 

@@ -13,22 +13,23 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, key
+from knotgym.common import InvalidInput, Stream, key
 from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_rows import row_of, stacked, states_of
-from knotgym.quality.limits import UNITS, Limits, Quality
-from knotgym.rope.closed_curves import embedded
-from knotgym.rope.curve_files import Curve, read_curves
-from knotgym.rope.engines import simulation_of
-from knotgym.rope.model import Array, Rope, RopeConfig
-from knotgym.rope.relaxation import relaxed
-from knotgym.rope.simulation import Simulation
-from knotgym.states.schema import IMPORT
-from knotgym.states.state_file import States
-from knotgym.topology.crossings import count_crossings, label
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import UNKNOWN, knot_type, possible_types
+from knotgym.quality import UNITS, Limits, Quality
+from knotgym.rope import (
+    Array,
+    Curve,
+    Rope,
+    RopeConfig,
+    Simulation,
+    embedded,
+    read_curves,
+    relaxed,
+    simulation_of,
+)
+from knotgym.states import IMPORT, States
+from knotgym.topology import UNKNOWN, GaussCode, count_crossings, knot_type, label, possible_types
 
 # Heights are scaled, which changes no code, and the curve is relaxed; the first to pass is kept.
 _HEIGHTS, _ROUNDS = (1.0, 0.4, 0.15), (0, 1, 2, 4, 8, 16, 32, 64)

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.errors import Failed
-from knotgym.common.streams import Stream, key
+from knotgym.common import Failed, Stream, key
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.rope_lives import live
 from knotgym.generate.states.selection import Selection
@@ -25,13 +24,9 @@ from knotgym.generate.states.state_rows import (
     with_report,
     without_report,
 )
-from knotgym.runs.run import Call, Recipe
-from knotgym.states.schema import PLAY
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.topology.crossings import label_many
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT
-from knotgym.topology.knots import codes_of
+from knotgym.runs import Call, Recipe
+from knotgym.states import PLAY, STATE_SPLITS
+from knotgym.topology import UNKNOT, GaussCode, codes_of, label_many
 
 _CALLS = 4  # between two looks at what is still missing
 # A code may have this many times its even share of the states of an nx and split, and at least

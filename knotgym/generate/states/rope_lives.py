@@ -16,16 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.streams import generator_of
-from knotgym.common.tables import Table
-from knotgym.control.planning.pass_policies import Scripted
-from knotgym.control.rollouts import Ids, Player, Policy, Pulls, rollouts
-from knotgym.datasets.episodes import STARTS
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.common import Table, generator_of
+from knotgym.control import Ids, Player, Policy, Pulls, Scripted, rollouts
+from knotgym.datasets import STARTS
+from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.states.generate_config import PlayConfig
-from knotgym.rope.actions import decode_actions, drawn_actions, quantized
-from knotgym.rope.model import Array, Rope
+from knotgym.rope import Array, Rope, decode_actions, drawn_actions, quantized
 
 # A spreading pull flees from strands nearer than _REACH in the picture, metres, and at least _APART
 # beads away along the rope. Of _DRAWN beads, it pulls the one that is pushed away most.

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from knotgym.generate.states.state_rows import Rows, joined, taken
-from knotgym.rope.model import Array
-from knotgym.states.near_duplicates import NEAR, Spectra, distances, pairs_within
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import Array
+from knotgym.states import NEAR, Spectra, distances, pairs_within
+from knotgym.topology import GaussCode
 
 
 class Selection:

@@ -11,13 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.quality.limits import Limits, Quality
-from knotgym.quality.measures import measure, noise_survival
-from knotgym.topology.crossings import find_crossings
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT
-from knotgym.topology.knots import shows
-from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.quality import Limits, Quality, measure, noise_survival
+from knotgym.topology import UNKNOT, GaussCode, find_crossings, pyknotid_code, shows
 
 
 class Judgement(NamedTuple):

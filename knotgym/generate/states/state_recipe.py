@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.configuration import as_json
-from knotgym.common.streams import Stream, generator
-from knotgym.control.planning import compile_planning
-from knotgym.datasets.cards import state_card
+from knotgym.common import Stream, as_json, generator
+from knotgym.control import compile_planning
+from knotgym.datasets import finish_states
 from knotgym.generate.states.demonstrations import (
     demonstrated,
     demonstrated_nx,
@@ -27,17 +26,9 @@ from knotgym.generate.states.demonstrations import (
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_rows import Rows, joined, states_of, taken
-from knotgym.runs.compilation import compile_first
-from knotgym.runs.identity import identity
-from knotgym.runs.progress import Progress
-from knotgym.runs.run import Recipe, run
-from knotgym.runs.run_options import RunOptions
-from knotgym.states.schema import DRAWING
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.states.splits import kept_together, split
-from knotgym.states.state_file import States, write_states
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import type_of
+from knotgym.runs import Progress, Recipe, RunOptions, compile_first, identity, run
+from knotgym.states import DRAWING, STATE_SPLITS, States, kept_together, split, write_states
+from knotgym.topology import GaussCode, type_of
 
 # Settings that only say when a run gives up. A run may be resumed with others.
 _PATIENCE = ("attempts", "demonstration_attempts")
@@ -51,7 +42,7 @@ def make_states(
     A shard makes its journal instead, and returns that.
 
     Raises:
-        Occupied, InvalidInput, InvalidFile: as `runs.run.run` raises.
+        Occupied, InvalidInput, InvalidFile: as `runs.runner.run` raises.
         Failed: states are missing, although `config.attempts` are used up.
     """
     asked = {name: value for name, value in as_json(config).items() if name not in _PATIENCE}
@@ -105,7 +96,7 @@ def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any
         report["undemonstrated"] = np.unique(rows["gauss_code"][lacking]).tolist()
     states = states_of(rows, split, engine, facts, **located)
     write_states(place / "states.h5", states)
-    state_card.finish(place, states, report, made_by)
+    finish_states(place, states, report, made_by)
     return _summary(states, report)
 
 

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.generate.states.state_filter import Judgement
-from knotgym.quality.limits import UNITS
-from knotgym.rendering.camera import picture_of
-from knotgym.rendering.picture import draw_many
-from knotgym.rope.model import Array, rope_of
-from knotgym.states.state_file import States
-from knotgym.topology.knots import knot_type
+from knotgym.quality import UNITS
+from knotgym.rendering import draw_many, picture_of
+from knotgym.rope import Array, rope_of
+from knotgym.states import States
+from knotgym.topology import knot_type
 
 Rows = Mapping[str, NDArray[Any]]  # all of one length; empty without rows
 ACTIONS = "source/actions"  # (n, T, 6), padded with zeros to the longest

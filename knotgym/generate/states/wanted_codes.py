@@ -4,13 +4,18 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import count, islice
 
-from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, generator
+from knotgym.common import InvalidInput, Stream, generator
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.topology.diagrams import uniform_code
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import based_diagrams, diagram_of, type_of
-from knotgym.topology.knots import LISTED_NX, codes_of, shows
+from knotgym.topology import (
+    LISTED_NX,
+    GaussCode,
+    based_diagrams,
+    codes_of,
+    diagram_of,
+    shows,
+    type_of,
+    uniform_code,
+)
 
 _RARE = 20_000  # random codes to try until one shows the knot
 

@@ -1,4 +1,4 @@
-"""The chain engine: a fast solver for the closed rope, behind the interface `rope.simulation`.
+"""The chain engine: a fast solver for the closed rope, behind the interface `rope.interface`.
 
 | module | holds |
 | --- | --- |

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common.compiled import inner
+from knotgym.common import inner
 from knotgym.rope.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]

@@ -12,15 +12,14 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.common.threads import Meanwhile
+from knotgym.common import InvalidInput, Meanwhile
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.dynamics import set_all_lengths
 from knotgym.rope.chain.passage import longest_edge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import SCHEDULE, TICKS, advance
+from knotgym.rope.interface import Ids, Simulation
 from knotgym.rope.model import Array, Rope, sub_chains
-from knotgym.rope.simulation import Ids, Simulation
 
 POSITION, VELOCITY = slice(layout.X, layout.V), slice(layout.V, layout.SIDE)
 SIDE = slice(layout.SIDE, layout.SPUN)

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.common.compiled import inner
+from knotgym.common import inner
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.banded import backward, factor, forward
 from knotgym.rope.chain.contact import (

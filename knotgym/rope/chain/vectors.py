@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.compiled import inner
+from knotgym.common import inner
 from knotgym.rope.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from knotgym.rope.model import Array
+from knotgym.rope import Array
 
 ANGLES = np.linspace(0, 2 * np.pi, 40, endpoint=False)
 

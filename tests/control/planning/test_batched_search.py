@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from knotgym.control.planning.batched_search import BatchedSearch, Orders, Report, Search, Trial
-from knotgym.rope.macro_actions import Pass, propose_haul
-from knotgym.rope.towing import TowBound
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import Pass, TowBound, propose_haul
+from knotgym.topology import GaussCode
 
 KINK = GaussCode.parse("1+c,1-c")
 

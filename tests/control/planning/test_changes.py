@@ -5,9 +5,8 @@ from knotgym.control.planning import changes, shipped_guide
 from knotgym.control.planning.changes import Example, Guide, Proposals
 from knotgym.control.planning.moves import MoveRow, Moves
 from knotgym.control.planning.sights import Diagram
-from knotgym.rope.model import Rope
-from knotgym.topology.diagrams import with_chirality
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import Rope
+from knotgym.topology import GaussCode, with_chirality
 
 FLAT, KINK = GaussCode(), GaussCode.parse("1+a,1-a")
 TREFOIL = GaussCode.parse("1+a,2-a,3+a,1-a,2+a,3-a")

@@ -7,11 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidFile, MissingFile
+from knotgym.common import InvalidFile, MissingFile
 from knotgym.control.planning.moves import MoveRow, Moves, pooled
 from knotgym.control.planning.sights import IMAGES, Diagram
-from knotgym.topology.diagrams import chiralities, planar_codes
-from knotgym.topology.gauss import GaussCode
+from knotgym.topology import GaussCode, chiralities, planar_codes
 
 CODES = [
     GaussCode(code.visits, letters)

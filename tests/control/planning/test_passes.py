@@ -14,10 +14,8 @@ from knotgym.control.planning.passes import (
 )
 from knotgym.control.planning.sights import IMAGES, Diagram, see
 from knotgym.control.policy_config import PassPlannerConfig
-from knotgym.rope.macro_actions import Pass
-from knotgym.rope.model import Array
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import Symmetry, images
+from knotgym.rope import Array, Pass
+from knotgym.topology import GaussCode, Symmetry, images
 
 FLAT, KINK = GaussCode(), GaussCode.parse("1+c,1-c")
 LOOP, KINKED = Diagram(FLAT, (0,)), Diagram(KINK, (1, 2))

@@ -6,10 +6,9 @@ import pytest
 from knotgym.control.planning import PassPlanner, PullPlanner
 from knotgym.control.planning.pass_policies import Play
 from knotgym.control.policy_config import PassPlannerConfig, PullPlannerConfig
-from knotgym.control.rollouts import Policy, rollouts
-from knotgym.datasets.episodes import differences
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.tasks import TaskConfig
+from knotgym.control.sampler import Policy, rollouts
+from knotgym.datasets import differences
+from knotgym.envs import EpisodeBatch, TaskConfig
 
 TASK = TaskConfig(task="tie", nx=2, observation="state", engine="chain")
 

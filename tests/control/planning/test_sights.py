@@ -3,9 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.control.planning.sights import Diagram, canonical_image, see
-from knotgym.rope.model import Array
-from knotgym.topology.crossings import find_crossings
-from knotgym.topology.symmetry import Symmetry
+from knotgym.rope import Array
+from knotgym.topology import Symmetry, find_crossings
 
 ANGLES = np.linspace(0, 2 * np.pi, 40, endpoint=False)
 

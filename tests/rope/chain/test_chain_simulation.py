@@ -13,8 +13,7 @@ from knotgym.rope.chain.simd import LANES, put
 from knotgym.rope.closed_curves import clearance
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.mujoco_simulation import MujocoSimulation
-from knotgym.topology.crossings import find_crossings, label, label_many
-from knotgym.topology.knots import is_unknot, knot_type
+from knotgym.topology import find_crossings, is_unknot, knot_type, label, label_many
 
 from ...conftest import curled, trefoil
 

@@ -27,7 +27,7 @@ from knotgym.rope.chain.layout import (
 from knotgym.rope.chain.passage import LEAP, judge
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.model import Rope
-from knotgym.states.state_file import read_states, shipped
+from knotgym.states import read_states, shipped
 
 pytestmark = pytest.mark.thorough  # compiles the solver's parts, which have no cache of their own
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.datasets.cards.state_card import tables
-from knotgym.rope.model import Rope
+from knotgym.datasets import state_card_tables
+from knotgym.rope import Rope
 from knotgym.states.near_duplicates import distances
 from knotgym.states.spread import (
     _bare_stretch,
@@ -71,7 +71,7 @@ def test_crossings_at_one_place_are_not_apart_even_over_the_base_bead() -> None:
 
 
 def test_the_card_has_the_spread_of_every_nx(states: States) -> None:
-    rows = tables(states, {})["spread"].rows
+    rows = state_card_tables(states, {})["spread"].rows
     assert [row[0] for row in rows] == [0, 1, 2, 3, 4]
     loops = states.points[states.nx == 0]
     least = 1000 * distances(loops[0], loops[1:]).min()

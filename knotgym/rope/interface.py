@@ -15,8 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common.errors import InvalidInput
-from knotgym.common.threads import Meanwhile, Threads
+from knotgym.common import InvalidInput, Meanwhile, Threads
 from knotgym.rope.actions import decode_actions, encode_actions
 from knotgym.rope.model import Array, Rope, RopeConfig
 

@@ -11,15 +11,13 @@ After a change run `pytest tests/drawing`, then `knotgym generate --no-demonstra
 
 import numpy as np
 
-from knotgym.common.errors import Failed, InvalidInput
+from knotgym.common import Failed, InvalidInput
 from knotgym.drawing.circle_packing import pack_circles
 from knotgym.drawing.drawing_config import DrawingConfig
 from knotgym.drawing.layout_relaxation import Integers, relax_layout
 from knotgym.drawing.planar_map import planar_map
-from knotgym.rope.model import Array, Rope
-from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import faces, with_chirality
-from knotgym.topology.gauss import GaussCode
+from knotgym.rope import Array, Rope
+from knotgym.topology import GaussCode, faces, label, with_chirality
 
 # A choice without a record; a code that needs more fails later, as too tight.
 _LEAST_BEADS = 3  # per edge

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.common.errors import Failed, InvalidInput, Occupied
+from knotgym.common import Failed, InvalidInput, Occupied
 from knotgym.runs.journal import Journal
-from knotgym.runs.run import Call, Recipe, compute, run, staging_folder
 from knotgym.runs.run_options import RunOptions, Shard
+from knotgym.runs.runner import Call, Recipe, compute, run, staging_folder
 
 from ..scripts import ROOT
 from .recipes import RECIPES, drawn, made_toy, toy

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pytest
 
-from knotgym.common.configuration import (
+from knotgym.common.configurations import (
     Count,
     Crossings,
     Ordered,
@@ -18,12 +18,11 @@ from knotgym.common.configuration import (
     from_json,
 )
 from knotgym.common.errors import InvalidInput, KnotgymError
-from knotgym.drawing.drawing_config import DrawingConfig
-from knotgym.envs.tasks import TaskConfig
-from knotgym.quality.limits import Limits
-from knotgym.rendering.appearance_config import AppearanceConfig
-from knotgym.rendering.camera import PictureConfig
-from knotgym.rope.model import RopeConfig
+from knotgym.drawing import DrawingConfig
+from knotgym.envs import TaskConfig
+from knotgym.quality import Limits
+from knotgym.rendering import AppearanceConfig, PictureConfig
+from knotgym.rope import RopeConfig
 
 CONFIGURATIONS = (
     AppearanceConfig,

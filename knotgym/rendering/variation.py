@@ -9,7 +9,7 @@ Style "knotbench" draws the diagram as a line with gaps, as printed ones and tho
 (arXiv 2605.09900) are. It marks neither base nor direction, so a PD code fits the picture from any
 base point and in both directions.
 
-After a change run `pytest tests/rendering/test_appearance.py`: without variation a picture must be
+After a change run `pytest tests/rendering/test_variation.py`: without variation a picture must be
 the published one, and crossings lie where it says.
 """
 
@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.streams import Stream, generator
+from knotgym.common import Stream, generator
 from knotgym.rendering.appearance_config import LINE_SIZE, AppearanceConfig
 from knotgym.rendering.camera import RGB, PictureConfig, bead_colours, project
 from knotgym.rendering.diagram import draw_lines

@@ -10,11 +10,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from knotgym.common.errors import InvalidFile, InvalidInput
-from knotgym.common.tables import digest
-from knotgym.datasets.state_verification import state_faults
-from knotgym.generate.states.state_filter import judge
-from knotgym.quality.limits import Limits
+from knotgym.common import InvalidFile, InvalidInput, table_digest
+from knotgym.datasets import state_faults
+from knotgym.generate import judge
+from knotgym.quality import Limits
 from knotgym.states.schema import ATTRIBUTES, DIGEST, STATES
 from knotgym.states.state_file import (
     SHIPPED,
@@ -24,8 +23,7 @@ from knotgym.states.state_file import (
     shipped,
     write_states,
 )
-from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import diagram_form
+from knotgym.topology import GaussCode, diagram_form
 
 
 @pytest.fixture
@@ -38,7 +36,7 @@ def copy(states_path: str, tmp_path: Path) -> Path:
 
 def test_states_come_back_as_written(states: States, states_path: str) -> None:
     read = read_states(states_path)
-    assert digest(read.table) == digest(states.table) == read.digest
+    assert table_digest(read.table) == table_digest(states.table) == read.digest
     assert read.attributes == states.attributes
 
 
@@ -81,7 +79,7 @@ def test_flipped_bytes_are_read_as_written_or_refused(copy: Path, states: States
 
 def test_merged_states_are_sorted_by_nx_and_keep_all_configurations(states: States) -> None:
     merged = merge_states([states.taken(slice(24, 30)), states.taken(slice(0, 24))], distinct=True)
-    assert digest(merged.table) == digest(states.table)
+    assert table_digest(merged.table) == table_digest(states.table)
     assert merged.attributes["config"] == [{"made": "by hand"}] * 2
 
 

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.common.configuration import as_json, read_json
-from knotgym.rope.model import RopeConfig
+from knotgym.common import as_json, read_json
+from knotgym.rope import RopeConfig
 
 FIELDS = ("config", "source", "versions", "rope")
 

@@ -13,7 +13,7 @@ from types import FrameType
 from cyclopts import App, CycloptsError, UnknownOptionError
 
 from knotgym import __version__
-from knotgym.common.errors import Failed, KnotgymError, printable
+from knotgym.common import Failed, KnotgymError, printable
 
 # A command's module is imported when the command is typed. Its summary is also the first line of
 # its docstring; a test compares them.

@@ -17,22 +17,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import InvalidPolicy
-from knotgym.common.streams import Stream, derived_seed, generator
-from knotgym.common.tables import Schema, Table
-from knotgym.datasets.episodes import (
-    EPISODES,
-    MACROS,
-    RECORDED,
-    STEPS,
-    Episodes,
-    code_sizes,
-    fitted,
-)
-from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.envs.reward import Outcome
-from knotgym.envs.tasks import TaskConfig
-from knotgym.rope.actions import encode_actions
+from knotgym.common import InvalidPolicy, Schema, Stream, Table, derived_seed, generator
+from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, code_sizes, fitted
+from knotgym.envs import EpisodeBatch, Outcome, TaskConfig
+from knotgym.rope import encode_actions
 
 Ids = NDArray[np.int64]
 

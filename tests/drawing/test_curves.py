@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from knotgym.common.errors import Failed, InvalidInput
+from knotgym.common import Failed, InvalidInput
 from knotgym.drawing.circle_packing import pack_circles
-from knotgym.drawing.drawn_curve import drawn_curve
+from knotgym.drawing.curves import drawn_curve
 from knotgym.drawing.planar_map import planar_map
-from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import faces, with_chirality
-from knotgym.topology.gauss import GaussCode
+from knotgym.topology import GaussCode, faces, label, with_chirality
 
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
 KINKS = GaussCode.parse("1-a,2-c,2+c,1+a,3+a,3-a")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from knotgym.rendering.appearance import Appearance, appearance, render
 from knotgym.rendering.appearance_config import VARIED, AppearanceConfig
 from knotgym.rendering.picture import crossing_pixels, draw
-from knotgym.rope.model import Array, Rope
-from knotgym.topology.crossings import find_crossings, label
+from knotgym.rendering.variation import Appearance, appearance, render
+from knotgym.rope import Array, Rope
+from knotgym.topology import find_crossings, label
 
 from ..conftest import curled
 from .test_picture import shown_strands

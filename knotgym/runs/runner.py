@@ -28,17 +28,19 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from knotgym.common.atomic_files import (
+from knotgym.common import (
+    Failed,
+    InvalidInput,
+    Occupied,
+    differences,
     move_into_place,
     remove,
     require_output,
     require_own,
     require_own_tree,
 )
-from knotgym.common.configuration import differences
-from knotgym.common.errors import Failed, InvalidInput, Occupied
 from knotgym.runs.executors import InProcess, executor
-from knotgym.runs.identity import identity_of
+from knotgym.runs.identities import identity_of
 from knotgym.runs.journal import Journal, Result, has_results
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import WHOLE, Existing, RunOptions, Shard

@@ -1,0 +1,11 @@
+from .converters import to_d3rlpy as to_d3rlpy
+from .converters import to_tensordict as to_tensordict
+from .converters import torch_dataset as torch_dataset
+from .perception import images as images
+from .rows import arrays as arrays
+from .sequences import Sequences as Sequences
+from .symmetries import Symmetries as Symmetries
+from .symmetries import multiplied as multiplied
+from .transitions import Transitions as Transitions
+from .windows import GoalSampling as GoalSampling
+from .windows import Window as Window
