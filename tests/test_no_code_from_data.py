@@ -10,7 +10,6 @@ UNPICKLING = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "
 
 # file -> why a module that it imports by a computed name isn't named by data
 IMPORTS = {
-    "common/lazy_exports.py": "modules that a package lists",
     "control/own_policies.py": "module:name, which the user types; never from a file",
     "datasets/image_table.py": "parts of pyarrow, names in the code",
     "prompting/chat.py": "the HTTP library of the client that is installed",

@@ -3,7 +3,7 @@
 The measures are comparable between sets: distances between configurations (bead by bead, and as
 curves), radii of gyration, heights, and where along the rope the crossings are.
 
-After a change run `pytest tests/datasets/test_spread.py`.
+After a change run `pytest tests/states/test_spread.py`.
 """
 
 from collections.abc import Sequence

@@ -29,7 +29,7 @@ def configs(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """The configurations that `evaluate` was run with, instead of running it."""
     found: list[Any] = []
     monkeypatch.setattr(
-        "knotgym.generate.episodes.evaluate.evaluate",
+        "knotgym.generate.evaluate",
         lambda config, options, **_: found.append((config, options)),
     )
     return found

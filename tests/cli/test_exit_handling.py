@@ -69,7 +69,7 @@ def test_an_interrupted_run_names_resume_and_where_its_work_is(
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("knotgym.generate.episodes.evaluate.evaluate", stopped)
+    monkeypatch.setattr("knotgym.generate.evaluate", stopped)
     assert knotgym("evaluate") == 130
     assert capfd.readouterr().err == (
         "knotgym: interrupted before all output was written; finished work, if any, is in"
