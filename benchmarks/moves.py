@@ -10,7 +10,7 @@ would be learned. Only those are kept that are among the best `--most` for some 
 `changes` counts what the macro-actions of the policy `scripted` do to Gauss codes.
 
 The tables that ship were made by earlier scripts, from about 350,000 passes and 84,000 pulls; their
-figures are in docs/validation.md.
+figures are in notes/validation.md.
 """
 
 import argparse

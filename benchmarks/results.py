@@ -53,14 +53,12 @@ Clones choose a bead and a strand instead of six numbers, so their scores have a
 `pretrained-clone` is one of the three seeds of `clone`.
 
 Offline learners are trained on episodes like those of [the suite](suite.md).
-[Learners by libraries](library-learners.md) says on which, and what else was tried.
 
 On [`bench`](sets.md), with 256 starts and up to 256 goals a cell, 1,024 episodes make intervals of
 about 5 points to either side, or less. Learners named by a size saw the same episodes, so their
 rows compare how an action is chosen: *discrete-bc* classifies the bead and regresses the forces,
 clones classify bead and strand, the others regress where to pull and the forces. All see ropes in a
 canonical frame, but for those that see them *as they lie*.
-[On bench](library-learners.md#on-bench) says which have levelled.
 
 ## Intervals
 

@@ -1,8 +1,8 @@
-"""Write the commands' own help into docs/commands/, and their list into docs/commands.md.
+"""Write the commands' own help into docs/reference/commands.md, their list into docs/commands.md.
 
     python docs/commands.py
 
-A test compares the pages with the commands.
+A test compares both with the commands.
 """
 
 import io
@@ -16,27 +16,25 @@ from rich.console import Console
 from knotgym.cli import application
 
 DOCS = Path(__file__).parent
+HELP = "reference/commands.md"
 LIST = re.compile(r"(?<=<!-- commands -->\n\n)(?:\|.*\n)*")
 
 
 def pages() -> dict[Path, str]:
-    """Every page as it should be: the list of commands, and one page for each of them."""
+    """Both pages as they should be: the list of commands, and the help of each of them."""
     overview = DOCS / "commands.md"
     rows = ["| command | what it does |", "| --- | --- |"]
-    found: dict[Path, str] = {}
+    sections = ["# Help of the commands\n"]
     for words in commands():
-        page = f"commands/{words[1]}.md"
         text = help_of(words)
         summary = text.split("\n\n")[1].replace("\n", " ")
-        anchor = "#" + "-".join(words) if len(words) > 2 else ""
-        rows.append(f"| [`{' '.join(words)}`]({page}{anchor}) | {summary} |")
-        title = f"# `{' '.join(words[:2])}`\n" if DOCS / page not in found else ""
-        section = f"\n## `{' '.join(words)}`\n" if len(words) > 2 else ""
-        found[DOCS / page] = (
-            found.get(DOCS / page, "") + f"{title}{section}\n```text\n{text}\n```\n"
-        )
+        rows.append(f"| [`{' '.join(words)}`]({HELP}#{'-'.join(words)}) | {summary} |")
+        sections.append(f"## `{' '.join(words)}`\n\n```text\n{text}\n```\n")
     listed = "\n".join(rows) + "\n"
-    return {overview: LIST.sub(lambda _: listed, overview.read_text("utf-8")), **found}
+    return {
+        overview: LIST.sub(lambda _: listed, overview.read_text("utf-8")),
+        DOCS / HELP: "\n".join(sections),
+    }
 
 
 def commands() -> Iterator[tuple[str, ...]]:
@@ -62,6 +60,5 @@ def help_of(words: tuple[str, ...]) -> str:
 
 
 if __name__ == "__main__":
-    (DOCS / "commands").mkdir(exist_ok=True)
     for path, text in pages().items():
         path.write_text(text, encoding="utf-8")

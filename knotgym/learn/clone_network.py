@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from knotgym.learn.colour_reading import BEADS
 
-# Sizes: other widths and numbers of layers are in docs/experiments.md; of these no others are on
+# Sizes: other widths and numbers of layers are in notes/experiments.md; of these no others are on
 # record.
 _PATCH = 10  # neighbouring beads in one token
 _VISITS = 12  # visits of a code that the network sees
@@ -27,7 +27,7 @@ _POINT, _TANGENT = 6.0, 35.0  # per metre, scales at which inputs are of order 1
 _BEAD_WIDTH = 32
 _LIKELY = 8, 4  # beads, and strands for each of them, both sides of which are likely choices
 # Weight of the chance that one works, beside that of being chosen. With 1, 2 and 4 an earlier clone
-# reached 50.8, 53.1 and 48.8 % at tie nx 3 (docs/experiments.md).
+# reached 50.8, 53.1 and 48.8 % at tie nx 3 (notes/experiments.md).
 WORKING = 3.0
 # Labels are smoothed over neighbours: a bead to either side does nearly as well.
 _SMOOTHING = ((-2, 0.05), (-1, 0.15), (0, 0.6), (1, 0.15), (2, 0.05))

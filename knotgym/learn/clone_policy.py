@@ -48,7 +48,7 @@ Ids = NDArray[np.int64]
 CLONE = "clone"
 _BLOCK = 32  # states that the network is given at a time: its sums depend on their number
 # Temperature after a macro-action that changed no code: the likeliest one would be chosen again.
-# Measured on an earlier clone alone, where 0 did as well (docs/experiments.md).
+# Measured on an earlier clone alone, where 0 did as well (notes/experiments.md).
 _ESCAPE = 0.7
 # weight of the chance of being chosen, where the order of the passes counts too; not measured alone
 _GUIDED = 0.25

@@ -22,7 +22,7 @@ from knotgym.learn.decisions import Examples
 from knotgym.learn.train_config import CloneConfig
 from knotgym.learn.training import Training
 
-# Settings once, and constants since none was worth more than chance (docs/experiments.md).
+# Settings once, and constants since none was worth more than chance (notes/experiments.md).
 _DECAY = 0.05  # of the weights
 _AVERAGE = 0.998  # decay of their average, per step
 _HELD_OUT = 0.1  # share of the episodes

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.rope.actions import FORCE_BINS, quantized
 from knotgym.rope.model import Array
 
-# A pass takes 9 on average (docs/experiments.md); why 10 is the most, no record says.
+# A pass takes 9 on average (notes/experiments.md); why 10 is the most, no record says.
 LONGEST = 10  # actions of a macro-action, at most
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
 KINDS = ("pass", "curl", "spread", "shift")
@@ -46,7 +46,7 @@ _PASS_APART = 12  # fewest beads along the rope between a bead and the strand it
 _CURL_APART = 6, 24  # range of that number for a curl, both ends included
 
 # Hauls were introduced for hard unknots, of which no planner without them solved any of 64
-# (docs/hard-unknots.md); their sizes were not compared.
+# (notes/hard-unknots.md); their sizes were not compared.
 _HAUL_RISE = -0.2, 0.6  # range of the upward force, in units of the largest force
 _HAUL_STEPS = 4, 20  # range of its length for 100 beads; the upper end is excluded
 
