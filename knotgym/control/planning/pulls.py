@@ -38,7 +38,7 @@ from knotgym.rope import (
 )
 from knotgym.topology import GaussCode, label
 
-# Hauls, tried on the hard unknots of notes/drawing.md: without them none of 64 Culprits came undone.
+# Hauls, tried on the hard unknots of notes/drawing.md: without them 0 of 64 Culprits came undone.
 # Other values of these six numbers weren't measured.
 _HARD_NX = 7  # they are allowed from so many crossings on, where guidance knows very little
 _HAULED_NX = 3  # a hard rope is hauled only from states of at least this many crossings
