@@ -50,6 +50,7 @@ from .streams import key as key
 from .tables import Column as Column
 from .tables import Schema as Schema
 from .tables import Table as Table
+from .tables import filled as filled
 from .tables import format_of as format_of
 from .tables import joined as joined
 from .tables import new_hdf5 as new_hdf5

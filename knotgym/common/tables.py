@@ -12,7 +12,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
@@ -47,6 +47,12 @@ class Column(NamedTuple):
         optional: whether a table may do without the column.
         finite: whether files with infinity or NaN are refused.
         least: the smallest number that a file may hold; None for no limit.
+        of: what a value belongs to, where a table's rows stand for two things: in a table of steps
+            "state" or "pull"; the last row of an episode is a state without a pull.
+        derived: computes a row's value from what the schema's rows are made of (see the schema);
+            None for a column that can't be computed again.
+        padded: whether the first dimension of a row may differ between tables that are appended;
+            shorter ones are padded with zeros.
     """
 
     name: str
@@ -57,6 +63,19 @@ class Column(NamedTuple):
     optional: bool = False
     finite: bool = False
     least: float | None = None
+    of: str = ""
+    derived: Callable[[Any], Any] | None = None
+    padded: bool = False
+
+    @property
+    def unknown(self) -> Any:
+        """What rows hold that have no value: "", NaN, -1, False; None if files refuse that."""
+        if self.dtype == "text":
+            return ""
+        kind = np.dtype(self.dtype).kind
+        value = {"f": float("nan"), "i": -1}.get(kind, 0)
+        refused = self.finite if kind == "f" else self.least is not None and value < self.least
+        return None if refused else value
 
     def require_values(self, values: NDArray[Any]) -> None:
         """Raise InvalidInput if text has control characters or numbers are out of range."""
@@ -102,6 +121,14 @@ class Schema(NamedTuple):
         columns = tuple(c for c in self.columns if c.name in names)
         words = {word for column in columns for word in column.shape}
         return Schema(self.name, columns, self.row, tuple(s for s in self.sizes if s[0] in words))
+
+    def without(self, *names: str) -> "Schema":
+        """Return the schema without some of its columns, if it has them."""
+        return self.only(*(column.name for column in self.columns if column.name not in names))
+
+    def derive(self, origin: Any) -> dict[str, Any]:
+        """Compute the derived columns of a row, by name, from what the row is made of."""
+        return {c.name: c.derived(origin) for c in self.columns if c.derived}
 
     def shape(self, column: Column) -> tuple[int, ...]:
         """Return the shape of a row of a column; all of its words must have values."""
@@ -198,9 +225,30 @@ def joined(tables: Sequence[Table]) -> Table:
         InvalidInput: there is no table, or their schemas or sizes differ.
     """
     schema = _shared_schema(tables)
-    return Table(
-        schema, {c.name: np.concatenate([t[c.name] for t in tables]) for c in schema.columns}
-    )
+    columns = {c.name: [_fitted(schema, c, table) for table in tables] for c in schema.columns}
+    return Table(schema, {name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def filled(table: Table, schema: Schema) -> Table:
+    """Add the optional columns of a schema that a table lacks, so that the two can be appended.
+
+    Raises:
+        InvalidInput: a file can't say that such a column has no values.
+    """
+    lacking = [c for c in schema.columns if c.optional and c.name not in table]
+    if never := [c.name for c in lacking if c.unknown is None]:
+        raise InvalidInput(f"column {', '.join(never)} is missing")
+    sizes = {**dict(schema.sizes), **dict(table.schema.sizes)}
+    added = {
+        c.name: np.full(
+            (table.rows, *schema.sized(**sizes).shape(c)),
+            c.unknown,
+            np.str_ if c.dtype == "text" else c.dtype,
+        )
+        for c in lacking
+    }
+    names = {*table, *added}
+    return Table(schema._replace(sizes=()).only(*names), {**table, **added})
 
 
 def write_tables(
@@ -282,7 +330,7 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
     schema, rows = _shared_schema(parts), sum(part.rows for part in parts)
     group = file.require_group(schema.name) if schema.name else file
     for c in schema.columns:
-        values: list[NDArray[Any]] = [part[c.name] for part in parts]
+        values = [_fitted(schema, c, part) for part in parts]
         for one in values:
             c.require_values(one)
         dtype: Any = c.dtype
@@ -432,18 +480,41 @@ def require_stored_here(data: h5py.Dataset, name: str) -> None:
 
 
 def _shared_schema(tables: Sequence[Table]) -> Schema:
-    """Return the schema that tables share: all required columns, and the optional ones of all."""
+    """Return the schema that tables share: all required columns, and the optional ones of all.
+
+    Sizes are those of every table; padded columns have the largest.
+    """
     if not tables:
         raise InvalidInput("no table to append")
     names = [name for name in tables[0] if all(name in table for table in tables)]
-    schemas = list({table.schema.only(*names): None for table in tables})
     required = {c.name for table in tables for c in table.schema.columns if not c.optional}
-    if len(schemas) > 1 or not required <= {*names}:
-        raise InvalidInput(
-            f"tables {schemas[0].name!r} differ in their columns or sizes:"
-            f" {' and '.join(str(dict(schema.sizes)) for schema in schemas)}"
-        )
-    return schemas[0]
+    if lacking := sorted(required - {*names}):
+        raise InvalidInput(f"column {', '.join(lacking)} is missing in some tables to append")
+    schemas = [table.schema.only(*names) for table in tables]
+    padded = {c.shape[0] for c in schemas[0].columns if c.padded}
+    most = {
+        word: max(dict(schema.sizes)[word] for schema in schemas)
+        for word, _ in schemas[0].sizes
+        if word in padded
+    }
+    first, *others = (schema.sized(**most) for schema in schemas)
+    for other in others:
+        for one, found in zip(first.columns, other.columns, strict=True):
+            if (one, first.shape(one)) != (found, other.shape(found)):
+                raise InvalidInput(
+                    f"tables to append differ: {one.name} is {one.dtype} {first.shape(one)} in one"
+                    f" and {found.dtype} {other.shape(found)} in another"
+                )
+    return first
+
+
+def _fitted(schema: Schema, column: Column, table: Table) -> NDArray[Any]:
+    """Return a table's column, padded to the length that the schema has."""
+    values = table[column.name]
+    lacking = schema.shape(column)[0] - values.shape[1] if column.padded else 0
+    if not lacking:  # mapped files aren't copied
+        return values
+    return np.pad(values, [(0, lacking * (axis == 1)) for axis in range(values.ndim)])
 
 
 def _type_name(dtype: np.dtype[Any]) -> str:

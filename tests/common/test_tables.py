@@ -17,6 +17,7 @@ from knotgym.common.tables import (
     Column,
     Schema,
     Table,
+    filled,
     format_of,
     joined,
     read_tables,
@@ -90,13 +91,49 @@ def test_parts_are_appended(tmp_path: Path, path: Path, rows: int) -> None:
 
 
 def test_tables_of_other_sizes_are_not_appended(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="differ in their columns or sizes"):
+    with pytest.raises(
+        InvalidInput, match=r"differ: points is float64 \(4, 3\) in one and float64 \(5, 3\)"
+    ):
         joined([table(beads=4), table(beads=5)])
 
 
 def test_an_optional_column_is_kept_if_all_parts_have_it() -> None:
     scored = Table(SCHEMA, {**table(), "score": np.ones(5, np.float32)})
     assert "score" in joined([scored, scored]) and "score" not in joined([scored, table()])
+
+
+def test_padded_columns_get_the_longest_length(tmp_path: Path) -> None:
+    schema = Schema("", (Column("code", "int64", ("visits", 2), padded=True),))
+    parts = [Table(schema, {"code": np.ones((2, length, 2), np.int64)}) for length in (1, 3)]
+    assert joined(parts)["code"].sum(axis=(1, 2)).tolist() == [2, 2, 6, 6]
+    write_tables(tmp_path / "rows.h5", [parts], {}, format="ours")
+    (found,), _ = read_tables(tmp_path / "rows.h5", schema, format="ours")
+    assert table_digest(found) == table_digest(joined(parts))
+
+
+def test_a_table_is_filled_with_values_that_say_unknown() -> None:
+    schema = Schema(
+        "",
+        (
+            Column("a", "int64"),
+            Column("name", "text", optional=True),
+            Column("score", "float64", ("wide",), optional=True),
+            Column("row", "int64", optional=True),
+        ),
+        sizes=(("wide", 2),),
+    )
+    whole = filled(Table(schema, {"a": np.arange(3)}), schema)
+    assert whole["name"].tolist() == [""] * 3 and whole["row"].tolist() == [-1] * 3
+    assert whole["score"].shape == (3, 2) and np.isnan(whole["score"]).all()
+    steps = Schema("", (Column("a", "int64"), Column("steps", "int64", optional=True, least=0)))
+    with pytest.raises(InvalidInput, match="column steps is missing"):
+        filled(Table(steps, {"a": np.arange(3)}), steps)
+
+
+def test_derived_columns_are_computed_by_the_schema() -> None:
+    schema = Schema("", (Column("a", "int64"), Column("square", "int64", derived=lambda a: a * a)))
+    assert schema.derive(7) == {"square": 49}
+    assert [column.name for column in schema.without("a", "other").columns] == ["square"]
 
 
 def test_sizes_of_columns_that_are_left_out_do_not_count() -> None:
