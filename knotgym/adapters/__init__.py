@@ -1,4 +1,5 @@
-"""Adapters of the environments to other libraries.
+"""Environments in the forms that trainers expect: Stable-Baselines3, goal-conditioned, OGBench. The
+rules of the game stay in `knotgym.envs`. Read `goal_environment.py` first.
 
 `sb3_vec_env` makes a Stable-Baselines3 `VecEnv` over one batched simulation, `goal_env` an
 environment for hindsight experience replay. `OGBenchEnv` is the environment behind the ids

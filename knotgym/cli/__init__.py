@@ -1,4 +1,6 @@
-"""The command line: commands, their options, and what they print."""
+"""The command line: a command is a function, the fields of configurations that are options, and
+what it prints. What a command does stands in other rooms. Read `program.py` first.
+"""
 
 import lazy_loader
 

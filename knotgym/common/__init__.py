@@ -1,4 +1,6 @@
-"""Shared foundations: errors, random streams, configurations, and file access."""
+"""What every room builds on: errors, random streams, configurations, tables with schemas, files
+that are written whole or not at all. It knows nothing of knots or ropes. Read `tables.py` first.
+"""
 
 import lazy_loader
 

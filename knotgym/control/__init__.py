@@ -1,4 +1,6 @@
-"""Action sequences, macro-actions, the planner, the expert, and policies by name."""
+"""Policies, and the one loop that plays them: random, scripted, planning, recorded, a user's. It
+keeps nothing on disk. Read `sampler.py` first.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,6 @@
-"""Datasets of episodes and labelled pictures: schemas, readers, writers, verification, exports."""
+"""Tables of episodes and pictures: reading, writing, checking by computing again, selecting, cards,
+the page, exports. It never plays an episode. Read `episodes.py` first.
+"""
 
 import lazy_loader
 

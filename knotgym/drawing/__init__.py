@@ -1,4 +1,6 @@
-"""Draw ropes from Gauss codes: planar map, circle packing, layout relaxation, lifting."""
+"""From a Gauss code to a curve: planar map, circle packing, relaxation. Whether the rope can lie so
+is for others to check. Read `curves.py` first.
+"""
 
 import lazy_loader
 

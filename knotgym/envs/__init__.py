@@ -1,4 +1,6 @@
-"""Tasks, rewards and the Gymnasium environments."""
+"""Tasks and the Gymnasium environments: starts and goals, observations, the one reward. It plays no
+policy and writes no file. Read `tasks.py` first.
+"""
 
 import lazy_loader
 

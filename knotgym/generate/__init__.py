@@ -1,5 +1,5 @@
-"""Data made: rope states (`states`), a policy's episodes, success rates and the fixed benchmark
-(`episodes`), labelled pictures (`images`); what the commands do, to be called from Python.
+"""The recipes behind the commands: states, episodes, evaluations, the fixed benchmark, pictures.
+What they compute stands in the rooms below. Read `episodes/collect.py` first.
 
 The names below are imported when they are first used.
 """

@@ -1,4 +1,6 @@
-"""Learners: one from pictures, which plans; a clone of macro-actions; a reader. They need torch."""
+"""Learners and their training, from pictures and from demonstrations; they need torch. Nothing
+below knows of them. Read `train_recipe.py` first.
+"""
 
 import lazy_loader
 

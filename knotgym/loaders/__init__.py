@@ -1,4 +1,5 @@
-"""Load datasets for training: arrays, torch datasets, d3rlpy buffers, TensorDicts.
+"""Datasets as learners want them: arrays, windows, views of actions, torch, d3rlpy, TensorDict. It
+never writes a dataset. Read `transitions.py` first.
 
 Every loader takes a dataset as a Minari id, a folder, an episode file (compact or not), a
 `minari.MinariDataset`, or the output folder of `knotgym generate` (for its demonstrations of the

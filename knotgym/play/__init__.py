@@ -1,4 +1,6 @@
-"""The rope in a browser: pull it by hand, watch episodes, record them."""
+"""A page in the browser to pull the rope by hand, watch policies, and record both. It serves this
+machine alone. Read `session.py` first.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,6 @@
-"""Evaluate vision-language models: prompts, a client with limits, answers, transcripts."""
+"""Vision-language models put to the tasks: prompts, a client with limits, answers, transcripts. It
+never scores an episode by other rules than the environment's. Read `prompts.py` first.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,6 @@
-"""Quality of states: measures, limits and difficulty of reading."""
+"""Measures of a state, the limits that a set may put on them, and how hard a picture is to read. It
+judges states and never changes them. Read `limits.py` first.
+"""
 
 import lazy_loader
 

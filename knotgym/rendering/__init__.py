@@ -1,4 +1,6 @@
-"""Pictures of the rope: camera, renderers, varied appearance, diagrams and videos."""
+"""Pictures of the rope: camera, appearances, diagrams, film. It draws points that it is given and
+never simulates. Read `picture.py` first.
+"""
 
 import lazy_loader
 

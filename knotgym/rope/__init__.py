@@ -1,4 +1,6 @@
-"""The closed rope: model, kinematics, batched simulation and actions."""
+"""The closed rope: its model, two engines behind one interface, pulls and macro-actions. It knows
+neither tasks nor pictures. Read `interface.py` first.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,6 @@
-"""Long runs: recipes and their journal, executors, progress, confidence intervals."""
+"""Long runs: recipes whose results are kept in a journal, so that they resume and run in shards. It
+doesn't know what a recipe computes. Read `runner.py` first.
+"""
 
 import lazy_loader
 

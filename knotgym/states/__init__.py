@@ -1,4 +1,6 @@
-"""Files of rope states: schema, reading, writing, splits, and the shipped sets."""
+"""The table of rope states: schema, file, splits, near duplicates, and the sets that ship. It never
+makes a state. Read `schema.py` first.
+"""
 
 import lazy_loader
 

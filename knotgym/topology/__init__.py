@@ -1,4 +1,5 @@
-"""Knot theory of the rope's projection: crossings, Gauss codes, diagrams, knots, symmetries.
+"""Knot theory of a rope's projection: crossings, Gauss codes and other notations, symmetries, knot
+types. It takes points and codes, and never needs the simulator. Read `crossings.py` first.
 
 Nothing here needs the simulator.
 """
