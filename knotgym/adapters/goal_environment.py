@@ -14,7 +14,16 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.envs import SYMBOLS, EpisodeBatch, KnotEnv, TaskConfig, cut, observation_space
+from knotgym.envs import (
+    SYMBOLS,
+    EpisodeBatch,
+    KnotEnv,
+    Situation,
+    TaskConfig,
+    cut,
+    observation_space,
+    outcome,
+)
 
 
 class GoalEnv(KnotEnv):
@@ -53,8 +62,7 @@ def goal_env(task: str, **settings: Any) -> GoalEnv:
         achieved_goal   int16 (1 + SYMBOLS,): the code that the rope shows, see this module
         desired_goal    int16 (1 + SYMBOLS,): the code of the goal
 
-    and `compute_reward(achieved_goal, desired_goal, info)` equals the reward of `step`:
-    `success_reward` if the rope shows the goal's code, else 0.
+    and `compute_reward(achieved_goal, desired_goal, info)` equals the reward of `step`.
 
     Args:
         task: "unknot", "tie" or "convert".
@@ -104,10 +112,13 @@ class Goals:
         return {name: each[0] for name, each in self.observations(np.array([index])).items()}
 
     def reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
-        """Return `success_reward` where goals (..., 1 + SYMBOLS) are equal and count, else 0."""
-        achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
-        reached = (achieved == desired).all(axis=-1) & (desired[..., 0] == 1)
-        rewards = np.where(reached, self.episodes.task.success_reward, 0.0)
+        """Return the task's rewards of goals (..., 1 + SYMBOLS): success where equal ones count."""
+        pair = np.broadcast_arrays(achieved_goal, desired_goal)
+        achieved, desired = (one.reshape(-1, 1 + SYMBOLS) for one in pair)
+        held = ((achieved == desired).all(axis=1) & (desired[:, 0] == 1)).astype(np.int64)
+        # hold is 1, and no failure is paid: which step it is, and whether it failed, don't matter
+        seen = Situation(achieved[:, 1:], desired[:, 1:], held, 1, np.ones_like(held))
+        rewards = outcome(self.episodes.task, seen).rewards.reshape(pair[0].shape[:-1])
         return rewards if rewards.ndim else float(rewards)
 
     def _count(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -17,6 +17,9 @@ from .observations import observe as observe
 from .observations import picture_config as picture_config
 from .observations import pixels as pixels
 from .reward import Outcome as Outcome
+from .reward import Situation as Situation
+from .reward import outcome as outcome
+from .reward import reached as reached
 from .task_states import OWN as OWN
 from .task_states import SHIPPED as SHIPPED
 from .task_states import task_sides as task_sides

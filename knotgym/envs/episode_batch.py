@@ -24,7 +24,7 @@ from knotgym.envs.observations import (
     picture_config,
     pixels,
 )
-from knotgym.envs.reward import Outcome, outcome
+from knotgym.envs.reward import Outcome, Situation, outcome, reached
 from knotgym.envs.task_states import TaskSide, task_sides
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import (
@@ -270,11 +270,12 @@ class EpisodeBatch:
         self.towed[ids] = towed
         self.steps[ids] += 1
         self.held[ids] = np.where(self.shown[ids] & ~towed, self.held[ids] + 1, 0)
-        return outcome(self.task, self.successes(ids), self.steps[ids], failed, towed)
+        codes, counts = (self.visits[ids], self.wanted[ids]), (self.held[ids], self.hold[ids])
+        return outcome(self.task, Situation(*codes, *counts, self.steps[ids], failed, towed))
 
     def successes(self, ids: Ids) -> NDArray[np.bool_]:
         """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
-        return (self.held[ids] >= self.hold[ids]) & ~self.failed[ids]
+        return reached(self.held[ids], self.hold[ids], self.failed[ids])
 
     def act(self, actions: ArrayLike, ids: Ids, meanwhile: Meanwhile = None) -> Outcome:
         """Take one action of the task's view in each episode of `ids`, with all of its pulls.

@@ -1,4 +1,4 @@
-"""Rewards and ends of episodes.
+"""Rewards and ends of episodes: `reward` and `reached` are the only places that decide them.
 
     the goal code was shown for `hold` consecutive steps    success_reward, terminated
     otherwise, at step `horizon`                            failure_reward, truncated
@@ -11,6 +11,10 @@ failure_reward never; its episodes are truncated as above and don't terminate.
 
 Codes are compared without chirality (`GaussCode.matches`). A step in which the simulation blew up
 never succeeds, and its reward is 0 even at the horizon.
+
+Environments call `outcome`, and so do loaders for goals in hindsight, goal environments for
+`compute_reward`, and `dataset verify`, which plays episodes again: a reward that is changed here is
+changed for all of them. It may depend on the codes of rope and goal.
 """
 
 from __future__ import annotations
@@ -24,6 +28,29 @@ if TYPE_CHECKING:
     from knotgym.envs.tasks import TaskConfig
 
 
+class Situation(NamedTuple):
+    """What n steps led to, and the goals of their episodes.
+
+    Attributes:
+        visits: int16 (n, width), the code that the rope shows, see `topology.code_arrays`.
+        goal_visits: int16 (n, width or another), the code of the goal.
+        held: int (n,), consecutive steps for which the goal has been shown, this one included,
+            within the bound on towing.
+        hold: int (n,) or one number: for how many steps it must be shown.
+        steps: int (n,), steps since the reset, this one included.
+        failed: bool (n,), whether the simulation blew up in this step.
+        towed: bool (n,), whether the rope is beyond the bound on towing.
+    """
+
+    visits: NDArray[np.int16]
+    goal_visits: NDArray[np.int16]
+    held: NDArray[np.int64]
+    hold: ArrayLike
+    steps: NDArray[np.int64]
+    failed: ArrayLike = False
+    towed: ArrayLike = False
+
+
 class Outcome(NamedTuple):
     """Rewards of n steps, float64 (n,), and whether they end their episodes, bool (n,) each."""
 
@@ -32,26 +59,23 @@ class Outcome(NamedTuple):
     truncated: NDArray[np.bool_]
 
 
-def outcome(
-    task: TaskConfig,
-    reached: NDArray[np.bool_],
-    steps: NDArray[np.int64],
-    failed: NDArray[np.bool_],
-    towed: ArrayLike = False,
-) -> Outcome:
-    """Return the rewards of n steps and whether they end their episodes.
+def reached(
+    held: NDArray[np.int64], hold: ArrayLike, failed: ArrayLike = False
+) -> NDArray[np.bool_]:
+    """Return whether steps are successes: bool (n,); for arguments see `Situation`."""
+    return (held >= np.asarray(hold)) & ~np.asarray(failed)
 
-    Args:
-        task: horizon and rewards.
-        reached: bool (n,), whether the goal has been shown for `hold` consecutive steps, this one
-            included, within the bound on towing; False where the simulation blew up.
-        steps: int (n,), steps since the reset, this one included.
-        failed: bool (n,), whether the simulation blew up in this step.
-        towed: bool (n,), whether the rope is beyond the bound on towing.
-    """
-    terminated = reached & (not task.endless)
-    late = ((steps >= task.horizon) | np.asarray(towed)) & ~terminated
+
+def reward(task: TaskConfig, seen: Situation) -> NDArray[np.float64]:
+    """Return the rewards of n steps, float64 (n,)."""
     failure = 0.0 if task.endless else task.failure_reward
-    unsuccessful = np.where(late & ~failed, failure, 0.0)
-    rewards = np.where(reached, task.success_reward, unsuccessful)
-    return Outcome(rewards, terminated, truncated=late | failed)
+    late = ((seen.steps >= task.horizon) | np.asarray(seen.towed)) & ~np.asarray(seen.failed)
+    success = reached(seen.held, seen.hold, seen.failed)
+    return np.where(success, task.success_reward, np.where(late, failure, 0.0))
+
+
+def outcome(task: TaskConfig, seen: Situation) -> Outcome:
+    """Return the rewards of n steps and whether they end their episodes."""
+    terminated = reached(seen.held, seen.hold, seen.failed) & (not task.endless)
+    late = (seen.steps >= task.horizon) | np.asarray(seen.towed) | np.asarray(seen.failed)
+    return Outcome(reward(task, seen), terminated, truncated=late & ~terminated)

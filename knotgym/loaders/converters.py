@@ -9,7 +9,13 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, MissingExtra, install_command
+from knotgym.common import (
+    InvalidInput,
+    MissingExtra,
+    atomic_write,
+    install_command,
+    require_output,
+)
 from knotgym.loaders.rows import drawn_generator, rows
 from knotgym.loaders.transitions import Opening, Transitions
 
@@ -105,8 +111,9 @@ def to_tensordict(
 
     Args:
         dataset, opening: see `knotgym.loaders`.
-        folder: where to keep the tensors in memory-mapped files, for datasets that are larger than
-            the memory; None to hold them in memory.
+        folder: a new folder to keep the tensors in as memory-mapped files, for datasets that are
+            larger than the memory; None to hold them in memory. `TensorDict.load_memmap(folder)`
+            opens it again.
 
     Returns:
         Batch size [N]. Keys: observation (for "both", pixels and state); action; done, terminated
@@ -119,21 +126,29 @@ def to_tensordict(
 
     Raises:
         MissingExtra: tensordict or torch isn't installed.
+        Occupied: the folder exists.
     """
     tensordict = import_client("tensordict")
     transitions = Transitions(dataset, **opening)
     if folder is None:
         return _tensors(tensordict, transitions, rows(transitions), slice(None))
-    goals, count = drawn_generator(transitions), len(transitions)
-    mapped = None
-    for first in range(0, count, _AT_ONCE):
+    require_output(folder, folder=True)
+    with atomic_write(folder, overwrite=False) as part:
+        _map(tensordict, transitions, part)
+    return tensordict.TensorDict.load_memmap(folder)
+
+
+def _map(tensordict: Any, transitions: Transitions, folder: Path) -> None:
+    """Write the tensors of all transitions to mapped files in a new folder."""
+    goals, count, mapped = drawn_generator(transitions), len(transitions), None
+    for first in range(0, max(1, count), _AT_ONCE):
         some = slice(first, min(first + _AT_ONCE, count))
         columns = transitions.batch(np.arange(some.start, some.stop), rng=goals)
         block = _tensors(tensordict, transitions, columns, some)
         if mapped is None:
-            mapped = block[:1].expand(count).memmap_like(folder)
-        mapped[some] = block
-    return mapped
+            mapped = block[:1].expand(count).memmap_like(folder) if count else block.memmap(folder)
+        if count:
+            mapped[some] = block
 
 
 def _tensors(

@@ -24,8 +24,15 @@ from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import InvalidFile, InvalidInput, Threads, atomic_write, require_own
-from knotgym.datasets import EpisodeDataset, content_digest, gauss_code
+from knotgym.common import (
+    InvalidFile,
+    InvalidInput,
+    Threads,
+    atomic_write,
+    require_own,
+    table_digest,
+)
+from knotgym.datasets import EpisodeDataset, gauss_code
 from knotgym.envs import OBSERVATIONS
 
 Ids = NDArray[np.int64]
@@ -240,8 +247,11 @@ class DrawnFrames:
         """Digest everything that decides the pictures."""
         import cv2
 
+        episodes, steps = self._dataset.episodes
         decides = {
-            "episodes": content_digest(self._dataset.episodes),
+            # from equal pulls, the two engines' states differ
+            "states": table_digest(steps.only("observation")),
+            "goals": table_digest(episodes.only("goal_points", "length")),
             "picture": asdict(self._style),
             "looks": [look and asdict(look) for look in self._looks],
             "versions": {"knotgym": knotgym.__version__, "opencv": cv2.__version__},

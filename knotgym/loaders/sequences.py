@@ -28,7 +28,8 @@ class Sequences:
             columns: which columns of `datasets.episodes.STEPS` a stretch has.
 
         Raises:
-            InvalidInput: the length isn't above 0, or there is no such column.
+            InvalidInput: the length isn't above 0, no episode is as long, or there is no such
+                column.
         """
         if length < 1:
             raise InvalidInput(f"length must be at least 1, got {length}")
@@ -39,9 +40,14 @@ class Sequences:
         rows = np.arange(episodes.steps.rows)
         fits = rows + length <= np.repeat(episodes.offsets[1:], episodes.episodes["length"] + 1)
         self.starts: NDArray[np.int64] = rows[fits]
+        if not len(self.starts):
+            longest = int(episodes.episodes["length"].max(initial=-1)) + 1
+            raise InvalidInput(
+                f"no episode of {self.dataset.path} has {length} states; the longest has {longest}"
+            )
 
     def __len__(self) -> int:
-        """Return the number of stretches; 0 if no episode is long enough."""
+        """Return the number of stretches."""
         return len(self.starts)
 
     def __getitem__(self, index: int) -> dict[str, NDArray[Any]]:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Table
 from knotgym.datasets import codes_held, columns_of, goals_reached, ranges
-from knotgym.envs import ACTIONS
+from knotgym.envs import ACTIONS, Situation, outcome, reached
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
 from knotgym.rope import decode_actions, force_choices
@@ -221,28 +221,56 @@ class Transitions:
     @cached_property
     def rewards(self) -> NDArray[np.float64]:
         """float64 (N,)."""
+        rewards, before, after = self._pull_rewards(), self._before, self._after
         if self._relabelled:
-            return np.where(self.terminals, self.task.success_reward, 0.0)
-        rewards = self._pull_rewards()
+            # segments of one episode share its rows, so each gets rows of its own
+            first = self._offsets[self.episode]
+            own = np.cumsum(self.goal_step + 1) - (self.goal_step + 1) - first
+            shift = np.repeat(own, np.diff(self.starts))
+            before, after = before + shift, after + shift
         if self.action != "macro":
-            return rewards[self._before]
-        between = np.stack([self._before, self._after], axis=1).ravel()
+            return rewards[before]
+        between = np.stack([before, after], axis=1).ravel()
         return np.add.reduceat(rewards, between)[::2] if len(between) else np.zeros(0)
 
+    def _hindsight_rewards(self) -> NDArray[np.float64]:
+        """Return the reward of the pull in each state of each segment, 0 in its last."""
+        steps, lengths = self.dataset.episodes.steps, self.goal_step
+        before = ranges(self._offsets[self.episode], lengths)
+        after, goal = before + 1, np.repeat(self._offsets[self.episode] + lengths, lengths)
+        codes, held = codes_held(self.dataset.episodes, self.task.tow_limit)
+        shown = np.where(codes[after] == codes[goal], held[after], 0)
+        count, visits = ranges(np.ones_like(lengths), lengths), steps["visits"]
+        # a segment ends at its goal: no state before is beyond the bound on towing or has failed
+        seen = Situation(visits[after], visits[goal], shown, self.task.hold, count)
+        found = np.zeros(len(after) + len(lengths))
+        found[np.arange(len(after)) + np.repeat(np.arange(len(lengths)), lengths)] = outcome(
+            self.task, seen
+        ).rewards
+        return found
+
     def _pull_rewards(self) -> NDArray[np.float64]:
-        """Return the reward of the pull in each row of steps."""
+        """Return the reward of the pull in each row of steps, or in each state of all segments."""
+        if self._relabelled:
+            return self._hindsight_rewards()
         episodes, steps = self.dataset.episodes
         if self._reward is None:
             return steps["reward"]
         found = np.zeros(steps.rows)
         for number, first in enumerate(self._offsets[:-1].tolist()):
-            own = {name: column[number] for name, column in episodes.items()}
+            # copies: a function may change what it is given
+            own = {name: column[[number]][0] for name, column in episodes.items()}
             last = first + int(own["length"])
-            rewards = np.asarray(self._reward(own, steps.take(slice(first, last + 1))))
+            rewards = np.asarray(self._reward(own, steps.take(np.arange(first, last + 1))))
             if rewards.shape != (last - first,) or rewards.dtype.kind not in "biuf":
                 raise InvalidInput(
                     f"reward must return {last - first} numbers for an episode of as many pulls,"
                     f" got {rewards.dtype} of shape {rewards.shape}"
+                )
+            if len(wrong := np.flatnonzero(~np.isfinite(rewards))):
+                raise InvalidInput(
+                    f"reward must return finite numbers, got {rewards[wrong[0]]} in episode"
+                    f" {number}, step {wrong[0]}"
                 )
             found[first:last] = rewards
         return found
@@ -407,7 +435,8 @@ class Transitions:
         codes, held = self._codes_held
         after = at + segments[:, None] + 1
         wanted = codes[goals][:, None]
-        success = (codes[after] == wanted) & (wanted >= 0) & (held[after] >= self.task.hold)
+        shown = np.where((codes[after] == wanted) & (wanted >= 0), held[after], 0)
+        success = reached(shown, self.task.hold)
         rewards = success - float(self.window.goals.gc_negative)
         return rewards, success, (at == end - 1) & ~success, self.pulls[at], inside
 

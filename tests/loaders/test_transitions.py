@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from synthetic_episodes import BEADS, TASK, TINY, episodes, written
 
-from knotgym.common import InvalidFile, InvalidInput, Table
+from knotgym.common import InvalidFile, InvalidInput, Occupied, Table
 from knotgym.datasets import STEPS, Episodes, goals_reached, open_episodes
 from knotgym.envs import KnotEnv
 from knotgym.loaders import (
@@ -154,6 +154,20 @@ def test_a_cache_holds_every_picture_once(tmp_path: Path) -> None:
     assert len([*(tmp_path / "c").iterdir()]) == 2
 
 
+def test_sets_of_equal_pulls_and_other_states_share_no_pictures(
+    made: Episodes, path: Path, tmp_path: Path
+) -> None:
+    moved = made.steps.replaced(observation=np.roll(made.steps["observation"], 9, axis=1))
+    goals = made.episodes.replaced(goal_points=made.episodes["goal_points"][::-1])
+    others = made._replace(steps=moved), made._replace(episodes=goals)
+    for k, other in enumerate(others):
+        sets = path, written(tmp_path / f"{k}.h5", other)
+        kept = [arrays(one, observation="pixels", cache=tmp_path / "c") for one in sets]
+        assert not np.array_equal(kept[0]["observations"], kept[1]["observations"])
+        right = arrays(sets[1], observation="pixels")["observations"]
+        np.testing.assert_array_equal(kept[1]["observations"], right)
+
+
 def test_a_damaged_or_linked_cache_is_one_line(tmp_path: Path) -> None:
     Transitions(TINY["expert"], observation="pixels", cache=tmp_path / "c")
     (file,) = (tmp_path / "c").iterdir()
@@ -220,6 +234,26 @@ def test_rewards_of_my_own_reach_every_window(made: Episodes, path: Path) -> Non
     assert two["rewards"] == own[0] + 0.5 * own[1]
     with pytest.raises(InvalidInput, match=rf"must return {LENGTHS[0]} numbers .* of shape \(\)"):
         arrays(path, reward=lambda episode, steps: 1.0)
+    with pytest.raises(InvalidInput, match=r"finite numbers, got nan in episode 2, step 4$"):
+        arrays(path, reward=lambda own, steps: [1.0, 1, 1, 1, np.nan, 1][: own["length"]])
+
+
+def test_a_reward_that_changes_and_keeps_what_it_is_given_changes_no_column() -> None:
+    dataset, kept = open_episodes(TINY["expert"]), np.zeros(20)
+    own, steps = dataset.episodes
+    before = steps["observation"].copy(), own["goal_points"].copy()
+
+    def careless(episode: dict[str, Any], steps: Table) -> Any:
+        steps["observation"][:] = 0
+        episode["goal_points"][:] = 0
+        kept[:] = episode["seed"]
+        return kept[: episode["length"]]
+
+    found = Transitions(dataset, reward=careless)
+    for segment, seed in enumerate(own["seed"]):
+        assert (found.rewards[slice(*found.starts[segment : segment + 2])] == seed).all()
+    np.testing.assert_array_equal(steps["observation"], before[0])
+    np.testing.assert_array_equal(own["goal_points"], before[1])
 
 
 def test_a_recording_is_refused(tmp_path: Path, made: Episodes) -> None:
@@ -249,7 +283,9 @@ def test_sequences_are_views_of_the_columns(made: Episodes, path: Path) -> None:
     one = data[3]
     np.testing.assert_array_equal(one["observation"], made.steps["observation"][7:10])
     assert one["episode"].tolist() == [2] and not one["observation"].flags.owndata
-    assert len(pickle.loads(pickle.dumps(data))) == len(data) and len(Sequences(path, 99)) == 0
+    assert len(pickle.loads(pickle.dumps(data))) == len(data)
+    with pytest.raises(InvalidInput, match="has 99 states; the longest has 7"):
+        Sequences(path, 99)
 
 
 @clients
@@ -281,7 +317,12 @@ def test_a_tensordict_holds_every_transition_in_memory_or_mapped(
         np.testing.assert_array_equal(data["episode"].numpy(), OWNERS)
         ends = held["terminals"] | held["timeouts"]
         np.testing.assert_array_equal(data["next", "done"].numpy()[:, 0], ends)
-    assert any((tmp_path / "td").iterdir())
+    mapped = to_tensordict(path, folder=tmp_path / "own")
+    # another set's tensors are never written over those that somebody holds
+    with pytest.raises(Occupied, match="own exists already"):
+        to_tensordict(path, relabel="all", folder=tmp_path / "own")
+    np.testing.assert_array_equal(mapped["action"].numpy(), held["actions"])
+    assert {one.name for one in tmp_path.iterdir()} == {"own", "td"}
 
 
 @clients
