@@ -97,7 +97,8 @@ class _OwnPlayer(ActionPlayer):
             if takes > 1:
                 seen += [batch.info(index), self.rngs[index]]
             with _user_code(self.name):
-                actions.append(function(*seen))
+                # copied at once, as the next call may return the same array
+                actions.append(copy.deepcopy(function(*seen)))
         return actions
 
 
@@ -148,7 +149,7 @@ def load_own(name: str) -> Policy:
             given = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, SyntaxError) as error:
         raise InvalidPolicy(f"no policy {name}: {one_line(error)}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise _invalid(name, error) from error
     if callable(getattr(given, "player", None)) and not inspect.isclass(given):
         return _Guarded(given, name)
@@ -193,16 +194,16 @@ def _current_folder(package: str) -> Iterator[None]:
 
 @contextmanager
 def _user_code(name: str) -> Iterator[None]:
-    """Run user code; re-raise what it raises as InvalidPolicy."""
+    """Run user code; re-raise what it raises, even by `sys.exit`, as InvalidPolicy."""
     try:
         yield
     except KnotgymError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise _invalid(name, error) from error
 
 
-def _invalid(name: str, error: Exception) -> InvalidPolicy:
+def _invalid(name: str, error: BaseException) -> InvalidPolicy:
     """One line that names the policy, the error, and where it was raised."""
     # the innermost frame is where the user's code, or a library that it called, went wrong
     frame = traceback.extract_tb(error.__traceback__)[-1]

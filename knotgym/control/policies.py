@@ -132,7 +132,7 @@ def _entry_point_families() -> tuple[PolicyFamily, ...]:
     for one in sorted(entry_points(group=GROUP), key=lambda one: one.value):
         try:
             families.append(one.load())
-        except Exception as error:  # another package's import may raise anything
+        except (Exception, SystemExit) as error:  # another package's import may raise anything
             raise InvalidPolicy(
                 f"the policies of entry point {one.name} = {one.value} can't be loaded:"
                 f" {one_line(error)}"

@@ -148,7 +148,7 @@ def rollouts(
             # A stream of its own for each episode and attempt, apart from the one that drew its
             # start: a policy that draws more or less changes no start.
             draws = [generator(Stream.POLICY, max(0, s), attempt) for s in batch.seed[ids].tolist()]
-            player.begin(ids, draws)
+            player.begin(ids.copy(), draws)
             record.begin(ids)
             if advice is not None:
                 advice.begin(ids)
@@ -157,7 +157,8 @@ def rollouts(
             return record.whole()
         if advice is not None:
             record.advise(advice.given(playing))
-        pulls = _checked(player.act(playing), playing, batch, policy.name)
+        # copies go in and come out: a player may keep, change and reuse its arrays
+        pulls = _checked(player.act(playing.copy()), playing, batch, policy.name)
         # every lane plans; asking again lets their searches go on
         if not len(pulls.ids):
             continue
@@ -175,7 +176,7 @@ def rollouts(
 
 
 def _checked(pulls: Pulls, playing: Ids, batch: EpisodeBatch, name: str) -> Pulls:
-    """Return a player's pulls if they can be made."""
+    """Return a copy of a player's pulls, if they can be made."""
     try:
         count = len(pulls.ids)
         arrays: list[Any] = [(pulls.ids, np.int64, ()), (pulls.beads, np.int64, ())]
@@ -194,7 +195,8 @@ def _checked(pulls: Pulls, playing: Ids, batch: EpisodeBatch, name: str) -> Pull
             f"policy {name} must return Pulls of the ropes that it is asked about: ids and beads"
             " int64 (n,), forces float32 (n, 3) in [-1, 1]"
         )
-    return pulls
+    macros = None if pulls.macros is None else pulls.macros.copy()
+    return Pulls(pulls.ids.copy(), pulls.beads.copy(), pulls.forces.copy(), macros)
 
 
 def _fitting(task: TaskConfig) -> int:

@@ -12,6 +12,7 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
     rope        fingerprint of the rope model
     versions    package -> version that wrote the file
     digest      SHA-256 of starts and pulls, the same in both forms
+    advice      SHA-256 of `expert_action`, where it is stored: no replay recomputes it
     expansion   SHA-256 of all columns that stepping gives, see `expansion_digest`; a recording has
                 it from the columns that it was made of
     metadata    of the Minari dataset, see `MinariMetadata`; left out in single files
@@ -288,6 +289,8 @@ def write_episodes(
     }
     if not parts[0].is_recording:
         attributes["expansion"] = expansion_digest(same)
+    if all("expert_action" in part.steps for part in same):  # as `joined` keeps it
+        attributes["advice"] = advice_digest(same)
     rows, steps = [part.episodes for part in same], [part.steps for part in same]
     write_tables(path, [rows, steps], attributes, format=FORMAT, pack=pack)
 
@@ -296,6 +299,11 @@ def content_digest(episodes: Episodes) -> str:
     """Hash the starts and pulls of episodes, from which everything else follows (SHA-256)."""
     kept = fitted([episodes.recording()])[0]
     return hashlib.sha256("".join(map(table_digest, kept)).encode()).hexdigest()
+
+
+def advice_digest(parts: Sequence[Episodes]) -> str:
+    """Hash the expert's actions, which follow from no replay (SHA-256)."""
+    return table_digest(*(part.steps.only("expert_action") for part in parts))
 
 
 def expansion_digest(parts: Sequence[Episodes]) -> str:

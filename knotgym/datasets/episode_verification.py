@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidFile, KnotgymError, MissingFile, as_json, one_line
 from knotgym.datasets.episode_dataset import (
     EpisodeDataset,
+    advice_digest,
     content_digest,
     expansion_digest,
     open_episodes,
@@ -46,6 +47,9 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     is_whole = dataset.rows is None and not dataset.parts
     if is_whole and told.get("digest") != content_digest(dataset.episodes):
         raise InvalidFile(f"{dataset.path}: its starts and pulls don't match its digest")
+    if is_whole and "expert_action" in dataset.episodes.steps:
+        if told.get("advice") != advice_digest([dataset.episodes]):
+            raise InvalidFile(f"{dataset.path}: its expert's actions don't match their digest")
     for first in range(0, dataset.episodes.episodes.rows, _BLOCK):
         count("episodes played again", first, dataset.episodes.episodes.rows)
         some = dataset.episodes.select(

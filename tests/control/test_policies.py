@@ -63,8 +63,75 @@ def _raise(player: Any, ids: Any) -> None:
     raise RuntimeError("out of memory")
 
 
+def _pull_of(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.sin(1000 * observation[:6])
+
+
+class Reusing:
+    """Functions that share what they return, and change or keep what they are given."""
+
+    buffer = np.zeros(6, np.float32)
+    kept = tuple[NDArray[np.float32], ...]()
+
+    @classmethod
+    def reuses(cls, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        cls.buffer[:] = _pull_of(observation)
+        return cls.buffer
+
+    @staticmethod
+    def mutates(observation: NDArray[np.float32], info: dict[str, Any], rng: Any) -> Any:
+        action = _pull_of(observation)
+        observation[:] = 0
+        info["force"][:] = 9
+        info.clear()
+        return action
+
+    @classmethod
+    def keeps(cls, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        for one in cls.kept:
+            one[:] = 9
+        action = _pull_of(observation)
+        cls.kept = (*cls.kept[-8:], observation, action)
+        return action
+
+    @staticmethod
+    def aliases(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        observation[:6] = _pull_of(observation)
+        return observation[:6]
+
+
+class Sharing(RandomPolicy):
+    """A policy whose player returns the same arrays always, and changes those that it gets."""
+
+    def player(self, batch: Any) -> Any:
+        player, kept = super().player(batch), np.zeros((batch.count, 3), np.float32)
+        act, begin = player.act, player.begin
+
+        def shared(ids: Any) -> Pulls:
+            own, pulls = ids.copy(), act(ids.copy())
+            forces = kept[: len(own)]
+            forces[:] = pulls.forces
+            ids[:] = -5
+            return Pulls(own, pulls.beads, forces)
+
+        def begun(ids: Any, rngs: Any) -> None:
+            begin(ids.copy(), rngs)
+            ids[:], rngs[:] = -5, []
+
+        player.act, player.begin = shared, begun  # type: ignore[method-assign]
+        return player
+
+
 class Own:
     """A module of the user's."""
+
+    reuses, mutates, keeps, aliases, shares = (
+        Reusing.reuses,
+        Reusing.mutates,
+        Reusing.keeps,
+        Reusing.aliases,
+        Sharing(),
+    )
 
     none, list_of = Wrong(lambda player, ids: None), Wrong(lambda player, ids: [0] * len(ids))
     others = Wrong(lambda p, ids: Pulls(ids + 9, ids, np.zeros((len(ids), 3), np.float32)))
@@ -75,6 +142,8 @@ class Own:
 
     counter, made, three = Counter, Counter(), 3
     policy = OwnPolicy(lambda seen: [0.0] * 6, "still")
+
+    plain = staticmethod(_pull_of)
 
     @staticmethod
     def informed(observation: object, info: dict[str, object], rng: Any) -> list[float]:
@@ -103,6 +172,10 @@ class Own:
     @staticmethod
     def faulty(observation: object) -> list[float]:
         raise KeyError("no such weight")
+
+    @staticmethod
+    def leaving(observation: object) -> list[float]:
+        sys.exit()
 
 
 @pytest.fixture(autouse=True)
@@ -140,6 +213,17 @@ def test_an_episode_depends_on_its_own_seed_alone(name: str) -> None:
     assert differences(many, few) == []
     assert differences(many.select([7]), played(name, SEEDS[7:8], 1, TASKS[name])) == []
     assert (many.episodes["length"] <= TASKS[name].horizon).all()
+
+
+@pytest.mark.parametrize("name", ["reuses", "mutates", "keeps", "aliases", "shares"])
+def test_arrays_that_user_code_shares_or_changes_change_no_episode(name: str) -> None:
+    seeds = [episode_seed(1, number) for number in range(256)]
+    many = played(f"own:{name}", seeds, 256)
+    plain = played("own:plain" if name != "shares" else "random", seeds, 256)
+    assert np.array_equal(many.steps["force"], plain.steps["force"])
+    for lanes, count in ((1, 4), (2, 8), (7, 32)):
+        few = played(f"own:{name}", seeds[:count], lanes)
+        assert differences(many.select(range(count)), few) == []
 
 
 @pytest.mark.parametrize("name", ["random", "scripted", "noisy", "own:informed"])
@@ -238,6 +322,7 @@ def test_functions_objects_and_policies_of_the_user_act(name: str, pull: float) 
         ("nothing", "must give 6 finite numbers"),
         ("short", "must give 6 finite numbers .* got .0.0, 0.0, 0.0, 0.0, 0.0."),
         ("faulty", "own:faulty raised KeyError: 'no such weight' .test_policies.py, line"),
+        ("leaving", "own:leaving raised SystemExit.* .test_policies.py, line"),
         ("three", "must be a function of"),
         ("two", "must be a function of"),
         ("absent", "absent"),
@@ -264,6 +349,16 @@ def test_a_module_in_the_current_folder_is_found_and_digested(
     assert sys.path == path
     found = policy_digests(PolicyConfig(policy="left_alone:act"))
     assert found == {name: sha256(tmp_path / name) for name in ("left_alone.py", "weights")}
+
+
+def test_a_module_that_exits_is_an_invalid_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "leaves_at_once.py").write_text("import sys\nsys.exit()\n")
+    monkeypatch.chdir(tmp_path)
+    for call in (make_policy, policy_digests):
+        with pytest.raises(InvalidPolicy, match="SystemExit.*leaves_at_once.py, line 2"):
+            call(PolicyConfig(policy="leaves_at_once:act"))
 
 
 # recordings by name

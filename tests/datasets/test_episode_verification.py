@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from synthetic_episodes import TINY
 
 import knotgym
+from knotgym.common import Table
 from knotgym.control import replay
 from knotgym.datasets import show_episodes
 from knotgym.datasets.episode_dataset import EpisodeDataset, open_episodes, write_episodes
 from knotgym.datasets.episode_verification import expanded, verify_episodes
-from knotgym.datasets.episodes import Episodes, distinct, gauss_codes
+from knotgym.datasets.episodes import EPISODES, STEPS, Episodes, distinct, gauss_codes
 from knotgym.envs import TaskConfig
 
 Change = Callable[[NDArray[np.generic]], None]
@@ -97,6 +98,31 @@ def test_a_digest_that_is_not_the_contents_is_a_fault(tmp_path: Path, good: Epis
     with h5py.File(tmp_path / "h.h5", "r+") as file:
         file["steps/force"][0] = 0.5
     assert any("digest" in fault for fault in verify_episodes(tmp_path / "h.h5", replay))
+
+
+@pytest.mark.parametrize(
+    "column",
+    [f"{schema.name}/{column.name}" for schema in (EPISODES, STEPS) for column in schema.columns],
+)
+def test_every_stored_column_is_recomputed_or_under_a_digest(
+    tmp_path: Path, good: EpisodeDataset, column: str
+) -> None:
+    import h5py
+
+    steps = good.episodes.steps
+    advised = {**steps, "expert_action": -steps["action"]}
+    advised_steps = Table(STEPS.sized(**steps.schema.sizes), advised)
+    labelled = good.episodes._replace(steps=advised_steps)
+    write_episodes(tmp_path / "h.h5", [labelled], good.task)
+    assert not [*verify_episodes(tmp_path / "h.h5", lambda episodes, task: labelled)]
+    with h5py.File(tmp_path / "h.h5", "r+") as file:
+        values = file[column][:]
+        if values.dtype.kind in "OS":
+            values[0] = b"other!"[: values.dtype.itemsize]
+        else:
+            values[0] = ~values[0] if values.dtype == bool else -values[0] - values.dtype.type(1)
+        file[column][...] = values
+    assert [*verify_episodes(tmp_path / "h.h5", lambda episodes, task: labelled)]
 
 
 def test_an_episode_twice_is_a_fault(tmp_path: Path, good: EpisodeDataset) -> None:
