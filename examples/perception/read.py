@@ -32,7 +32,7 @@ from torch.nn import functional
 
 from knotgym.datasets import GRADES
 from knotgym.loaders import images
-from knotgym.prompting import HEAD, reading_scores, score_rows
+from knotgym.prompting import reading_scores, reading_table
 from knotgym.topology import GaussCode
 
 BEADS = 100
@@ -337,7 +337,7 @@ def main() -> None:
         print("nothing was misread, so there is no confusions.png")
     for split, score in scores.items():
         print(split)
-        for row in (HEAD, *score_rows(score)):
+        for row in reading_table(score):
             print("{:16} {:>6} {:>8} {:>9} {:>6}".format(*row))
 
 

@@ -22,7 +22,7 @@ from misread import Misread, page
 from numpy.typing import NDArray
 
 from knotgym.datasets import decode, read_rows
-from knotgym.prompting import HEAD, reading_scores, score_rows
+from knotgym.prompting import reading_scores, reading_table
 from knotgym.rendering import bead_colours
 from knotgym.topology import GaussCode, find_crossings
 
@@ -196,7 +196,7 @@ def main() -> None:
                 f"accepted, misread: row {row['source']['row']}, {row['gauss_code']} read as"
                 f" {missed[-1][2]}"
             )
-    for cells in (HEAD, *score_rows(reading_scores(readings))):
+    for cells in reading_table(reading_scores(readings)):
         print("{:16} {:>6} {:>8} {:>9} {:>6}".format(*cells))
     if given.page and missed:
         page(missed, given.page)

@@ -29,7 +29,6 @@ from knotgym.datasets import (
     write_gallery,
 )
 from knotgym.generate import film as film_of
-from knotgym.prompting import transcripts_at
 from knotgym.rendering import film_frames, require_film, write_film
 from knotgym.rope import rope_of, simulation_of
 from knotgym.runs import Progress, executor
@@ -41,8 +40,7 @@ _LARGE = 4_000_000  # bytes; larger tables are checked faster by several process
 
 def show(named: str, console: Console) -> None:
     """Print a summary of a dataset or of transcripts."""
-    if transcripts_at(named) is not None:
-        print_transcripts(Path(named), console)
+    if print_transcripts(named, console):
         return
     found = locate(named)
     if found.pictures:

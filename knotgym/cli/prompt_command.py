@@ -36,13 +36,13 @@ def prompt(given: Given) -> None:
         out: Folder to write.
         show: Print the whole prompt and send nothing; with --out also write its pictures.
     """
-    from knotgym.prompting import READ, run_prompts
+    from knotgym.prompting import run_prompts
 
     pictures, out, split = given["pictures"], given["out"], given["split"]
     usual = {"chat.model": "none" if given["show"] else ""}
     more: dict[str, Any] = {"task.split": split} if split and pictures is None else {}
     config = given.config(PromptConfig, more, usual=usual)
-    if (config.mode == READ) != (pictures is not None):
+    if (config.mode == "read") != (pictures is not None):
         raise InvalidInput(
             "mode read, and only mode read, takes a folder of pictures; got --mode"
             f" {config.mode} and {'no folder' if pictures is None else pictures}"

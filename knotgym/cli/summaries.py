@@ -8,7 +8,6 @@ from typing import Any
 
 from rich.console import Console
 
-from knotgym.common import InvalidFile
 from knotgym.datasets import (
     CardTable,
     image_card_tables,
@@ -18,14 +17,7 @@ from knotgym.datasets import (
     show_episodes,
     state_card_tables,
 )
-from knotgym.prompting import (
-    HEAD,
-    read_transcripts,
-    reading_scores,
-    score_rows,
-    summarize,
-    transcripts_at,
-)
+from knotgym.prompting import show_transcripts
 from knotgym.runs import narrow_table
 from knotgym.states import read_states
 
@@ -58,22 +50,19 @@ def print_episodes(path: Path, console: Console) -> None:
     _print_facts(show_episodes(path), console)
 
 
-def print_transcripts(path: Path, console: Console) -> None:
-    """Print totals of the transcripts in a file or a folder."""
-    file = transcripts_at(path)
-    found = [] if file is None else read_transcripts(file)
-    if not found:
-        raise InvalidFile(f"{path} contains no transcripts")
-    config = found[0]["config"]
-    task = config.get("task")  # none where pictures were read
-    task = task and {name: task[name] for name in ("task", "nx", "split")}
-    _print_facts({"model": config["chat"]["model"], "mode": config["mode"], "task": task}, console)
-    _print_facts(summarize(found), console)
-    if "actions" not in found[0]:
-        table = narrow_table(HEAD, left=HEAD[:1])
-        for row in score_rows(reading_scores(found)):
+def print_transcripts(path: str | Path, console: Console) -> bool:
+    """Print totals of the transcripts in a file or a folder; return whether it has any."""
+    found = show_transcripts(path)
+    if found is None:
+        return False
+    facts, rows = found
+    _print_facts(facts, console)
+    if rows:
+        table = narrow_table(rows[0], left=rows[0][:1])
+        for row in rows[1:]:
             table.add_row(*row)
         console.print(table)
+    return True
 
 
 def _print_facts(facts: Mapping[str, Any], console: Console) -> None:

@@ -1,10 +1,6 @@
 from .prompt_config import PromptConfig as PromptConfig
 from .prompt_run import run_prompts as run_prompts
 from .prompt_run import sample_prompt as sample_prompt
-from .prompts import READ as READ
-from .summary import HEAD as HEAD
-from .summary import reading_scores as reading_scores
-from .summary import score_rows as score_rows
-from .summary import summarize as summarize
-from .transcripts import read_transcripts as read_transcripts
-from .transcripts import transcripts_at as transcripts_at
+from .transcripts import reading_scores as reading_scores
+from .transcripts import reading_table as reading_table
+from .transcripts import show_transcripts as show_transcripts

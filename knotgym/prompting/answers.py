@@ -3,7 +3,8 @@
 An answer must have one <answer> block that holds bracketed lists of six numbers in [-1, 1], or one
 Gauss code. Anything else has a fault, which is counted apart from failures at the task:
 
-    refusal            the model refused in every attempt
+    refusal            the model refused in every attempt, or the server rejected the request
+    empty              the answer was empty in every attempt
     no block           or an end without a beginning
     several blocks
     malformed          neither lists of numbers nor a Gauss code

@@ -1,9 +1,12 @@
 """Ask a model behind any chat-completions server, through the openai client.
 
+The client sends, retries and waits. Its transport is ours: it bounds a reply (MOST_BYTES, never
+decompressed, `timeout` seconds up to the last byte), and notes what came of each attempt. Redirects
+are errors.
+
 The API key is read from OPENAI_API_KEY and sent to the server named by `base_url` alone. It is
 replaced by [key] in everything that a server returns; a server that spells it in another way can
-still write it into your transcripts. Replies are bounded: at most MOST_BYTES each, never
-decompressed, and at most `timeout` seconds per attempt in total. Redirects are errors.
+still write it into your transcripts.
 """
 
 import asyncio
@@ -14,9 +17,10 @@ import re
 import threading
 import urllib.request
 from collections import Counter
-from collections.abc import AsyncIterator, Mapping
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 from urllib.parse import urlsplit
+
+from pydantic import BeforeValidator, Field
 
 import knotgym
 from knotgym.common import (
@@ -24,7 +28,6 @@ from knotgym.common import (
     Failed,
     InvalidInput,
     MissingExtra,
-    NonNegative,
     Positive,
     configuration,
     install_command,
@@ -34,12 +37,34 @@ from knotgym.common import (
 KEY = "OPENAI_API_KEY"
 PUBLIC = "https://api.openai.com/v1"
 MOST_BYTES = 4_000_000  # size limit of a reply
-_LONGEST_WAIT = 600.0  # longest pause before a retry, even if a server asks for more, seconds
-_RETRIED = (408, 409, 425, 429)  # HTTP statuses that are retried, as are all from 500 on
 _SHOWN = 200  # characters of a server's error message that are shown
 _SECRET = 8  # length from which a key is treated as a secret, characters
-_UNSENT = ("openai-organization", "openai-project")  # the client reads them from the environment
+# the client reads some of these from the environment
+_UNSENT = ("openai-organization", "openai-project", "authorization")
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")  # never reached through a proxy
+_OURS = ("model", "messages", "stream")  # fields of a request that aren't `extra`
+# HTTP statuses of a request that the server won't answer, while it may answer others: a filter of
+# its content, a context that is too long, pictures that are too large
+_REJECTING = (400, 413, 422, 451)
+_MODERATED = re.compile("moderat|flagged|content.?(filter|polic)", re.IGNORECASE)
+# as models are known to mark what they think before they answer
+_DRAFTS = (
+    "<think>...</think>",
+    "<thinking>...</thinking>",
+    "<thought>...</thought>",
+    "<reasoning>...</reasoning>",
+    "<seed:think>...</seed:think>",
+    "[THINK]...[/THINK]",
+    "◁think▷...◁/think▷",
+    "<|channel|>analysis<|message|>...<|channel|>final<|message|>",
+)
+
+
+def _read_extra(value: Any) -> Any:
+    try:
+        return json.loads(value) if isinstance(value, str) else value
+    except (ValueError, RecursionError):
+        raise InvalidInput('must be a JSON object such as {"max_tokens": 4000}') from None
 
 
 @configuration
@@ -51,17 +76,21 @@ class ChatConfig:
         base_url: URL of a server with the chat-completions protocol; its key, if it needs one, is
             read from OPENAI_API_KEY.
         temperature: sampling temperature; below 0 uses the server's default.
+        extra: further fields of each request, a JSON object such as {"max_tokens": 4000}; sent and
+            recorded as given.
+        drafts: marks between which a model thinks, such as <think>...</think>; what stands there is
+            kept as reasoning and isn't part of the answer.
         timeout: time limit for one request, in seconds. It covers the whole reply.
         attempts: tries per request before the run stops.
-        backoff: seconds to wait before the second try; doubled before each later one.
     """
 
     model: str
     base_url: str = PUBLIC
     temperature: float = 1.0
+    extra: Annotated[dict[str, Any], BeforeValidator(_read_extra)] = Field(default_factory=dict)
+    drafts: tuple[str, ...] = _DRAFTS
     timeout: Positive = 120.0
     attempts: Count = 6
-    backoff: NonNegative = 1.0
 
     def __post_init__(self) -> None:
         if not self.model.strip():
@@ -78,14 +107,25 @@ class ChatConfig:
                 "the base URL must be http://HOST/PATH or https://HOST/PATH, without user, password"
                 f" or query; set the key in the environment, as {KEY}"
             )
+        if own := self.extra.keys() & _OURS:
+            raise InvalidInput(f"chat.extra can't set {', '.join(sorted(own))}")
+        for marks in self.drafts:
+            if not all(marks.partition("...")):
+                raise InvalidInput(
+                    f"marks of drafts are given as <think>...</think>, got {marks!r}"
+                )
 
 
 class Reply(NamedTuple):
     """The reply to one request.
 
     Attributes:
-        text: the model's answer, without its thinking.
-        fault: "refusal" if the model refused, also in the last attempt; else "".
+        text: the model's answer, without its reasoning.
+        reasoning: what it thought before, as far as the server shows it.
+        fault: "refusal" if the model refused, also in the last attempt, or the server rejected the
+            request; "empty" if the answer was empty, also in the last attempt; else "".
+        rejected: why the server rejected the request, such as "400 content_filter: Filtered"; "" if
+            it didn't.
         finish: why the model stopped, as the server says: "stop", "length"; "" if it doesn't say.
         prompt_tokens, completion_tokens: totals over all answered attempts; None if a server
             didn't say.
@@ -93,7 +133,9 @@ class Reply(NamedTuple):
     """
 
     text: str
+    reasoning: str
     fault: str
+    rejected: str
     finish: str
     prompt_tokens: int | None
     completion_tokens: int | None
@@ -104,19 +146,18 @@ class _Attempt(NamedTuple):
     """The outcome of one attempt.
 
     Attributes:
-        text, finish: as of `Reply`.
-        reason: why the attempt failed and is worth a retry; "" if it succeeded.
-        wait: seconds that the server asks to wait before a retry; 0 if it doesn't say.
+        reason: why it failed; "" if it succeeded.
         detail: error message of the server or of the connection.
+        text, reasoning, finish: as of `Reply`.
         tokens: of prompt and completion, None each if the server doesn't say; () if the attempt
             wasn't answered.
     """
 
-    text: str = ""
-    finish: str = ""
     reason: str = ""
-    wait: float = 0.0
     detail: str = ""
+    text: str = ""
+    reasoning: str = ""
+    finish: str = ""
     tokens: tuple[int | None, ...] = ()
 
 
@@ -128,7 +169,7 @@ class Chat:
         stop: once it is set, requests raise Failed.
 
     Raises:
-        InvalidInput: the key is missing, invalid, or part of the URL or the model's name.
+        InvalidInput: the key is missing, invalid, or part of the URL, the model's name or `extra`.
         MissingExtra: the openai client isn't installed.
     """
 
@@ -144,137 +185,143 @@ class Chat:
             raise InvalidInput(f"{KEY} must be printable ASCII")
         # a short placeholder such as "EMPTY", for servers without keys, isn't censored
         self._secret = key if len(key) >= _SECRET else ""
-        if self._secret and self._secret in f"{config.base_url} {config.model}":
-            raise InvalidInput(f"set the key only in {KEY}, not in --base-url or --model")
-        self._host = urlsplit(config.base_url).hostname
+        shown = f"{config.base_url} {config.model} {json.dumps(config.extra)}"
+        if self._secret and self._secret in shown:
+            raise InvalidInput(f"set the key only in {KEY}, not in --base-url, --model or extra")
         try:
             import openai
         except ImportError as error:
             raise MissingExtra("openai", install_command("prompt"), "knotgym prompt") from error
         self._openai: Any = openai
+        # the client's HTTP library, which is another one in newer versions of openai
+        library = openai.DefaultAsyncHttpxClient.__mro__[1].__module__.partition(".")[0]
+        self._http: Any = importlib.import_module(library)
+        parts = urlsplit(config.base_url)
+        bypassed = parts.hostname in _LOOPBACK or urllib.request.proxy_bypass(parts.hostname or "")
+        proxies = {} if bypassed else urllib.request.getproxies()
+        self._proxy = next((one for one in (parts.scheme, "all") if one in proxies), "")
+        self._proxy_url = proxies.get(self._proxy)
 
     def ask(self, messages: list[dict[str, Any]]) -> Reply:
-        """Send a request; retry with exponential backoff until it is answered.
+        """Send a request; the client retries it until it is answered.
 
         Args:
             messages: messages of the chat-completions protocol.
 
         Raises:
-            InvalidInput: the server rejects the request, the model or the key.
+            InvalidInput: the server rejects the model or the key.
             Failed: no attempt was answered, or the run was stopped.
         """
-        retries, answered = Counter[str](), list[tuple[int | None, ...]]()
-        for attempt in range(1, self._config.attempts + 1):
-            if self._stop.is_set():
-                raise Failed("stopped")
-            tried = asyncio.run(self._try(messages))
-            answered += [tried.tokens] if tried.tokens else []
-            last = attempt == self._config.attempts
-            if not tried.reason or (last and tried.reason == "refusal"):
-                prompt, completion = (
-                    None if None in counts else sum(counts)
-                    for counts in zip(*answered, strict=True)
-                )
-                return Reply(
-                    tried.text, tried.reason, tried.finish, prompt, completion, dict(retries)
-                )
-            if last:
-                raise Failed(
-                    f"{self._config.base_url} didn't answer in {attempt} attempts; the last one"
-                    f" failed with: {tried.reason}{tried.detail and ': '}{tried.detail};"
-                    " --resume continues the run"
-                )
-            retries[tried.reason] += 1
-            pause = tried.wait or self._config.backoff * 2 ** (attempt - 1)
-            self._stop.wait(min(pause, _LONGEST_WAIT))
-        raise AssertionError("at least one attempt is made")
+        if self._stop.is_set():
+            raise Failed("stopped")
+        tried = asyncio.run(self._send(messages))
+        last, asked = tried[-1], f"{self._config.base_url} rejects the request to model"
+        if last.reason == "fatal":
+            raise InvalidInput(f"{asked} {self._config.model!r}: {last.detail}")
+        if last.reason not in ("", "refusal", "empty", "rejected"):
+            raise Failed(
+                f"{self._config.base_url} didn't answer in {len(tried)} attempts; the last one"
+                f" failed with: {last.reason}{last.detail and ': '}{last.detail};"
+                " --resume continues the run"
+            )
+        answered = [one.tokens for one in tried if one.tokens]
+        rejected = last.reason == "rejected"
+        prompt, completion = (
+            None if None in counts else sum(counts)
+            for counts in (zip(*answered, strict=True) if answered else ((), ()))
+        )
+        return Reply(
+            last.text,
+            last.reasoning,
+            "refusal" if rejected else last.reason,
+            last.detail if rejected else "",
+            last.finish,
+            prompt,
+            completion,
+            dict(Counter(one.reason for one in tried[:-1])),
+        )
 
-    async def _try(self, messages: list[dict[str, Any]]) -> _Attempt:
-        """Make one attempt; raise InvalidInput if the server rejects the request."""
-        openai, config = self._openai, self._config
+    async def _send(self, messages: list[dict[str, Any]]) -> list[_Attempt]:
+        """Return what came of each attempt.
+
+        Each request has a client of its own, because connections belong to an event loop.
+        """
+        openai, config, tried = self._openai, self._config, list[_Attempt]()
         settings = {} if config.temperature < 0 else {"temperature": config.temperature}
         try:
-            async with self._client() as client:
-                complete = client.chat.completions.with_raw_response.create
-                # a server that sends a byte at a time keeps the client's own limits from expiring
-                async with asyncio.timeout(config.timeout):
-                    raw = await complete(model=config.model, messages=messages, **settings)
-                return self._read(raw.http_response.text)
-        except openai.APIStatusError as error:
-            return self._failed(error.status_code, error.response.headers, error.response.text)
-        except (TimeoutError, openai.APITimeoutError):
-            return _Attempt(reason="timeout")
-        except openai.APIError as error:
-            detail = self._short(one_line(error.__cause__ or error))
-            scheme = urlsplit(config.base_url).scheme
-            proxies = {scheme, "all"} & urllib.request.getproxies().keys()
-            if proxies and self._host not in _LOOPBACK:
-                detail += f" (through the proxy in {' or '.join(sorted(proxies))}_proxy)"
-            return _Attempt(reason="connection", detail=detail)
+            async with openai.AsyncOpenAI(
+                api_key=self._key or "none",
+                base_url=config.base_url,
+                max_retries=config.attempts - 1,
+                timeout=config.timeout,
+                http_client=openai.DefaultAsyncHttpxClient(
+                    transport=self._transport(tried), follow_redirects=False
+                ),
+            ) as client:
+                await client.chat.completions.with_raw_response.create(
+                    model=config.model, messages=messages, extra_body=config.extra, **settings
+                )
+        except (openai.OpenAIError, ImportError, ValueError) as error:
+            if not tried:  # it wasn't sent, for example because of a proxy's address
+                raise InvalidInput(self._short(one_line(error))) from error
+        return tried
 
-    def _client(self) -> Any:
-        """Return an openai client whose replies are bounded, never decompressed, and not followed.
+    def _transport(self, tried: list[_Attempt]) -> Any:
+        """Return a transport that appends what comes of each attempt to `tried`."""
+        http: Any = self._http
+        chat, unsent = self, _UNSENT[: 2 if self._key else 3]
 
-        Each attempt has its own, because connections belong to an event loop.
-        """
-        openai = self._openai
-        # the client's HTTP library, which is another one in newer versions of openai
-        http: Any = importlib.import_module(
-            openai.DefaultHttpxClient.__mro__[1].__module__.partition(".")[0]
-        )
+        class Bounded(http.AsyncHTTPTransport):
+            """Bound what is received; let the client see an answer of no use as an error."""
 
-        class Bounded(http.AsyncByteStream):
-            """A reply's bytes, up to MOST_BYTES."""
+            async def handle_async_request(self, request: Any) -> Any:
+                for name in unsent:
+                    request.headers.pop(name, None)
+                request.headers["user-agent"] = f"knotgym/{knotgym.__version__}"
+                request.headers["accept-encoding"] = "identity"
+                try:
+                    # a server that sends a byte at a time keeps the limits of single reads from
+                    # expiring
+                    async with asyncio.timeout(chat._config.timeout):
+                        reply = await super().handle_async_request(request)
+                        body = await self._body(reply.stream)
+                except (TimeoutError, http.TimeoutException) as error:
+                    tried.append(_Attempt("timeout"))
+                    raise http.ReadTimeout("timeout") from error
+                except http.TransportError as error:
+                    through = f" (through the proxy in {chat._proxy}_proxy)" if chat._proxy else ""
+                    detail = chat._short(one_line(error.__cause__ or error)) + through
+                    tried.append(_Attempt("connection", detail))
+                    raise
+                is_answer = 200 <= reply.status_code < 300
+                found = chat._read(body) if is_answer else chat._failed(reply.status_code, body)
+                tried.append(found)
+                status = 503 if is_answer and found.reason else reply.status_code
+                reply.headers.pop("content-encoding", None)
+                return http.Response(status, headers=reply.headers, content=body.encode())
 
-            def __init__(self, stream: Any) -> None:
-                self._stream = stream
+            async def _body(self, stream: Any) -> str:
+                whole = b""
+                try:
+                    async for block in stream:
+                        whole += block
+                        if len(whole) > MOST_BYTES:
+                            raise http.ReadError(f"a reply of more than {MOST_BYTES} bytes")
+                finally:
+                    await stream.aclose()
+                return whole.decode(errors="replace")
 
-            async def __aiter__(self) -> AsyncIterator[bytes]:
-                size = 0
-                async for block in self._stream:
-                    size += len(block)
-                    if size > MOST_BYTES:
-                        raise http.ReadError(f"a reply of more than {MOST_BYTES} bytes")
-                    yield block
+        return Bounded(proxy=self._proxy_url)
 
-            async def aclose(self) -> None:
-                await self._stream.aclose()
-
-        async def strip(request: Any) -> None:
-            for name in _UNSENT if self._key else (*_UNSENT, "authorization"):
-                request.headers.pop(name, None)
-
-        async def read(response: Any) -> None:
-            response.headers.pop("content-encoding", None)
-            response.stream = Bounded(response.stream)
-            await response.aread()  # here, so that openai turns what goes wrong into an APIError
-
-        return openai.AsyncOpenAI(
-            api_key=self._key or "none",
-            base_url=self._config.base_url,
-            max_retries=0,  # `ask` retries, and counts the reasons
-            timeout=self._config.timeout,
-            default_headers={
-                "User-Agent": f"knotgym/{knotgym.__version__}",
-                "Accept-Encoding": "identity",
-            },
-            http_client=openai.DefaultAsyncHttpxClient(
-                event_hooks={"request": [strip], "response": [read]},
-                follow_redirects=False,
-                trust_env=self._host not in _LOOPBACK,  # with proxies
-            ),
-        )
-
-    def _failed(self, status: int, headers: Mapping[str, str], body: str) -> _Attempt:
-        """Turn an HTTP error into an attempt to be retried, or raise it."""
-        detail = self._short(_error_message(body))
-        if status in _RETRIED or status >= 500:
-            asked = re.fullmatch(r"\s*(\d{1,9}(?:\.\d+)?)\s*", headers.get("retry-after", ""))
-            return _Attempt(reason=str(status), wait=float(asked[1]) if asked else 0, detail=detail)
-        raise InvalidInput(
-            f"{self._config.base_url} rejects the request to model {self._config.model!r}:"
-            f" {status} {detail}"
-        )
+    def _failed(self, status: int, body: str) -> _Attempt:
+        """Return the outcome of an attempt that ended with an HTTP error."""
+        detail = self._short(_error(body, "message") or body)
+        if status in (408, 409, 429) or status >= 500:  # the client retries these
+            return _Attempt(str(status), detail)
+        if status in _REJECTING or (status == 403 and _MODERATED.search(body)):
+            code = self._short(_error(body, "code") or _error(body, "type"))
+            return _Attempt("rejected", f"{status} {code}".strip() + f": {detail}")
+        return _Attempt("fatal", f"{status} {detail}")
 
     def _read(self, body: str) -> _Attempt:
         """Parse the JSON body of a reply."""
@@ -282,24 +329,30 @@ class Chat:
             whole = json.loads(body)
             choices = [one for one in whole["choices"] if one.get("index", 0) == 0]
             choice, usage = (choices or whole["choices"])[0], whole.get("usage") or {}
-            content, refusal = (choice["message"].get(name) for name in ("content", "refusal"))
+            message = choice["message"]
+            content, refusal = message.get("content"), message.get("refusal")
             finish = self._clean(str(choice.get("finish_reason") or ""))[:_SHOWN]
             tokens = tuple(_count(usage.get(f"{of}_tokens")) for of in ("prompt", "completion"))
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
             # some servers send their errors with status 200
-            told = _error_message(body)
-            reason = "malformed" if told == body else "error"
-            return _Attempt(reason=reason, detail=self._short(told))
-        words = _answer_text(content)
+            told = _error(body, "message")
+            return _Attempt("error" if told else "malformed", self._short(told or body))
         if finish == "error":
-            detail = self._short(_error_message(json.dumps(choice)))
-            return _Attempt(reason="error", detail=detail, tokens=tokens)
+            detail = _error(json.dumps(choice), "message") or json.dumps(choice)
+            return _Attempt("error", self._short(detail), tokens=tokens)
+        text, drafts = _divided(content, self._config.drafts)
+        thoughts = (message.get("reasoning_content"), message.get("reasoning"), drafts)
+        reasoning = next((one for one in thoughts if isinstance(one, str) and one), "")
         if refusal or finish == "content_filter":
-            reason = refusal if isinstance(refusal, str) else words or ""
-            return _Attempt(self._clean(reason), finish, "refusal", tokens=tokens)
-        if words is None and not finish:
-            return _Attempt(reason="malformed")
-        return _Attempt(self._clean(words or ""), finish, tokens=tokens)
+            reason, text = "refusal", refusal if isinstance(refusal, str) else text
+        elif text.strip():
+            reason = ""
+        elif content is None and not finish and not reasoning:
+            return _Attempt("malformed")
+        else:
+            reason = "empty"
+        clean = self._clean(text), self._clean(reasoning)
+        return _Attempt(reason, "", *clean, finish, tokens)
 
     def _clean(self, text: str) -> str:
         """Censor the key, and replace lone surrogates, which can't be encoded as UTF-8."""
@@ -310,33 +363,46 @@ class Chat:
         return " ".join(self._clean(text).split())[:_SHOWN]
 
 
-def _answer_text(content: Any) -> str | None:
-    """Return the text of a message's content without the model's thinking; None if it has none.
+def _divided(content: Any, marks: tuple[str, ...]) -> tuple[str, str]:
+    """Return a message's answer and its drafts.
 
-    Content is text, or a list of parts, of which those of type "text" count.
+    Content is text, or a list of parts, of which those of type "text" are the answer.
 
-    >>> _answer_text([{"type": "thinking", "text": "?"}, {"type": "text", "text": "yes"}])
-    'yes'
-    >>> _answer_text("<think>a draft</think>final"), _answer_text("cut off</think>final")
-    ('final', 'final')
+    >>> _divided([{"type": "thinking", "text": "?"}, {"type": "text", "text": "yes"}], ())
+    ('yes', '?')
+    >>> _divided("<think>a draft</think>final", _DRAFTS), _divided("cut</think>final", _DRAFTS)
+    (('final', 'a draft'), ('final', 'cut'))
     """
+    drafts = list[str]()
     if isinstance(content, list):
         parts = [one for one in content if isinstance(one, dict)]
-        texts = [one.get("text") for one in parts if one.get("type") in ("text", "output_text")]
-        content = "".join(text for text in texts if isinstance(text, str))
-    if not isinstance(content, str):
-        return None
-    # some chat templates put the opening mark into the prompt, so that a reply has the end alone
-    _, closed, after = content.rpartition("</think>")
-    return (after if closed else content).partition("<think>")[0]
+        said = [one for one in parts if one.get("type") in ("text", "output_text")]
+        drafts += [_text(one) for one in parts if one not in said]
+        content = "".join(_text(one) for one in said)
+    text = content if isinstance(content, str) else ""
+    for opening, _, closing in (one.partition("...") for one in marks):
+        # up to the end where a draft was cut off
+        pair = f"{re.escape(opening)}(.*?)(?:{re.escape(closing)}|$)"
+        drafts += re.findall(pair, text, re.DOTALL)
+        text = re.sub(pair, "", text, flags=re.DOTALL)
+        # some chat templates put the opening mark into the prompt, so that a reply has the end
+        # alone
+        draft, closed, after = text.rpartition(closing)
+        drafts, text = [*drafts, draft], after if closed else text
+    return text, "\n".join(one for one in drafts if one)
 
 
-def _error_message(body: str) -> str:
-    """Extract the message of an OpenAI-style error; else return the whole body."""
+def _text(part: dict[str, Any]) -> str:
+    found = part.get("text", part.get("thinking"))
+    return found if isinstance(found, str) else ""
+
+
+def _error(body: str, field: str) -> str:
+    """Return a field of an OpenAI-style error; "" if the body isn't one."""
     try:
-        return str(json.loads(body)["error"]["message"])
+        return str(json.loads(body)["error"][field] or "")
     except (ValueError, LookupError, TypeError, RecursionError):
-        return body
+        return ""
 
 
 def _count(value: Any) -> int | None:

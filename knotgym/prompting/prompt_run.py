@@ -14,12 +14,11 @@ from knotgym.prompting.chat import Chat
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompted_episodes import flat, packed, play, read, unpacked
 from knotgym.prompting.prompts import as_text
-from knotgym.prompting.summary import reading_scores, summarize
-from knotgym.prompting.transcripts import FILE, line
+from knotgym.prompting.transcripts import FILE, line, reading_scores, summarize
 from knotgym.runs import Progress, Recipe, Result, RunOptions, identity, identity_of, run
 
 _RESULT = "result.json"
-_FREE = ("timeout", "attempts", "backoff")  # settings of the client that don't change a request
+_FREE = ("timeout", "attempts")  # settings of the client that don't change a request
 
 
 def run_prompts(

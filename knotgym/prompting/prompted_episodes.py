@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream, as_json
+from knotgym.common import InvalidInput, Stream, as_json
 from knotgym.control import episode_seed
 from knotgym.datasets import encode
 from knotgym.envs import EpisodeBatch
@@ -37,14 +37,14 @@ from knotgym.prompting.prompts import (
     opening,
     reading,
 )
-from knotgym.prompting.summary import total
-from knotgym.prompting.transcripts import TOKENS
+from knotgym.prompting.transcripts import TOKENS, total
 from knotgym.runs import Call, Recipe, Result
 
 Transcripts = Recipe[list[dict[str, Any]]]
 Ask = Callable[[list[dict[str, Any]]], Result]  # sends messages; returns a reply, see `packed`
 
 _NO_OP = (0.0,) * 6  # an action without force
+_FIRST = 20  # requests after which a server that rejected them all isn't asked again
 
 
 def play(config: PromptConfig, ask: Ask) -> Transcripts:
@@ -83,10 +83,9 @@ def play(config: PromptConfig, ask: Ask) -> Transcripts:
                 (number, messages(befores[number], windows[number], config.mode, most, now))
                 for number, now in zip(playing.tolist(), nows, strict=True)
             ]
-            replies = yield _calls(requests, turns, ask)
+            replies = yield from _replies(requests, turns, ask)
             turns += 1
-            for number, now, kept in zip(playing.tolist(), nows, replies, strict=True):
-                reply = unpacked(kept)
+            for number, now, reply in zip(playing.tolist(), nows, replies, strict=True):
                 limit = most if config.mode == OPEN else 1
                 actions, fault = read_actions(reply["text"], limit)
                 if reply["fault"]:
@@ -123,10 +122,9 @@ def read(config: PromptConfig, rows: Sequence[Mapping[str, Any]], ask: Ask) -> T
     """Ask for the Gauss codes of pictures, rows of a perception table; return the transcripts."""
     pictures = [Picture(row["image"]) for row in rows]
     requests = [(number, [message(reading(one))]) for number, one in enumerate(pictures)]
-    replies = yield _calls(requests, 0, ask)
+    replies = yield from _replies(requests, 0, ask)
     transcripts = []
-    for number, (row, picture, kept) in enumerate(zip(rows, pictures, replies, strict=True)):
-        reply = unpacked(kept)
+    for number, (row, picture, reply) in enumerate(zip(rows, pictures, replies, strict=True)):
         code, fault = read_code(reply["text"])
         if reply["fault"]:
             code, fault = None, reply["fault"]
@@ -164,18 +162,34 @@ def flat(config: PromptConfig) -> dict[str, Any]:
     return fields
 
 
-def _calls(requests: Sequence[tuple[int, list[dict[str, Any]]]], turn: int, ask: Ask) -> list[Call]:
-    """Return a round of requests as calls, named by the digest of what is asked."""
+def _replies(
+    requests: Sequence[tuple[int, list[dict[str, Any]]]], turn: int, ask: Ask
+) -> Recipe[list[dict[str, Any]]]:
+    """Send a round of requests, as calls named by the digest of what is asked; return the replies.
+
+    Raises:
+        InvalidInput: the server rejects the first requests of a run, one and all.
+    """
     digests = [hashlib.sha256(json.dumps(asked).encode()).hexdigest() for _, asked in requests]
-    return [
+    calls = [
         Call(f"request {turn + 1} {number}:{digest}", ask, (asked,))
         for (number, asked), digest in zip(requests, digests, strict=True)
     ]
+    replies = list[dict[str, Any]]()
+    # a server that rejects all of these rejects everything, for example a setting
+    for some in (calls[:_FIRST], calls[_FIRST:]) if turn == 0 else (calls,):
+        replies += map(unpacked, (yield some))
+        if turn == 0 and all(one["rejected"] for one in replies):
+            raise InvalidInput(
+                f"the server rejects all of {len(replies)} requests, the last one with"
+                f" {replies[-1]['rejected']}; once that is mended, --restart begins again"
+            )
+    return replies
 
 
 def _answer(reply: Mapping[str, Any], fault: str) -> dict[str, Any]:
     """Return the fields of a transcript that describe a reply."""
-    kept = ("finish", "retries", *TOKENS)
+    kept = ("reasoning", "rejected", "finish", "retries", *TOKENS)
     return {"answer": reply["text"], "fault": fault, **{name: reply[name] for name in kept}}
 
 

@@ -1,24 +1,32 @@
-"""Transcripts: the requests and answers of an episode or a picture, one JSON object per line.
+"""Transcripts, their totals, and scores of the Gauss codes read from pictures.
+
+A transcript has the requests and answers of an episode or a picture, one JSON object per line.
 
 Each line is self-contained: it has the format, the settings, the answers and the outcome; pictures
 are given by the SHA-256 of their PNG.
 """
 
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NotRequired
 
+import numpy as np
 from annotated_types import Predicate
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
 from knotgym.common import MOST_JSON, InvalidFile, MissingFile, one_line
+from knotgym.datasets import GRADES
+from knotgym.runs import cluster_interval
+from knotgym.topology import GaussCode
 
 FORMAT = "knotgym-transcript"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 TOKENS = ("prompt_tokens", "completion_tokens")  # what is counted
 FILE = "transcripts.jsonl"  # name of the file in a run's folder
+_HEAD = ("", "pictures", "exact", "crossings", "edits")
 
 _Text = Annotated[str, Predicate(str.isprintable)]
 _Tokens = Annotated[int, Field(ge=0)] | None
@@ -46,6 +54,7 @@ class _Config(TypedDict):
 
 class _Request(TypedDict):
     fault: _Text
+    rejected: _Text
     finish: str
     retries: dict[_Text, Annotated[int, Field(ge=0)]]
     prompt_tokens: _Tokens
@@ -83,11 +92,29 @@ def line(transcript: Mapping[str, Any]) -> str:
     return json.dumps(whole, ensure_ascii=True, allow_nan=False) + "\n"
 
 
-def transcripts_at(named: str | Path) -> Path | None:
-    """Return the transcript file at a path, or in a run's folder; None if there is none."""
+def show_transcripts(
+    named: str | Path,
+) -> tuple[dict[str, Any], list[tuple[str, ...]]] | None:
+    """Return facts by name and a table, its head first, of the transcripts of a file or a run.
+
+    Returns:
+        None if the path is neither a `.jsonl` file nor a folder with transcripts. The table is
+        empty for episodes.
+
+    Raises:
+        InvalidFile: as in `read_transcripts`.
+    """
     given = Path(named)
-    inside = given / FILE if given.is_dir() else given
-    return inside if inside.is_file() and inside.suffix == ".jsonl" else None
+    file = given / FILE if given.is_dir() else given
+    if not file.is_file() or file.suffix != ".jsonl":
+        return None
+    found = read_transcripts(file)
+    config = found[0]["config"]
+    task = config.get("task")  # none where pictures were read
+    task = task and {name: task[name] for name in ("task", "nx", "split")}
+    facts = {"model": config["chat"]["model"], "mode": config["mode"], "task": task}
+    table = [] if "actions" in found[0] else reading_table(reading_scores(found))
+    return {**facts, **summarize(found)}, table
 
 
 def read_transcripts(path: Path) -> list[dict[str, Any]]:
@@ -130,3 +157,113 @@ def _checked(text: str, where: str) -> dict[str, Any]:
         field = ".".join(map(str, first["loc"]))
         raise InvalidFile(f"{where}, field {field}: {first['msg']}") from None
     return found
+
+
+def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Summarize the transcripts of one run, at least one, as JSON-compatible values.
+
+    Counts answers by fault, requests that the server rejected by its reason, answers cut off by its
+    limit, retries and tokens, which are None if a server didn't state them. For episodes it adds
+    the success rate with its 95 % interval, and the episodes without any valid answer.
+    """
+    turns = list(_turns(transcripts))
+    facts: dict[str, Any] = {
+        "answers": dict(Counter(turn["fault"] or "valid" for turn in turns).most_common()),
+        "rejected": dict(
+            Counter(t["rejected"].partition(":")[0] for t in turns if t["rejected"]).most_common()
+        ),
+        "truncated": sum(turn["finish"] == "length" for turn in turns),
+        "retries": dict(sum((Counter(turn["retries"]) for turn in turns), Counter())),
+        **{name: total(transcripts, name) for name in TOKENS},
+    }
+    if "actions" not in transcripts[0]:
+        return {"pictures": len(transcripts), **facts}
+    success, starts, goals = (
+        [int(one[name]) for one in transcripts] for name in ("success", "start", "goal")
+    )
+    return {
+        "episodes": len(transcripts),
+        "successes": sum(success),
+        "success_rate": sum(success) / len(transcripts),
+        "interval": list(cluster_interval(success, starts, goals)),
+        "without_valid_answer": sum(
+            not one["success"] and all(turn["fault"] for turn in one["turns"])
+            for one in transcripts
+        ),
+        **facts,
+    }
+
+
+def total(replies: Iterable[Mapping[str, Any]], name: str) -> int | None:
+    """Add up the numbers of tokens of replies; None if one is unknown."""
+    counts = [one[name] for one in replies]
+    return None if None in counts else sum(counts)
+
+
+def _turns(transcripts: Iterable[Mapping[str, Any]]) -> Iterable[Mapping[str, Any]]:
+    """Yield the requests: the turns of episodes, or the transcripts of pictures themselves."""
+    for one in transcripts:
+        yield from one.get("turns", [one])
+
+
+def reading_scores(transcripts: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """Score transcripts of mode read, by number of crossings and by grade; chirality is ignored.
+
+    The scores are `exact` and `crossings`, the shares of pictures whose code, or number of
+    crossings, was read correctly; and `edits`, the mean edit distance to the true code, in visits,
+    where a missing code counts as empty.
+
+    Returns:
+        Group -> number of pictures and mean of each score. Groups are "all", "nx 2" and the like,
+        the grades, "accepted", and "accepted, nx 2" and the like.
+    """
+    groups: dict[str, list[tuple[bool, bool, int]]] = {}
+    for one in transcripts:
+        code, found = GaussCode.parse(one["gauss_code"]), one.get("read")
+        read = GaussCode.parse(found) if isinstance(found, str) else None
+        edits = _edit_distance(read or GaussCode(), code)
+        scores = read is not None and read.matches(code), read is not None and read.nx == code.nx
+        keys = ["all", f"nx {code.nx}", str(one["grade"])]
+        keys += ["accepted", f"accepted, nx {code.nx}"] if one["accepted"] else []
+        for key in keys:
+            groups.setdefault(key, []).append((*scores, edits))
+    return {
+        key: {
+            "pictures": len(rows),
+            **dict(zip(_HEAD[2:], np.mean(rows, axis=0).tolist(), strict=True)),
+        }
+        for key, rows in sorted(groups.items(), key=lambda item: _by_kind(item[0]))
+    }
+
+
+def reading_table(scores: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:
+    """Return the rows of a table of `reading_scores`, its head first."""
+    return [_HEAD] + [
+        (key, f"{one['pictures']:.0f}")
+        + tuple(f"{100 * one[name]:.1f} %" for name in ("exact", "crossings"))
+        + (f"{one['edits']:.2f}",)
+        for key, one in scores.items()
+    ]
+
+
+def _edit_distance(one: GaussCode, other: GaussCode) -> int:
+    """Return the Levenshtein distance between two codes, in visits.
+
+    >>> _edit_distance(GaussCode.parse("1+,1-"), GaussCode.parse("1+,1-,2-,2+"))
+    2
+    """
+    # row[j] is the distance of the first i visits of `one` from the first j of `other`; `above` is
+    # the value that row[j - 1] had for i - 1
+    row = list(range(len(other.visits) + 1))
+    for i, visit in enumerate(one.visits, 1):
+        above, row[0] = row[0], i
+        for j, against in enumerate(other.visits, 1):
+            changed = above + (visit != against)
+            above, row[j] = row[j], min(changed, row[j] + 1, row[j - 1] + 1)
+    return row[-1]
+
+
+def _by_kind(key: str) -> tuple[int, int, str]:
+    """Sort key: all, then by nx, by grade from easy to hard, and accepted ones."""
+    kind = 0 if key == "all" else 1 if key.startswith("nx") else 2 if key in GRADES else 3
+    return kind, GRADES.index(key) if key in GRADES else 0, key

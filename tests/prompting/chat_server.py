@@ -21,7 +21,8 @@ class ChatServer:
     """Record all requests; `answer` maps a request's number and body to the response.
 
     Misdeeds: ("status", (503, {header: value}, body)), ("cut", None), ("slow", seconds),
-    ("body", "{not json"), ("refusal", "I can't"), ("raw", function that yields bytes to send).
+    ("body", "{not json"), ("refusal", "I can't"), ("raw", function that yields bytes to send). All
+    but those of kind raw ask the client to retry after a millisecond.
     """
 
     def __init__(self, answer: Callable[[int, Any], Answer]) -> None:
@@ -101,7 +102,8 @@ class ChatServer:
         data = body.encode()
         try:
             handler.send_response(status)
-            for name, value in {"content-type": "application/json", **headers}.items():
+            usual = {"content-type": "application/json", "retry-after-ms": "1"}
+            for name, value in {**usual, **headers}.items():
                 handler.send_header(name, value)
             handler.send_header("content-length", str(len(data)))
             handler.end_headers()

@@ -30,7 +30,7 @@ def asked(answer: Callable[[int, Any], Answer], **settings: Any) -> tuple[Any, C
     """Send one request to a server; return the reply or the error raised."""
     server = ChatServer(answer)
     with server.serving():
-        usual = {"model": "m", "timeout": 1.0, "attempts": 3, "backoff": 0.01}
+        usual = {"model": "m", "timeout": 1.0, "attempts": 3}
         chat = Chat(ChatConfig(**{**usual, "base_url": server.url, **settings}))
         try:
             return chat.ask([{"role": "user", "content": "?"}]), server
@@ -50,7 +50,7 @@ def body(message: Any, **more: Any) -> Answer:
     ("misdeed", "reason"),
     [
         (("status", (500, {}, "oh")), "500"),
-        (("status", (429, {"retry-after": "0.01"}, "{}")), "429"),
+        (("status", (429, {}, "{}")), "429"),
         (("cut", None), "connection"),
         (("slow", 1.5), "timeout"),
         (("body", "{not json"), "malformed"),
@@ -59,6 +59,9 @@ def body(message: Any, **more: Any) -> Answer:
         (body({"content": None}, finish_reason="error"), "error"),
         (body({"content": "no"}, finish_reason="content_filter"), "refusal"),
         (("refusal", "I can't"), "refusal"),
+        (body({"content": None, "reasoning_content": "<answer>"}, finish_reason="stop"), "empty"),
+        (body({"content": "<think>cut off in thought"}, finish_reason="length"), "empty"),
+        (body({"content": " "}, finish_reason="length"), "empty"),
     ],
 )
 def test_a_request_that_fails_is_sent_again_and_counted(misdeed: Answer, reason: str) -> None:
@@ -74,12 +77,45 @@ def test_a_request_that_fails_is_sent_again_and_counted(misdeed: Answer, reason:
         ([{"type": "thinking", "text": "hm"}, {"type": "text", "text": "yes"}], "yes"),
         ("<think><answer>draft</answer></think>final", "final"),
         ("no opening mark</think>final", "final"),
-        ("<think>cut off in thought", ""),
+        ("final<think>afterthought</think>", "final"),
+        ("[THINK]draft[/THINK]final", "final"),
+        ("<|channel|>analysis<|message|>a<|end|><|channel|>final<|message|>final", "final"),
+        ("◁think▷draft◁/think▷final", "final"),
     ],
 )
 def test_only_what_a_model_says_at_last_is_its_answer(content: Any, text: str) -> None:
     reply, _ = asked(always(body({"content": content}, finish_reason="stop")))
     assert (reply.text, reply.finish) == (text, "stop")
+
+
+@pytest.mark.parametrize("field", ["reasoning_content", "reasoning"])
+def test_an_empty_answer_keeps_its_reasoning(field: str) -> None:
+    message = {"content": None, field: "so <answer></answer>"}
+    reply, server = asked(always(body(message, finish_reason="stop")))
+    assert (reply.fault, reply.text, reply.reasoning) == ("empty", "", "so <answer></answer>")
+    assert reply.retries == {"empty": 2} and len(server.requests) == 3
+
+
+def test_other_marks_of_drafts_can_be_named() -> None:
+    answer = always(body({"content": "<plan>a</plan>b"}, finish_reason="stop"))
+    reply, _ = asked(answer, drafts=("<plan>...</plan>",))
+    assert (reply.text, reply.reasoning) == ("b", "a")
+    assert asked(answer)[0].text == "<plan>a</plan>b"
+    with pytest.raises(InvalidInput, match=r"<think>\.\.\.</think>"):
+        ChatConfig(model="m", drafts=("<plan>",))
+
+
+def test_further_fields_are_sent_as_given() -> None:
+    more = {"max_tokens": 7, "reasoning_effort": "low", "a": {"b": [1, None]}}
+    _, server = asked(always(WORDS), extra=more)
+    assert {name: server.requests[0][name] for name in more} == more
+    typed: dict[str, Any] = {"model": "m", "extra": json.dumps(more)}
+    assert ChatConfig(**typed).extra == more
+    for wrong, said in (("{", "JSON object"), ("[1]", "extra"), ('{"model": "x"}', "model")):
+        with pytest.raises(InvalidInput, match=said):
+            ChatConfig(**{**typed, "extra": wrong})
+    with pytest.raises(InvalidInput, match="set the key only in"):
+        Chat(ChatConfig(model="m", base_url="http://127.0.0.1:1/v1", extra={"user": KEY}))
 
 
 def test_an_answer_that_was_cut_off_says_so_and_unknown_tokens_stay_unknown() -> None:
@@ -96,7 +132,7 @@ def test_choices_may_come_in_any_order() -> None:
 
 def test_retry_after_is_waited_for() -> None:
     began = time.monotonic()
-    wait = ("status", (429, {"retry-after": "0.3"}, "{}"))
+    wait = ("status", (429, {"retry-after-ms": "300"}, "{}"))
     asked(lambda number, body: WORDS if number else wait)
     assert time.monotonic() - began >= 0.3
 
@@ -113,8 +149,26 @@ def test_a_server_that_never_answers_ends_the_run_with_its_reason() -> None:
     assert "overloaded" in str(error) and len(server.requests) == 3
 
 
-@pytest.mark.parametrize("status", [400, 401, 404])
-def test_a_request_that_the_server_rejects_is_not_sent_again(status: int) -> None:
+@pytest.mark.parametrize(
+    ("status", "error"),
+    [
+        (400, {"message": "filtered", "code": "content_filter"}),
+        (400, {"message": "too long", "code": "context_length_exceeded"}),
+        (403, {"message": "your input was flagged", "code": "moderation"}),
+        (413, {"message": "too large", "type": "size"}),
+        (422, {"message": "no such picture", "code": "picture"}),
+    ],
+)
+def test_a_rejected_request_is_a_refusal(status: int, error: dict[str, str]) -> None:
+    reply, server = asked(always(("status", (status, {}, json.dumps({"error": error})))))
+    code = error.get("code", error.get("type"))
+    assert (reply.fault, reply.text, len(server.requests)) == ("refusal", "", 1)
+    assert reply.rejected == f"{status} {code}: {error['message']}"
+    assert (reply.prompt_tokens, reply.completion_tokens) == (0, 0)
+
+
+@pytest.mark.parametrize("status", [401, 403, 404])
+def test_a_server_that_rejects_the_key_or_the_model_is_not_asked_again(status: int) -> None:
     told = json.dumps({"error": {"message": f"bad key {KEY}"}})
     error, server = asked(always(("status", (status, {}, told))))
     assert isinstance(error, InvalidInput) and len(server.requests) == 1
@@ -184,7 +238,7 @@ def test_a_local_server_is_not_reached_through_a_proxy(monkeypatch: pytest.Monke
         monkeypatch.setenv(name, "http://127.0.0.1:9")
     assert asked(always(WORDS))[0].text == WORDS
     chat = ChatConfig(model="m", base_url="http://host.invalid/v1", attempts=1, timeout=5)
-    with pytest.raises(Failed, match="through the proxy in all or http_proxy"):
+    with pytest.raises(Failed, match="through the proxy in http_proxy"):
         Chat(chat).ask([])
 
 

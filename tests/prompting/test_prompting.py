@@ -20,8 +20,7 @@ from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.prompt_config import PromptConfig
 from knotgym.prompting.prompt_run import run_prompts, sample_prompt
 from knotgym.prompting.prompts import first
-from knotgym.prompting.summary import reading_scores
-from knotgym.prompting.transcripts import read_transcripts
+from knotgym.prompting.transcripts import read_transcripts, reading_scores
 from knotgym.runs import RunOptions, staging_folder
 
 from .chat_server import Answer, ChatServer, hashes, kinds
@@ -40,7 +39,7 @@ def key(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def config(url: str, mode: str = "stateless", **more: Any) -> PromptConfig:
-    chat = ChatConfig(model="m", base_url=url, timeout=5.0, attempts=2, backoff=0.01)
+    chat = ChatConfig(model="m", base_url=url, timeout=5.0, attempts=2)
     task = TaskConfig(task="unknot", nx=2, horizon=4, image_size=16)
     usual = {"mode": mode, "chat": chat, "task": task, "episodes": 1, "side_by_side": 1}
     return PromptConfig(**{**usual, **more})
@@ -152,6 +151,47 @@ def test_a_run_is_resumed_and_the_key_is_nowhere(tmp_path: Path) -> None:
     assert not staging_folder(out).exists()
 
 
+FILTERED: Any = (400, {}, json.dumps({"error": {"message": "no", "code": "content_filter"}}))
+
+
+def test_a_rejected_request_counts_as_a_refusal_and_the_run_goes_on(tmp_path: Path) -> None:
+    server = ChatServer(lambda number, body: PULL if number % 4 else ("status", FILTERED))
+    (told, result) = played(server, tmp_path / "run", episodes=2)
+    assert result["answers"] == {"valid": 6, "refusal": 2}
+    assert result["rejected"] == {"400 content_filter": 2}
+    assert len(told[0]["actions"]) == 4 and told[0]["turns"][0]["rejected"].endswith(": no")
+    text = io.StringIO()
+    print_transcripts(tmp_path / "run", Console(file=text))
+    assert "rejected             400 content_filter 2" in text.getvalue()
+
+
+def test_a_server_that_rejects_every_request_ends_the_run_until_restarted(tmp_path: Path) -> None:
+    mended = [False]
+
+    def answer(number: int, body: Any) -> Answer:
+        return PULL if mended[0] else ("status", FILTERED)
+
+    server, out = ChatServer(answer), tmp_path / "run"
+    with server.serving():
+        own = config(server.url, episodes=30)
+        for options in (QUIET, RESUME):
+            with pytest.raises(InvalidInput, match="rejects all of 20 .* --restart"):
+                run_prompts(own, out, options)
+        assert len(server.requests) == 20
+        mended[0] = True
+        run_prompts(own, out, RunOptions(quiet=True, restart=True))
+    assert json.loads((out / "result.json").read_text())["answers"] == {"valid": 120}
+
+
+def test_empty_answers_are_counted_under_their_own_name(tmp_path: Path) -> None:
+    message = {"content": None, "reasoning_content": PULL}
+    one = {"index": 0, "message": message, "finish_reason": "stop"}
+    server = ChatServer(always(("body", json.dumps({"choices": [one]}))))
+    ((told,), result) = played(server, tmp_path / "run", "open")
+    assert result["answers"] == {"empty": 1} and result["retries"] == {"empty": 1}
+    assert told["turns"][0]["reasoning"] == PULL and told["turns"][0]["answer"] == ""
+
+
 def test_side_by_side_gives_the_same_transcripts(tmp_path: Path) -> None:
     texts = []
     server = ChatServer(always(PULL))
@@ -207,7 +247,7 @@ def test_the_first_request_is_shown_without_sending_it() -> None:
         ("{}", "format None"),
         ('{"format": "knotgym-transcript", "format_version": 9}', "version 9"),
         (
-            '{"format": "knotgym-transcript", "format_version": 1, "actions": 3}',
+            '{"format": "knotgym-transcript", "format_version": 2, "actions": 3}',
             "field config: Field required",
         ),
     ],
