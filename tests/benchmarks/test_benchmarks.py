@@ -172,3 +172,9 @@ def test_the_chain_engine_is_measured_beside_mujocos(
     results = figures("chain", tmp_path, command, *words)["results"]
     if command == "distance":
         assert results["apart, mm"]["after 1"] < 1.2 and results["apart, mm"]["after 4"] < 5
+
+
+def test_labels_are_counted_and_counting_goes_on(tmp_path: Path) -> None:
+    for frames in (64, 128):
+        counted = figures("labels", tmp_path, "--chunk", 64, "--frames", frames)
+        assert sum(n for name, n in counted["counts"].items() if "equal" in name) == frames

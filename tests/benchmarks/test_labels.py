@@ -1,4 +1,4 @@
-"""The independent labeller of `benchmarks/labels.py` agrees with the package, and finds differences."""
+"""The independent labeller of `benchmarks/labels.py` agrees with the package."""
 
 import runpy
 
