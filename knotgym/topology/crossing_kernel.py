@@ -13,8 +13,7 @@ Arrays are copied element by element, here and in the other kernels: for a slice
 also compiles its error message, which adds seconds to the first run.
 
 After a change run `pytest tests/topology/test_crossings.py
-tests/topology/test_reference_labeller.py` and `python benchmarks/codes.py`: all 10,000 curves and
-2,000 rope states must get pyknotid's code.
+tests/topology/test_reference_labeller.py` and `python benchmarks/labels.py`: no label may be wrong.
 """
 
 from pathlib import Path
@@ -29,7 +28,7 @@ from knotgym.topology.orientation import side
 OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
 ALL = np.iinfo(np.int64).max  # crossings
-# about speed alone; `python benchmarks/codes.py` measures it
+# about speed alone; `python benchmarks/labels.py` measures it
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
 

@@ -140,12 +140,6 @@ def test_a_collection_that_is_killed_ends_with_the_same_bytes(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_both_labellers_agree_on_tangled_ropes(tmp_path: Path) -> None:
-    ropes = figures("codes", tmp_path, "--curves", 1, "--ropes", 40)["results"]["rope states"]
-    assert ropes["agreed"] == ropes["curves"] == 40
-
-
-@pytest.mark.slow
 def test_the_strand_on_top_is_the_one_labelled_over(tmp_path: Path) -> None:
     for shown in figures("truth", tmp_path, "--states", 20)["crossings"].values():
         assert shown["over"] > 0 and "under" not in shown

@@ -11,7 +11,7 @@ from .test_crossings import EIGHT, random_curve
 
 
 def test_both_labellers_agree() -> None:
-    """On 40 curves; `benchmarks/codes.py` compares as many as it is told to."""
+    """On 40 curves; `benchmarks/labels.py` compares millions of ropes with another labeller."""
     compared = 0
     for seed in range(40):
         points = random_curve(seed, modes=1 + seed % 8)
