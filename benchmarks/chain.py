@@ -141,7 +141,7 @@ def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, A
         seeds = [episode_seed(config.seed, number) for number in range(own.episodes.rows)]
         longest, ends = int(own.episodes["length"].max()), []
         for engine in (MUJOCO, CHAIN):
-            task = replace(config.seen_task, engine=engine, horizon=longest, hold=longest)
+            task = replace(config.policy_task, engine=engine, horizon=longest, hold=longest)
             played = rollouts(RecordedPolicy(own), task, seeds)
             # the last state, if the rope was towed too far in this engine
             lengths = np.minimum(own.episodes["length"], played.episodes["length"])

@@ -45,8 +45,8 @@ def _act_out(env: Any, read: Any, stored: Episodes) -> None:
     names = {"action": "actions", "reward": "rewards", "terminated": "terminations"}
     for name, of_minari in {**names, "truncated": "truncations"}.items():
         assert np.array_equal(stored.steps[name][:-1], getattr(read, of_minari))
-    own = {name: stored.episodes[name][0] for name in ("seed", "start", "goal", "relabelled")}
-    if own["seed"] < 0 or own["relabelled"]:
+    own = {name: stored.episodes[name][0] for name in ("seed", "start", "goal")}
+    if own["seed"] < 0:
         assert env.observation_space.contains(env.reset(seed=0)[0])
         return
     options = {"start": int(own["start"]), "goal": int(own["goal"])}

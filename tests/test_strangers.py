@@ -87,7 +87,7 @@ Change = Callable[[NDArray[Any]], Any]
         ("episodes", "seed", 5, "seed is none of the run's"),
         ("episodes", "seed", -5, "negative"),
         ("episodes", "start", 1, "goes with another state|draws another start"),
-        ("episodes", "planned", -1, "negative"),
+        ("episodes", "planner_steps", -1, "negative"),
         ("steps", "macro_bead", 99, "isn't one of the macro-action"),
         ("steps", "macro_target", 60_000, "isn't one of the macro-action"),
         ("steps", "macro_side", 7, "isn't one of the macro-action"),
@@ -146,16 +146,46 @@ def test_a_state_file_is_not_by_vertices_because_it_says_so(
     assert any("quality/margin is missing" in fault for fault in found)
 
 
+@pytest.mark.parametrize("named", ["{path}", "{root}/a/../../states.h5", "a/../../states.h5"])
+@pytest.mark.parametrize("beside", ["", "stray"])
 def test_states_that_a_file_names_elsewhere_are_not_published(
-    states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    named: str,
+    beside: str,
+    states_path: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "root"))
+    (tmp_path / "root" / "a").mkdir(parents=True)
+    private = tmp_path / "states.h5"  # as if it were a private file of the user
+    private.write_bytes(Path(states_path).read_bytes())
+    given = tmp_path / "given"
+    given.mkdir()
     dataset = open_episodes(TINY["random"])
-    task = replace(dataset.task, states=states_path)  # as if it were a private file of the user
-    write_episodes(tmp_path / "set.h5", [dataset.episodes], task)
-    words = ("merge", tmp_path / "set.h5", "--id", "a/b-v0")
+    task = replace(dataset.task, states=named.format(path=private, root=tmp_path / "root"))
+    write_episodes(given / "set.h5", [dataset.episodes], task, {"states_sha256": "0" * 64})
+    if beside:
+        (given / "states.h5").write_bytes(private.read_bytes())
+    words = ("merge", given / "set.h5", "--id", "a/b-v0")
     assert typed("dataset", *words, "--out", tmp_path / "out") == 2
     (line,) = capfd.readouterr().err.splitlines()
-    assert "names states outside of it" in line and not (tmp_path / "out").exists()
+    assert "SHA-256" in line and not (tmp_path / "out").exists()
+
+
+def test_an_id_of_a_stranger_names_no_place_for_an_export(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    dataset = open_episodes(TINY["random"])
+    metadata = {**(dataset.metadata or {}), "dataset_id": "a/b-x/../../../c"}
+    facts = {**dataset.facts, "metadata": metadata}
+    write_episodes(tmp_path / "set.h5", [dataset.episodes], dataset.task, facts)
+    for form in ("ogbench", "minari"):
+        words = ("export", tmp_path / "set.h5", "--to", form, "--out", tmp_path / "out")
+        assert typed("dataset", *words) == 2
+        (line,) = capfd.readouterr().err.splitlines()
+        assert "a dataset id has the form" in line
+    assert [one.name for one in tmp_path.iterdir()] == ["set.h5"]
 
 
 def test_settings_of_numba_in_the_current_folder_are_not_read(tmp_path: Path) -> None:

@@ -52,7 +52,13 @@ def collect(given: Given) -> None:
         pairs = [*dict.fromkeys(product(*map(_listed, several)))]
     seen = "" if given.has("task.observation") else "state"
     configs = [
-        named(given.config(CollectConfig, {"task.task": task, "task.nx": nx}, usual={"seen": seen}))
+        named(
+            given.config(
+                CollectConfig,
+                {"task.task": task, "task.nx": nx},
+                usual={"policy_observation": seen},
+            )
+        )
         for task, nx in pairs
     ]
     for config in configs:  # refuse any of them before playing the first

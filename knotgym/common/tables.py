@@ -31,7 +31,7 @@ _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FL
 _PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 _MAPPABLE = {"libver": ("v110", "v110"), "alignment_threshold": 1, "alignment_interval": 8}
 _CHUNK = 1 << 20  # bytes of a packed chunk before compression
-_HEADER, _VERSION = ("format", "format_version"), 1
+_HEADER = ("format", "format_version")
 
 
 class Column(NamedTuple):
@@ -257,6 +257,7 @@ def write_tables(
     attributes: Mapping[str, Any],
     *,
     format: str,
+    version: int = 1,
     pack: bool = False,
 ) -> None:
     """Write tables to a file atomically; it is replaced if it exists.
@@ -267,14 +268,14 @@ def write_tables(
             that mapped files aren't read into memory.
         attributes: attributes of the file: text and numbers, or lists and dictionaries, which are
             stored as JSON. So text that begins with "{" or "[" is read as JSON.
-        format: what `read` requires.
+        format, version: what `read_tables` requires.
         pack: whether to compress the columns, which then aren't mapped but read.
 
     Raises:
         InvalidInput: parts of a table differ in schema, or values are out of range.
     """
     with atomic_write(path) as part, new_hdf5(part, **_MAPPABLE) as file:
-        for name, value in {**attributes, "format": format, "format_version": _VERSION}.items():
+        for name, value in {**attributes, "format": format, "format_version": version}.items():
             plain = isinstance(value, str | int | float | np.generic)
             stored = value if plain else json.dumps(value, sort_keys=True)
             if isinstance(stored, str):  # of fixed length: damaged heaps make the library hang
@@ -351,14 +352,14 @@ def _write_table(file: h5py.File, parts: Sequence[Table], pack: bool) -> None:
 
 
 def read_tables(
-    path: str | os.PathLike[str], *schemas: Schema, format: str
+    path: str | os.PathLike[str], *schemas: Schema, format: str, version: int = 1
 ) -> tuple[list[Table], dict[str, Any]]:
     """Read tables from a file and check them against their schemas.
 
     Args:
         path: path of the file.
         schemas: the tables to read; columns that they don't list are left alone.
-        format: what the file must say it is.
+        format, version: what the file must say it is.
 
     Returns:
         One table per schema, and the file's attributes. Contiguous columns are read-only and mapped
@@ -373,10 +374,10 @@ def read_tables(
         with h5py.File(path, "r", locking=False) as file:
             attributes = {name: _attribute(file, name) for name in file.attrs}
             found = tuple(attributes.pop(name, None) for name in _HEADER)
-            if found != (format, _VERSION) or type(found[1]) is not int:
+            if found != (format, version) or type(found[1]) is not int:
                 raise InvalidFile(
                     f"{path} has format {found[0]!r} version {found[1]!r}; this version reads"
-                    f" {format!r} version {_VERSION}"
+                    f" {format!r} version {version}"
                 )
             items: dict[str, Any] = {}
             file.visititems(items.__setitem__)  # follows no links but hard ones

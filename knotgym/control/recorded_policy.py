@@ -73,7 +73,7 @@ class _RecordedPlayer:
             self._row[index] = row
             if not policy.by_start:
                 self.names[index] = str(rows["policy"][row])
-        self.planned[ids] = rows["planned"][self._row[ids]]
+        self.planned[ids] = rows["planner_steps"][self._row[ids]]
 
     def act(self, ids: Ids) -> Pulls:
         row, steps = self._row[ids], self._steps

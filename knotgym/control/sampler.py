@@ -26,7 +26,7 @@ Ids = NDArray[np.int64]
 
 _STATES = frozenset({"observation", "visits", "signs", "crossings"})  # the last state has them too
 _CODES = ("visits", "signs")  # columns that widen with the longest code
-_OUTCOMES = ("reward", "terminated", "truncated", "share")
+_OUTCOMES = ("reward", "terminated", "truncated", "applied_fraction")
 
 # Of speed and memory alone: no result depends on these three. `python benchmarks/collect.py`
 # measures what they are about.
@@ -366,12 +366,11 @@ class _Record:
             "policy": policy,
             "goal_visits": batch.wanted[index].copy(),
             "hold": 0 if own == batch.task.hold else own,
-            "relabelled": batch.goal_row[index] < 0,
             "length": length,
             "success": self._success[index],
-            "failed": batch.failed[index],
-            "total": self._totals[index],
-            "planned": planned,
+            "diverged": batch.failed[index],
+            "return_": self._totals[index],
+            "planner_steps": planned,
         }
         if "observation" in self._steps:
             row["goal_points"] = batch.goal_points(index).astype(np.float32)

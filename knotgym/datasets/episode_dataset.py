@@ -18,6 +18,7 @@ An episode file holds the tables of `episodes`, in one of two forms, and these a
     metadata    of the Minari dataset, see `MinariMetadata`; left out in single files
     run         facts about the run that made it, such as its configuration; may be left out
     selection   the selections that it went through, oldest first; may be left out
+    states_sha256   of the state file that `task` resets from, unless it is bundled
 """
 
 import hashlib
@@ -43,6 +44,7 @@ from knotgym.common import (
     one_line,
     printable,
     read_tables,
+    sha256,
     table_digest,
     write_tables,
 )
@@ -57,12 +59,14 @@ from knotgym.datasets.episodes import (
     merged,
 )
 from knotgym.envs import TaskConfig
-from knotgym.states import leads_out, root_of, ships, states_file
+from knotgym.states import minari_root, root_of, ships, states_file
 
-FORMAT = "knotgym-episodes"
+FORMAT, VERSION = "knotgym-episodes", 2
 FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, PULLS)}
 FILE = "episodes.h5"
 MAIN = "main_data.hdf5"  # Minari's
+STATES_FILE, STATES_DIGEST = "states.h5", "states_sha256"  # in the same folder; its attribute
+_KEPT_FACTS = ("metadata", "run", "selection", STATES_DIGEST)
 # settings of the environment that loaders read; datasets that are loaded together share them
 _READ = {
     *("beads", "observation", "action", "hold", "tow_limit", "success_reward"),
@@ -108,10 +112,8 @@ class EpisodeDataset:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """The attributes that stay when rows are taken: run, metadata, selection."""
-        return {
-            k: self.attributes[k] for k in ("metadata", "run", "selection") if k in self.attributes
-        }
+        """The attributes that stay when rows are taken: run, metadata, selection, states."""
+        return {k: self.attributes[k] for k in _KEPT_FACTS if k in self.attributes}
 
     def select(self, rows: Any) -> "EpisodeDataset":
         """Return the dataset with some of its episodes, by a mask or by their numbers."""
@@ -127,22 +129,34 @@ class EpisodeDataset:
         return self.task if ships(named) else replace(self.task, states=str(self.states_path()))
 
     def states_path(self) -> Path:
-        """Return the path of the state file that the episodes were reset from; it may not exist.
+        """Return the state file that the episodes were reset from, found by its digest.
+
+        It lies beside the episodes as `states.h5`, or in the dataset in Minari's folder whose id
+        the task names. A path in a file leads nowhere: a stranger may have written it.
 
         Raises:
-            InvalidFile: a dataset names a path outside it; a single file may do so.
+            MissingFile: it lies in neither place.
+            InvalidFile: the file found there is another one, or the episodes name no digest.
         """
-        beside, named = self.path.with_name("states.h5"), self.task.states
+        named, digest = self.task.states, self.attributes.get(STATES_DIGEST)
         if ships(named) or named is None:
             return states_file(named)
-        if beside.is_file():
-            return beside
-        if self.path.with_name("metadata.json").is_file() and leads_out(named):
+        root = minari_root().resolve()
+        carried = (root / named / "data" / STATES_FILE).resolve()
+        found = [self.path.with_name(STATES_FILE), *[carried] * carried.is_relative_to(root)]
+        found = [one for one in found if one.is_file() and not one.is_symlink()]
+        for one in found:
+            if sha256(one) == digest:
+                return one
+        if found:
             raise InvalidFile(
-                f"{self.path} names states that lie outside the dataset, {named!r}; it should"
-                " include them, as states.h5 beside the episodes"
+                f"{found[0]} isn't the state file that {self.path} was reset from: its SHA-256"
+                f" should be {digest}"
             )
-        return states_file(named)
+        raise MissingFile(
+            f"{self.path} was reset from states that aren't here: put the state file with SHA-256"
+            f" {digest} beside it as {STATES_FILE}"
+        )
 
 
 def open_episodes(source: Any) -> EpisodeDataset:
@@ -164,7 +178,7 @@ def open_episodes(source: Any) -> EpisodeDataset:
             f"{path} was recorded by Minari, without what playing it again needs: loaders read it,"
             " other commands don't"
         )
-    _, attributes = read_tables(path, format=FORMAT)
+    _, attributes = read_tables(path, format=FORMAT, version=VERSION)
     schemas = FORMS.get(str(attributes.get("form")))
     if schemas is None:
         raise InvalidFile(f"{path} has form {attributes.get('form')!r}, not {', '.join(FORMS)}")
@@ -173,7 +187,7 @@ def open_episodes(source: Any) -> EpisodeDataset:
     except (KnotgymError, KeyError, TypeError) as error:
         raise InvalidFile(f"{path} has no valid task: {one_line(error)}") from error
     sized = [schema.sized(beads=task.beads) for schema in schemas]
-    (rows, steps), _ = read_tables(path, *sized, format=FORMAT)
+    (rows, steps), _ = read_tables(path, *sized, format=FORMAT, version=VERSION)
     lengths = rows["length"]
     if rows.rows and (lengths.min() < 1 or lengths.max() >= steps.rows):
         raise InvalidFile(f"{path} has an episode without pulls, or longer than the file")
@@ -270,7 +284,8 @@ def write_episodes(
         path: of the file.
         parts: sets of episodes, which are appended; all recordings, or none.
         task: the environment.
-        facts: further attributes: metadata, run, selection.
+        facts: further attributes: metadata, run, selection, and the digest of the task's states,
+            which are read here if it isn't given.
         pack: whether to compress the file, which then isn't mapped when read.
 
     Raises:
@@ -279,8 +294,11 @@ def write_episodes(
     if not parts or len({part.is_recording for part in parts}) > 1:
         raise InvalidInput("episodes to write are a list of recordings, or of columns")
     same = fitted(parts)
+    own = dict(facts or {})
+    if not ships(task.states) and STATES_DIGEST not in own:
+        own[STATES_DIGEST] = sha256(states_file(task.states))
     attributes = {
-        **(facts or {}),
+        **own,
         "form": "recording" if parts[0].is_recording else "columns",
         "task": as_json(task),
         "rope": task.rope.fingerprint,
@@ -292,7 +310,7 @@ def write_episodes(
     if all("expert_action" in part.steps for part in same):  # as `joined` keeps it
         attributes["advice"] = advice_digest(same)
     rows, steps = [part.episodes for part in same], [part.steps for part in same]
-    write_tables(path, [rows, steps], attributes, format=FORMAT, pack=pack)
+    write_tables(path, [rows, steps], attributes, format=FORMAT, version=VERSION, pack=pack)
 
 
 def content_digest(episodes: Episodes) -> str:

@@ -56,7 +56,7 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
             np.arange(first, min(first + _BLOCK, dataset.episodes.episodes.rows))
         )
         made = replay(some, task)
-        own = made.episodes.replaced(planned=some.episodes["planned"])
+        own = made.episodes.replaced(planner_steps=some.episodes["planner_steps"])
         parts.append(made._replace(episodes=own))
     whole = merged(parts) if parts else dataset.episodes
     if is_whole and dataset.episodes.is_recording and parts:
@@ -119,10 +119,10 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "episodes": own.rows,
         "steps": int(own["length"].sum()),
         "lengths": _spread(own["length"]),
-        "returns": _spread(own["total"]),
+        "returns": _spread(own["return_"]),
         "successes": int(own["success"].sum()),
         "success_rate": float(own["success"].mean()) if own.rows else None,
-        "simulation_failures": int(own["failed"].sum()),
+        "simulation_failures": int(own["diverged"].sum()),
         "policies": _counted(own["policy"]),
         "distinct": distinct(own),
         "goals": _counted(gauss_codes(own["goal_visits"])),
@@ -152,7 +152,7 @@ def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
         yield f"{dataset.path}: a pull is of a bead or with a force that doesn't exist"
     if "expert_action" in steps and np.abs(steps["expert_action"]).max(initial=0) > 1:
         yield f"{dataset.path}: an expert's action lies outside [-1, 1]"
-    if (own["seed"] < -1).any() or (own["planned"] < 0).any():
+    if (own["seed"] < -1).any() or (own["planner_steps"] < 0).any():
         yield f"{dataset.path}: a seed or a number of planned pulls is negative"
     if "macro_side" in steps:
         side, bead = steps["macro_side"], steps["macro_bead"]

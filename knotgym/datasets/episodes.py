@@ -37,12 +37,11 @@ _PLAYED = (
     Column("policy", "text", (), "", "name of the policy that acted"),
     Column("goal_visits", "int16", ("visits",), "", "Gauss code of the goal"),
     Column("hold", "int32", (), "steps", "to show the goal for; 0 for the task's number"),
-    Column("relabelled", "bool", (), "", "always false: loaders relabel episodes as they are read"),
     Column("length", "int64", (), "pulls", "T; the episode has T + 1 rows of steps"),
     Column("success", "bool", (), "", "the goal was shown for as long as the task asks"),
-    Column("failed", "bool", (), "", "the simulation blew up in the last pull"),
-    Column("total", "float64", (), "", "sum of the rewards"),
-    Column("planned", "int64", (), "pulls", "simulated by the policy, to plan"),
+    Column("diverged", "bool", (), "", "the simulation blew up in the last pull"),
+    Column("return_", "float64", (), "", "sum of the rewards"),
+    Column("planner_steps", "int64", (), "pulls", "that the policy simulated to plan"),
 )
 _PULLS = (
     Column("bead", "uint16", (), "", "that is pulled, at its centre"),
@@ -58,7 +57,7 @@ _FRAMES = (
     Column("reward", "float64", (), "", "of the pull"),
     Column("terminated", "bool", (), "", "the pull reached the goal, and the episode ended"),
     Column("truncated", "bool", (), "", "the episode ended without"),
-    Column("share", "float32", (), "", "of the force that the engine applied"),
+    Column("applied_fraction", "float32", (), "", "of the force, that the engine applied"),
     Column("visits", "int16", ("visits",), "", "Gauss code: +label over, -label under, then 0"),
     Column("signs", "int8", ("labels",), "", "of crossings 1, 2, ...: +1 positive, -1, then 0"),
     Column("crossings", "int16", (), "", "how many there are"),
@@ -74,7 +73,9 @@ STEPS = Schema("steps", (*_PULLS, *_FRAMES), "a state, the pull made in it, and 
 MACROS = ("macro_start", "macro_bead", "macro_target", "macro_side")
 
 _CODES = ("visits", "signs", "goal_visits")  # columns as wide as the longest code
-NOT_STEPPED = frozenset({"planned", "expert_action"})  # a replay plans nothing and asks no expert
+NOT_STEPPED = frozenset(
+    {"planner_steps", "expert_action"}
+)  # a replay plans nothing and asks no expert
 RELABEL = ("last", "all")
 
 
@@ -287,7 +288,7 @@ def codes_held(
     """
     offsets, episode = episodes.offsets, episodes.episode_of()
     beyond = ~_within_tow(episodes, tow_limit)
-    beyond[episodes.last()] |= episodes.episodes["failed"]
+    beyond[episodes.last()] |= episodes.episodes["diverged"]
     passed = np.concatenate([[0], np.cumsum(beyond)])
     numbers = _code_ids(episodes.steps["visits"])
     numbers[passed[1:] > passed[offsets[episode]]] = -1

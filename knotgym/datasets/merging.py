@@ -7,8 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from knotgym.common import InvalidFile, InvalidInput, atomic_write, require_apart, sha256
-from knotgym.datasets.episode_dataset import EpisodeDataset, require_alike, write_episodes
+from knotgym.common import InvalidInput, atomic_write, require_apart, sha256
+from knotgym.datasets.episode_dataset import (
+    STATES_DIGEST,
+    EpisodeDataset,
+    require_alike,
+    write_episodes,
+)
 from knotgym.datasets.episodes import episode_digests
 from knotgym.datasets.located import locate
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
@@ -58,14 +63,15 @@ def merge(
         return f"{out}: {len(merged)} states"
     task, parts = _joint_task(datasets), [one.episodes for one in datasets]
     _require_distinct(datasets)
-    facts = datasets[0].facts if len(datasets) == 1 else {}
+    kept = datasets[0].facts
+    facts = kept if len(datasets) == 1 else {k: v for k, v in kept.items() if k == STATES_DIGEST}
     if dataset_id:
         made = publish(
             parts,
             task,
             _metadata(datasets, dataset_id),
             out,
-            states=_states_to_include(datasets[0]),
+            states=_states(datasets[0]),
             facts=facts,
             overwrite=overwrite,
         )
@@ -76,24 +82,9 @@ def merge(
     return f"{made}: {sum(one.episodes.rows for one in parts)} episodes"
 
 
-def _states_to_include(dataset: EpisodeDataset) -> Path | None:
-    """Return the state file that a Minari dataset of these episodes must include."""
-    states = _states(dataset)
-    beside = states is None or states.parent == dataset.path.parent
-    if not beside and not Path(str(states)).is_relative_to(minari_root()):
-        raise InvalidFile(
-            f"{dataset.path} names states outside of it, {states}, which aren't copied into"
-            " another dataset; if they are yours, put them beside it as states.h5"
-        )
-    return states
-
-
 def _states(dataset: EpisodeDataset) -> Path | None:
-    """Return the state file that episodes were reset from; None if it ships."""
-    path = None if ships(dataset.task.states) else dataset.states_path()
-    if path and not path.is_file():
-        raise InvalidFile(f"{dataset.path} was reset from {path}, which doesn't exist")
-    return path
+    """Return the state file that a dataset of these episodes must include; None if bundled."""
+    return None if ships(dataset.task.states) else dataset.states_path()
 
 
 def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:

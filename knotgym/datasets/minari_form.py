@@ -1,7 +1,7 @@
 """Minari's form of a dataset, written once from the columns of its episodes.
 
     main_data.hdf5      /episode_{k}    attributes: id, total_steps, seed, options/start,
-                                        options/goal, policy, goal_gauss_code, relabelled
+                                        options/goal, policy, goal_gauss_code
         observations                    pixels, state, a group of both, symbols or marked vertices
         actions rewards terminations truncations
         infos/*                         one entry a state: codes, crossings, success, vertices, ...;
@@ -40,10 +40,13 @@ from knotgym.common import (
     one_line,
     read_json,
     require_output,
+    sha256,
 )
 from knotgym.datasets.episode_dataset import (
     FILE,
     MAIN,
+    STATES_DIGEST,
+    STATES_FILE,
     EpisodeDataset,
     open_episodes,
     write_episodes,
@@ -146,9 +149,10 @@ def publish(
         data = temporary / "data"
         data.mkdir(parents=True)
         own = {**(facts or {}), "metadata": asdict(metadata)}
-        write_episodes(data / FILE, parts, task, own)
         if states is not None:
-            copy_file(Path(states), data / "states.h5")
+            copy_file(Path(states), data / STATES_FILE)
+            own[STATES_DIGEST] = sha256(data / STATES_FILE)
+        write_episodes(data / FILE, parts, task, own)
         wanted = form == "minari" or (not form and pulls <= MINARI_STEPS)
         if wanted and not any(part.is_recording for part in parts):
             write_minari(open_episodes(data / FILE), data)
@@ -268,7 +272,7 @@ def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -
 
 def dataset_files(data: Path) -> list[Path]:
     """List the files in a dataset's `data` folder that belong to it, ignoring any others."""
-    named = (FILE, MAIN, METADATA, "states.h5")
+    named = (FILE, MAIN, METADATA, STATES_FILE)
     return [data / name for name in named if os.path.lexists(data / name)]
 
 
@@ -278,8 +282,8 @@ def _minari_episodes(
     """Yield each episode's attributes and its arrays by path, except the observations."""
     (own, steps), offsets = dataset.episodes, dataset.episodes.offsets
     failed = np.zeros(steps.rows, dtype=bool)
-    failed[dataset.episodes.last()] = own["failed"]
-    share = steps["share"].astype(np.float64)
+    failed[dataset.episodes.last()] = own["diverged"]
+    share = steps["applied_fraction"].astype(np.float64)
     applied = share[:, None] * steps["force"].astype(np.float64) * dataset.task.rope.max_force
 
     def led(values: NDArray[Any], at_first: float = 0) -> NDArray[Any]:
@@ -311,7 +315,6 @@ def _minari_episodes(
             "total_steps": int(own["length"][k]),
             "policy": str(own["policy"][k]),
             "goal_gauss_code": str(goals[k]),
-            "relabelled": bool(own["relabelled"][k]),
             **{name: int(column[k]) for name, column in numbers.items() if column[k] >= 0},
         }
         yield (

@@ -113,7 +113,7 @@ def _episode(
         "reward": read("rewards"),
         "terminated": terminated,
         "truncated": truncated,
-        "share": 1,
+        "applied_fraction": 1,
     }
     for column, values in led.items():
         steps[column][:-1] = values  # no pull is made in the last state
@@ -125,7 +125,7 @@ def _episode(
         "start_qpos": np.nan,
         "goal_visits": codes.visits[-1],
         "length": pulls,
-        "total": steps["reward"].sum(),
+        "return_": steps["reward"].sum(),
         "goal_points": goals[0],
     }
     for column, value in known.items():

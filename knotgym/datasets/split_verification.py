@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import KnotgymError
+from knotgym.common import KnotgymError, MissingFile
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import episode_digests
 from knotgym.envs import task_sides
@@ -111,10 +111,13 @@ def _start_fault(points: Array, named: int, states: States, dataset: EpisodeData
 
 def _sides(dataset: EpisodeDataset) -> dict[str, tuple[States, NDArray[np.int64]]]:
     """Read the states, and the rows of them, that starts and goals are drawn from, as a reset."""
-    named = dataset.task.states
-    if named is not None and dataset.metadata is None and not dataset.states_path().is_file():
-        return {}
-    starts, goals = zip(*task_sides(dataset.found_task), strict=True)
+    try:
+        task = dataset.found_task
+    except MissingFile:
+        if dataset.metadata is None:
+            return {}
+        raise
+    starts, goals = zip(*task_sides(task), strict=True)
     return {
         name: (same[0].states, np.unique(np.concatenate([one.rows for one in same])))
         for name, same in (("start", starts), ("goal", goals))

@@ -81,7 +81,7 @@ def train(
             "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations be"
             " made for a clone, as in --set clone.demonstrations=1000"
         )
-    columns = "observation", "bead", "force", "share"
+    columns = "observation", "bead", "force", "applied_fraction"
     read = digest([one.episodes.steps[name] for one in opened for name in columns])
     whole = identity(config, {"data_sha256": read})
     card = {

@@ -39,7 +39,7 @@ def states_and_pulls(sets: Sequence[Episodes]) -> TrainingData:
         steps, starts = one.steps, one.offsets[:-1]
         # a row holds the pull made in its state; here it belongs to the state that it led to
         beads = np.roll(steps["bead"].astype(np.int64), 1)
-        forces = np.roll(steps["force"] * steps["share"][:, None], 1, axis=0)
+        forces = np.roll(steps["force"] * steps["applied_fraction"][:, None], 1, axis=0)
         beads[starts] = -1
         parts.append(TrainingData(steps["observation"], beads, forces, before + starts))
         before += steps.rows

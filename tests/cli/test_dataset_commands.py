@@ -56,7 +56,7 @@ def test_verify_names_each_fault_with_status_1(
     copy = tmp_path / "a.h5"
     copy.write_bytes(TINY["random"].read_bytes())
     with h5py.File(copy, "a") as file:
-        file["episodes/planned"][0] = -1
+        file["episodes/planner_steps"][0] = -1
     assert knotgym("dataset", "verify", copy, "--quiet") == 1
     assert capfd.readouterr().out.startswith("fault: ")
 

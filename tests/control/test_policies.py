@@ -291,7 +291,7 @@ def test_advice_is_stored_and_not_followed() -> None:
     advised = made.steps["expert_action"][made.offsets[:-1]]
     followed = rollouts(expert, TASK, SEEDS[:4])
     assert np.array_equal(advised, followed.steps["action"][followed.offsets[:-1]])
-    assert (made.episodes["planned"] > 0).all() and not made.steps["expert_action"][
+    assert (made.episodes["planner_steps"] > 0).all() and not made.steps["expert_action"][
         made.last()
     ].any()
 

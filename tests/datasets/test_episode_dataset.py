@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from synthetic_episodes import TASK, episodes, written
 
-from knotgym.common import InvalidFile, InvalidInput, MissingFile
+from knotgym.common import InvalidFile, InvalidInput, MissingFile, sha256
 from knotgym.datasets.episode_dataset import (
     columns_of,
     content_digest,
@@ -87,12 +87,27 @@ def test_a_dataset_is_found_by_file_folder_data_folder_and_id(
         episode_file("knotgym/tie-nx2/other-v0")
 
 
-def test_a_dataset_may_not_name_states_outside_it(tmp_path: Path) -> None:
-    made = written(tmp_path / "episodes.h5", episodes([1]), replace(TASK, states="../x.h5"))
-    assert open_episodes(made).states_path() == Path("../x.h5")
-    (tmp_path / "metadata.json").write_text("{}")
-    with pytest.raises(InvalidFile, match="outside the dataset"):
-        open_episodes(made).states_path()
+@pytest.mark.parametrize("named", ["{root}/private.h5", "a/../../private.h5", "a/b-v0", "../x"])
+def test_states_are_found_by_digest_and_never_by_a_path(
+    named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, private = tmp_path / "root", tmp_path / "private.h5"
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    private.write_bytes(b"private")
+    facts = {"states_sha256": sha256(private)}
+    data = root / "a" / "c-v0" / "data"
+    data.mkdir(parents=True)
+    path, beside = data / "episodes.h5", data / "states.h5"
+    write_episodes(path, [episodes([1])], replace(TASK, states=named.format(root=tmp_path)), facts)
+    (root / "a" / "b-v0" / "data").mkdir(parents=True)
+    (root / "a" / "b-v0" / "data" / "states.h5").symlink_to(private)
+    with pytest.raises(MissingFile, match="put the state file"):
+        open_episodes(path).states_path()
+    beside.write_bytes(b"stray")
+    with pytest.raises(InvalidFile, match="isn't the state file"):
+        open_episodes(path).states_path()
+    beside.write_bytes(b"private")
+    assert open_episodes(path).states_path() == beside
 
 
 def attribute(name: str, old: str, new: str) -> Callable[[h5py.File], None]:

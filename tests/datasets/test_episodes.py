@@ -73,18 +73,20 @@ def test_a_recording_holds_pulls_alone() -> None:
 
 def test_differences_name_episode_step_and_column() -> None:
     made = episodes([3, 1])
-    share = made.steps["share"].copy()
+    share = made.steps["applied_fraction"].copy()
     share[5] += 1
-    total = made.episodes["total"].copy()
+    total = made.episodes["return_"].copy()
     total[0] += 1
-    other = Episodes(made.episodes.replaced(total=total), made.steps.replaced(share=share))
-    planned = made._replace(episodes=made.episodes.replaced(planned=np.array([7, 7])))
+    other = Episodes(
+        made.episodes.replaced(return_=total), made.steps.replaced(applied_fraction=share)
+    )
+    planned = made._replace(episodes=made.episodes.replaced(planner_steps=np.array([7, 7])))
     assert differences(made, made) == differences(made, planned) == []  # not compared
     assert "episode 0: length differs" in differences(made, made.select([1, 1]))
     assert differences(made, made.select([0])) == ["1 episodes, should be 2"]
     assert differences(made, other) == [
-        "episode 0: total differs",
-        "episode 1, step 1: share differs",
+        "episode 0: return_ differs",
+        "episode 1, step 1: applied_fraction differs",
     ]
 
 

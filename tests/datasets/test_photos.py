@@ -106,10 +106,9 @@ def test_coco_has_a_mask_for_each_strand_and_keypoints_for_each_crossing(
         assert [kinds.count(k) for k in (1, 2, 3)] == [1, len(row["boxes"]), row["nx"]]
         strands = decode(row["strands"])[..., 0]
         for one in own[: len(row["boxes"]) + 1]:
-            counts, size = one["segmentation"]["counts"], one["segmentation"]["size"]
-            flat = np.repeat(np.arange(len(counts)) % 2, counts)
             right = strands == one["edge"] if "edge" in one else strands > 0
-            assert np.array_equal(flat.reshape(size, order="F"), right)
+            assert one["area"] == right.sum() and one["num_keypoints"] == 0
+        assert all(len(one["keypoints"]) == 3 * 17 for one in own)
 
 
 def test_a_webdataset_holds_pictures_strands_and_the_rest(
@@ -125,6 +124,25 @@ def test_a_webdataset_holds_pictures_strands_and_the_rest(
 
 
 @pytest.mark.clients
+@pytest.mark.usefixtures("rows")
+@pytest.mark.parametrize(
+    ("kind", "given"), [("bbox", "bbox"), ("segm", "segmentation"), ("keypoints", "keypoints")]
+)
+def test_cocos_default_scoring_finds_the_truth_perfect(
+    folder: Path, tmp_path: Path, kind: str, given: str
+) -> None:
+    tools, scoring = (pytest.importorskip(f"pycocotools.{one}") for one in ("coco", "cocoeval"))
+    export(str(folder), tmp_path / "coco", "coco", replay)
+    truth = tools.COCO(str(tmp_path / "coco/train.json"))
+    names = ("image_id", "category_id", given)
+    found = [{"score": 1.0, **{name: one[name] for name in names}} for one in truth.anns.values()]
+    score = scoring.COCOeval(truth, truth.loadRes(found), kind)
+    for step in (score.evaluate, score.accumulate, score.summarize):
+        step()
+    assert score.stats[0] == pytest.approx(1.0)
+
+
+@pytest.mark.clients
 def test_pycocotools_and_webdataset_read_what_is_exported(
     folder: Path, rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -136,8 +154,10 @@ def test_pycocotools_and_webdataset_read_what_is_exported(
     samples = list(shards.decode("rgb8"))
     for number, (row, sample) in enumerate(zip(rows, samples, strict=True)):
         strands = decode(row["strands"])[..., 0]
-        (rope,) = coco.loadAnns(coco.getAnnIds(imgIds=number, catIds=1))
-        assert np.array_equal(coco.annToMask(rope), strands > 0)
-        assert len(coco.getAnnIds(imgIds=number, catIds=3)) == row["nx"]
+        for one in coco.loadAnns(coco.getAnnIds(imgIds=number, catIds=[1, 2])):
+            right = strands == one["edge"] if "edge" in one else strands > 0
+            assert np.array_equal(coco.annToMask(one), right)
+        crossings = coco.loadAnns(coco.getAnnIds(imgIds=number, catIds=3))
+        assert len(crossings) == row["nx"] and all(coco.annToMask(one).any() for one in crossings)
         assert np.array_equal(sample["png"], decode(row["image"]))
         assert sample["json"]["gauss_code"] == row["gauss_code"]

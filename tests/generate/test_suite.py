@@ -71,7 +71,7 @@ def test_a_set_is_rebuilt_by_stepping_alone_and_the_card_describes_it(made: Path
     expert = sets[ID.format("expert")]
     assert expert["recorded"] == "same" and expert["succeeded"] == 2
     episodes = open_episodes(made / ID.format("expert")).episodes
-    assert not episodes.episodes["planned"].any() and episodes.steps["macro_start"].any()
+    assert not episodes.episodes["planner_steps"].any() and episodes.steps["macro_start"].any()
     assert set(episodes.episodes["policy"].tolist()) == {"expert"}
     page = (made / "knotgym" / "README.md").read_text()
     assert all(f"`{name}`" in page for name in sets) and "## Protocol" in page

@@ -34,9 +34,9 @@ def told(
         "goal": number % 5,
         "success": number < successes,
         "length": count + 20,
-        "total": count - 2.5,
-        "planned": count,
-        "failed": count > 0,
+        "return_": count - 2.5,
+        "planner_steps": count,
+        "diverged": count > 0,
     }
     result = evaluation._result_of(policy, task, Table(RECORDED.only(*columns), columns))
     path.write_text(as_text(report(config, [result], sources_of(config))), encoding="utf-8")

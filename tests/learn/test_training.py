@@ -101,7 +101,7 @@ def test_a_prediction_is_of_the_forces_that_were_applied(played: Episodes) -> No
     assert own.beads[0] == -1 and own.beads[count] == -1
     assert own.starts.tolist()[3:] == [count + start for start in own.starts.tolist()[:3]]
     np.testing.assert_array_equal(own.beads[1:3], steps["bead"][:2])
-    np.testing.assert_array_equal(own.forces[1], steps["force"][0] * steps["share"][0])
+    np.testing.assert_array_equal(own.forces[1], steps["force"][0] * steps["applied_fraction"][0])
 
 
 def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:

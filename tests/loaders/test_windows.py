@@ -89,7 +89,7 @@ def columns(given: list[Played]) -> Episodes:
     }
     failed = np.array([one.failed for one in given])
     steps = Table(STEPS.sized(**dict(made.steps.schema.sizes)), {**made.steps, **extra})
-    return Episodes(made.episodes.replaced(failed=failed), steps)
+    return Episodes(made.episodes.replaced(diverged=failed), steps)
 
 
 def decisions(one: Played, view: str) -> list[int]:

@@ -1,5 +1,6 @@
 """The bound on towing: which states exceed it, its reward, and which policies respect it."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,7 @@ def test_a_dataset_with_a_bound_is_verified(states_path: str, tmp_path: Path) ->
     task = bounded(states_path, horizon=12)
     both = [rollouts(policy, task, range(2)) for policy in (RandomPolicy(), constant())]
     write_episodes(tmp_path / "own.h5", [merged(both)], task)
+    shutil.copy(states_path, tmp_path / "states.h5")
     assert verify(tmp_path / "own.h5") == []
 
 
@@ -95,4 +97,5 @@ def test_verify_names_an_episode_that_went_on_beyond_the_bound(
     towed: Episodes, states_path: str, tmp_path: Path
 ) -> None:
     write_episodes(tmp_path / "e.h5", [towed], bounded(states_path, tow_limit=LIMIT / 2))
+    shutil.copy(states_path, tmp_path / "states.h5")
     assert any("length differs" in fault for fault in verify(tmp_path / "e.h5"))

@@ -69,7 +69,7 @@ def episodes(
         points[..., 2] *= 0.01
         points[:, 0, 0] += rng.uniform(0, 0.05, len(points))
     last = np.cumsum(np.asarray(lengths) + 1) - 1
-    for name in ("bead", "force", "action", "reward", "share"):
+    for name in ("bead", "force", "action", "reward", "applied_fraction"):
         steps[name][last] = 0
     steps["truncated"][last - 1] = True
     schemas = EPISODES.sized(**sizes), STEPS.sized(**sizes)

@@ -23,6 +23,7 @@ import numpy as np
 from knotgym.common import InvalidInput, atomic_writes, copy_file, require_output
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.located import Located
+from knotgym.datasets.minari_form import metadata_of
 
 _TENTH = 10  # every tenth episode is for validation
 _LOOKS = {"pixels": "visual-", "state": ""}
@@ -86,6 +87,7 @@ def _name(dataset: EpisodeDataset) -> str:
     OGBench splits names at dashes, so a policy has underscores instead.
     """
     task, policies = dataset.task, dataset.episodes.episodes["policy"]
-    dataset_id = dataset.name if dataset.metadata else f"{policies[0]}-v0"
+    metadata = metadata_of(dataset)  # checks the id, which names files here
+    dataset_id = metadata.dataset_id if metadata else f"{policies[0]}-v0"
     policy, _, version = dataset_id.rpartition("/")[2].rpartition("-")
     return f"{task.name}-{re.sub(r'[^0-9A-Za-z_]', '_', policy)}-{version}"

@@ -4,8 +4,9 @@
     SPLIT-000000.tar      WebDataset: 000000.png, 000000.strands.png (photos), 000000.json, ...
 
 In COCO a strand is a piece of rope between two visits of crossings, `edge` its number in the PD
-code. A crossing has five keypoints: itself, and its two strands a bead before and behind it. Masks
-are run lengths that pycocotools reads.
+code. A crossing has 17 keypoints, as many as COCO's default scoring takes: itself, and on both of
+its strands four points before and four behind it, a quarter of a bead apart. Masks are run lengths
+that pycocotools reads; a crossing's is the square around it.
 """
 
 import io
@@ -25,12 +26,22 @@ from knotgym.datasets.located import Located
 from knotgym.states import IMAGE_SPLITS
 
 _PER_SHARD = 1000  # pictures in a tar file
-_KEYPOINTS = ("crossing", "over_before", "over_behind", "under_before", "under_behind")
+# beads from a crossing along a strand; with the crossing itself 17 keypoints, see above
+_ALONG = {
+    f"{side}_{4 * abs(at):.0f}": at * (1 if side == "behind" else -1)
+    for side in ("before", "behind")
+    for at in (0.25, 0.5, 0.75, 1.0)
+}
+_KEYPOINTS = ("crossing", *(f"{strand}_{name}" for strand in ("over", "under") for name in _ALONG))
+_NO_KEYPOINTS = {
+    "keypoints": [0] * (3 * len(_KEYPOINTS)),
+    "num_keypoints": 0,
+}  # scoring asks for them
 _CATEGORIES = [
     {"id": 1, "name": "rope"},
     {"id": 2, "name": "strand", "supercategory": "rope"},
     {"id": 3, "name": "crossing", "supercategory": "rope", "keypoints": [*_KEYPOINTS]}
-    | {"skeleton": [[2, 1], [1, 3], [4, 1], [1, 5]]},
+    | {"skeleton": [[1, k] for k in range(2, len(_KEYPOINTS) + 1)]},
 ]
 _TOLD = ("gauss_code_chiral", "canonical_code", "pd_code", "dt_code", "nx", "knot", "photo")
 
@@ -107,28 +118,30 @@ def _annotations(row: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             continue  # an occluder hides all of it
         box = [int(x[0]), int(y[0]), int(x[-1] - x[0] + 1), int(y[-1] - y[0] + 1)]
         found = {"category_id": 2, "edge": strand} if strand else {"category_id": 1}
-        yield found | _region(mask) | {"bbox": box}
+        yield found | _region(mask) | _NO_KEYPOINTS | {"bbox": box}
     line = np.reshape(row["line"], (-1, 3))[:, :2]
     reach = float(row["photo"]["rope_width"])
     for crossing in row["crossings"]:
         x, y = crossing["x"], crossing["y"]
         points = [(x, y)]
         for place in (crossing["over_place"], crossing["under_place"]):
-            for at in (place - 1, place + 1):
+            for at in (place + beads for beads in _ALONG.values()):
                 index, part = int(np.floor(at)) % len(line), at % 1
                 here, after = line[index], line[(index + 1) % len(line)]
                 points.append(tuple((here + part * (after - here)).tolist()))
         around: list[float] = [x - reach, y - reach, 2 * reach, 2 * reach]
         keypoints = [value for point in points for value in (*point, 2)]
+        square = np.zeros(strands.shape, dtype=bool)
+        left, right, top, bottom = (max(0, round(n + s * reach)) for n in (x, y) for s in (-1, 1))
+        square[top : bottom + 1, left : right + 1] = True
         yield {
             "category_id": 3,
             "sign": crossing["sign"],
+            **_region(square),
             "keypoints": keypoints,
             "num_keypoints": len(points),
             "bbox": around,
             "area": 4 * reach**2,
-            "iscrowd": 0,
-            "segmentation": [],
         }
 
 
@@ -136,6 +149,22 @@ def _region(mask: NDArray[np.bool_]) -> dict[str, Any]:
     """Return a mask as run lengths, column by column, beginning with background."""
     flat = mask.ravel(order="F")
     ends = np.flatnonzero(np.diff(flat, prepend=False, append=~flat[-1]))
-    counts = np.diff(ends, prepend=0).tolist()
-    size = [*mask.shape]
-    return {"area": int(mask.sum()), "iscrowd": 0, "segmentation": {"size": size, "counts": counts}}
+    region = {"size": [*mask.shape], "counts": _compressed(np.diff(ends, prepend=0).tolist())}
+    return {"area": int(mask.sum()), "iscrowd": 0, "segmentation": region}
+
+
+def _compressed(counts: list[int]) -> str:
+    """Return run lengths as pycocotools' `rleToString` writes them, which its scoring takes.
+
+    From the fourth on a run is its difference to the one before the last. A number is written in
+    digits of 5 bits, the lowest first, each plus 48; bit 6 says that more follow, and the highest
+    digit's bit 5 is the sign.
+    """
+    text = list[str]()
+    for k, count in enumerate(counts):
+        left, more = count - (counts[k - 2] if k > 2 else 0), True
+        while more:
+            digit, left = left & 31, left >> 5
+            more = left != (-1 if digit & 16 else 0)
+            text.append(chr(48 + digit + 32 * more))
+    return "".join(text)

@@ -201,7 +201,7 @@ def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
     pulls, states = slice(first, first + count - 1), slice(first, first + count)
     codes, code = _indexed(gauss_codes(steps["visits"][states]))
     chiral, code_chiral = _indexed(gauss_codes(steps["visits"][states], steps["signs"][states]))
-    share = steps["share"][pulls].astype(float)
+    share = steps["applied_fraction"][pulls].astype(float)
     force = share[:, None] * steps["force"][pulls] * dataset.task.rope.max_force
     points = steps["observation"][states].astype(np.float64)
     goal = own["goal_points"][row].astype(np.float64)

@@ -116,7 +116,9 @@ def collect(
         Occupied, InvalidFile, Failed: as in `runs.runner.run`.
     """
     config = named(config)
-    make_policy(config.policy).compatible_task(config.seen_task)  # refused before any work is done
+    make_policy(config.policy).compatible_task(
+        config.policy_task
+    )  # refused before any work is done
     _metadata(config, Counter())  # refuses a bad id
     if not ships(config.task.states):
         read_states(states_file(config.task.states), images=False)
@@ -224,7 +226,7 @@ def play(config: CollectConfig, numbers: range) -> Result:
     adviser = make_policy(replace(config.policy, policy="expert")) if config.labels else None
     seeds = [episode_seed(config.seed, number) for number in numbers]
     kept = PULLS if config.form == "recording" else STEPS
-    return rollouts(policy, config.seen_task, seeds, keep=kept, adviser=adviser).columns()
+    return rollouts(policy, config.policy_task, seeds, keep=kept, adviser=adviser).columns()
 
 
 def _publish(
@@ -279,8 +281,8 @@ def _total(episodes: Table, keep_failed: bool) -> dict[str, int]:
         "succeeded": int(success.sum()),
         "kept": int(kept.sum()),
         "steps": int(lengths[kept].sum()),
-        "planned": int(episodes["planned"].sum()),
-        "failed": int(episodes["failed"].sum()),
+        "planned": int(episodes["planner_steps"].sum()),
+        "failed": int(episodes["diverged"].sum()),
     }
 
 

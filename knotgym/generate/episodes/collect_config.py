@@ -25,7 +25,8 @@ class CollectConfig:
             `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
         labels: "expert" stores the expert's action at every state.
-        seen: observation given to functions and objects of your own; "" for the stored one.
+        policy_observation: observation given to functions and objects of your own; "" for the one
+            that is stored.
         dataset_id: Minari id; "" for `collect.distinct_id`, for example knotgym/tie-nx3/expert-v0,
             with a mark for each setting that changes the data, as in expert-state-seed1-v0.
         form: files to write: columns, or minari for Minari's own beside them; by default these are
@@ -43,7 +44,7 @@ class CollectConfig:
     seed: Seed = 0
     keep_failed: bool = True
     labels: Annotated[str, choice("", "expert")] = ""
-    seen: Annotated[str, choice("", *OBSERVATIONS)] = ""
+    policy_observation: Annotated[str, choice("", *OBSERVATIONS)] = ""
     dataset_id: str = ""
     form: Annotated[str, choice("", "recording", "columns", "minari")] = ""
     author: tuple[str, ...] = ()
@@ -51,9 +52,9 @@ class CollectConfig:
     code_permalink: str | None = None
 
     @property
-    def seen_task(self) -> TaskConfig:
+    def policy_task(self) -> TaskConfig:
         """The environment with the observation that the policy gets."""
-        return replace(self.task, observation=self.seen or self.task.observation)
+        return replace(self.task, observation=self.policy_observation or self.task.observation)
 
 
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:

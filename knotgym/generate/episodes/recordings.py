@@ -123,7 +123,7 @@ def replay(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> Re
         )
     own = recording.episodes.select(np.arange(numbers.start, numbers.stop))
     seeds = [episode_seed(config.seed, number) for number in numbers]
-    return rollouts(RecordedPolicy(own, config.policy.policy), config.seen_task, seeds).columns()
+    return rollouts(RecordedPolicy(own, config.policy.policy), config.policy_task, seeds).columns()
 
 
 @lru_cache(maxsize=2)
@@ -153,7 +153,7 @@ def recordings(path: Path = RECORDINGS) -> Mapping[str, Recording]:
                 given = steps[column][mine]
                 exact = quantized(given / FORCE_BINS) if column == "force" else given
                 values[at[mine] - offsets[first]] = exact
-            columns = {"length": lengths[own], "planned": np.zeros(last - first, np.int64)}
+            columns = {"length": lengths[own], "planner_steps": np.zeros(last - first, np.int64)}
             columns["policy"] = np.full(last - first, config.policy.policy)
             episodes = Table(RECORDED.only(*columns), columns)
             pulls = Episodes(episodes, Table(PULLS, whole))

@@ -41,13 +41,13 @@ def test_the_same_state_gets_the_same_pass() -> None:
 @pytest.mark.parametrize("policy", [PassPlanner(), PullPlanner()], ids=lambda one: one.name)
 def test_planners_reach_their_goals(policy: Policy) -> None:
     found = rollouts(policy, TASK, range(6))
-    assert found.episodes["success"].all() and (found.episodes["planned"] > 0).all()
+    assert found.episodes["success"].all() and (found.episodes["planner_steps"] > 0).all()
 
 
 def test_where_no_pass_is_found_pulls_are_planned() -> None:
     hopeless = PassPlanner(PassPlannerConfig(candidates=1, budget=1))
     found, alone = (rollouts(hopeless, TASK, range(4), lanes=lanes) for lanes in (4, 1))
-    assert found.episodes["success"].all() and found.episodes["planned"].mean() > 50
+    assert found.episodes["success"].all() and found.episodes["planner_steps"].mean() > 50
     assert differences(found, alone) == []
 
 
@@ -61,7 +61,7 @@ def test_pulls_planned_one_by_one_are_labelled_as_part_of_no_pass() -> None:
 
 def test_a_rope_is_left_alone_when_the_budget_is_used_up() -> None:
     found = rollouts(PullPlanner(PullPlannerConfig(budget=0)), TASK, range(2))
-    assert (found.episodes["planned"] == 0).all() and not found.steps["force"].any()
+    assert (found.episodes["planner_steps"] == 0).all() and not found.steps["force"].any()
 
 
 @pytest.mark.parametrize("policy", [PassPlanner(), PullPlanner()], ids=lambda one: one.name)
