@@ -7,6 +7,7 @@ from cyclopts import App
 
 from knotgym.cli.options import APP, Given, command, extra
 from knotgym.common import Failed, InvalidInput
+from knotgym.datasets import export_help
 
 _command = partial(command, {}, lines=False)
 _SOURCE = extra(
@@ -131,17 +132,15 @@ def page(given: Given) -> None:
     given.progress.say(f"{out}: {write(given['path_or_id'], out, given.run.overwrite)}")
 
 
-@_command("run.overwrite", _SOURCE, extra("out", Path, ...), extra("to", str, "compact"))
+@_command(
+    "run.overwrite", _SOURCE, extra("out", Path, ...), extra("to", str, "compact", export_help())
+)
 def export(given: Given) -> None:
     """Convert a dataset to another format, or to a folder ready to upload.
 
     Args:
         out: Output: an .h5 file for compact, columns and recording, or a folder of them for several
             datasets; a folder for all other formats.
-        to: Format: compact (one compressed file, pictures are rendered on loading), columns (the
-            same uncompressed, for loaders to map), recording (starts and pulls alone) or ogbench;
-            huggingface or minari for a folder ready to upload; webdataset for pictures as tar
-            files, and coco for photos with masks and keypoints.
     """
     from knotgym.control import replay
     from knotgym.datasets import export as convert

@@ -40,6 +40,7 @@ from .episodes import goals_reached as goals_reached
 from .episodes import merged as merged
 from .episodes import ranges as ranges
 from .exports.exporters import export as export
+from .exports.exporters import export_help as export_help
 from .foreign_file import try_files as try_files
 from .gallery import Tile as Tile
 from .gallery import episode_tiles as episode_tiles

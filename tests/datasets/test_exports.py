@@ -21,7 +21,7 @@ from knotgym.control import replay, verify
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.datasets.cards.citation import citation_file
 from knotgym.datasets.episodes import differences, gauss_codes
-from knotgym.datasets.exports.exporters import export
+from knotgym.datasets.exports.exporters import EXPORTS, Export, export, export_help
 from knotgym.datasets.exports.huggingface_export import to_huggingface
 from knotgym.datasets.located import Located, locate_own
 from knotgym.datasets.merging import merge
@@ -46,7 +46,8 @@ def huggingface(states_path: str, tmp_path_factory: pytest.TempPathFactory) -> P
     """States and episodes exported for Hugging Face."""
     out = tmp_path_factory.mktemp("upload") / "hub"
     out.mkdir()
-    to_huggingface(Located(Path("tiny"), Path(states_path), tuple(TINY.values())), out)
+    located = Located(Path("tiny"), Path(states_path), tuple(TINY.values()))
+    to_huggingface(located, out, replay)
     return out
 
 
@@ -218,6 +219,24 @@ def test_what_has_no_place_in_a_form_is_refused(tmp_path: Path, states_path: str
         with pytest.raises(InvalidInput, match=says):
             export(source, tmp_path / "out", form, replay)
     assert not (tmp_path / "out").exists()
+
+
+def lengths(source: Located, target: Path, _: object) -> str:
+    """An export of a stranger: the lengths of episodes as text."""
+    (path,) = source.episodes
+    target.write_text(" ".join(map(str, open_episodes(path).episodes.episodes["length"])))
+    return "lengths"
+
+
+def test_a_new_export_is_one_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = f"{lengths.__module__}:lengths"
+    monkeypatch.setitem(EXPORTS, "lengths", Export("lengths alone", name, output="file"))
+    one = written(tmp_path / "one.h5", episodes([2, 3]))
+    assert export(str(one), tmp_path / "out.txt", "lengths", replay) == "lengths"
+    assert (tmp_path / "out.txt").read_text() == "2 3"
+    assert "lengths (lengths alone)" in export_help()
+    with pytest.raises(InvalidInput, match=r"formats are .*lengths"):
+        export(str(one), tmp_path / "x", "poem", replay)
 
 
 def test_a_link_to_elsewhere_is_not_exported(root: Path, tmp_path: Path) -> None:

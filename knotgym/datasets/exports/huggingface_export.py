@@ -28,6 +28,7 @@ from knotgym.datasets.cards.citation import (
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of
+from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.episodes import distinct
 from knotgym.datasets.exports.parquet_tables import step_tables, write_parquet
 from knotgym.datasets.gallery import state_tiles, write_gallery
@@ -38,7 +39,7 @@ from knotgym.states import STATE_SPLITS, read_states
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 
 
-def to_huggingface(source: Located, folder: Path) -> str:
+def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
     """Write into an empty folder, and return a one-line summary.
 
     Raises:

@@ -15,6 +15,7 @@ from knotgym.common import InvalidInput, copy_file
 from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of, episode_file
+from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.episodes import distinct
 from knotgym.datasets.gallery import episode_tiles, write_gallery
 from knotgym.datasets.located import Located
@@ -23,7 +24,7 @@ from knotgym.datasets.minari_form import METADATA, dataset_files, metadata_of, w
 _HEAD = ("dataset", "episodes", "steps", "starts", "goals", "pairs", "policy")
 
 
-def to_minari(source: Located, root: Path) -> str:
+def to_minari(source: Located, root: Path, _: Replay) -> str:
     """Write into an empty folder, and return a one-line summary.
 
     Raises:

@@ -22,6 +22,7 @@ import numpy as np
 
 from knotgym.common import InvalidInput, atomic_writes, copy_file, require_output
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
+from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.located import Located
 from knotgym.datasets.minari_form import metadata_of
 
@@ -29,7 +30,7 @@ _TENTH = 10  # every tenth episode is for validation
 _LOOKS = {"pixels": "visual-", "state": ""}
 
 
-def to_ogbench(source: Located, out: Path, overwrite: bool) -> str:
+def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
     """Write the files into the folder `out`, and return a one-line summary.
 
     OGBench reads ~/.ogbench/data. A dataset with both pictures and vertices gives two sets of

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput
+from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.image_table import decode, file_stem, read_rows, shards
 from knotgym.datasets.located import Located
 from knotgym.states import IMAGE_SPLITS
@@ -46,7 +47,7 @@ _CATEGORIES = [
 _TOLD = ("gauss_code_chiral", "canonical_code", "pd_code", "dt_code", "nx", "knot", "photo")
 
 
-def to_coco(source: Located, folder: Path) -> str:
+def to_coco(source: Located, folder: Path, _: Replay) -> str:
     """Write photos and their annotations, a folder and a file for each split.
 
     Raises:
@@ -75,7 +76,7 @@ def to_coco(source: Located, folder: Path) -> str:
     return f"{counts['images']} pictures, {counts['annotations']} annotations"
 
 
-def to_webdataset(source: Located, folder: Path) -> str:
+def to_webdataset(source: Located, folder: Path, _: Replay) -> str:
     """Write pictures as tar files in the order of their rows."""
     total = 0
     for split, rows in _splits(source):
