@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
 from knotgym.common import Int, InvalidInput, ListToo, Positive, Real, configuration
+from knotgym.topology import same_spot
 
 RGB = tuple[int, int, int]
 Level = Annotated[Int, Field(ge=0, le=255)]
@@ -216,5 +217,10 @@ def checked_points(points: ArrayLike, axes: int) -> NDArray[np.float64]:
         raise InvalidInput(
             f"points must be finite, got {int((~np.isfinite(points)).sum())} coordinates that"
             " are not"
+        )
+    if (again := same_spot(points)).any():
+        raise InvalidInput(
+            f"point {int(again.nonzero()[-1][0])} and the next are on one spot; leave out points"
+            " that are repeated, the first at the end, too"
         )
     return points

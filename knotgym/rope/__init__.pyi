@@ -16,7 +16,7 @@ from .chain.layout import COUNTS as COUNTS
 from .chain.layout import STATE as STATE
 from .chain.solver import SCHEDULE as SCHEDULE
 from .chain.solver import advance as advance
-from .closed_curves import embedded as embedded
+from .closed_curves import require_embedded as require_embedded
 from .curve_files import Curve as Curve
 from .curve_files import read_curves as read_curves
 from .engines import CHAIN as CHAIN

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, inner
+from knotgym.topology import same_spot
 
 Array = NDArray[np.float64]
 
@@ -123,12 +124,12 @@ def equal_chords(curve: Array, count: int) -> Array:
     return np.roll(ends, 1, axis=0) - ends.mean(axis=0)
 
 
-def embedded(curve: Array) -> Array:
-    """Return the points of a closed polyline without repeats, after checking that it is embedded.
+def require_embedded(curve: Array) -> None:
+    """Check that a closed polyline is embedded, as every knot is.
 
     Args:
-        curve: float64 (n, 3), finite; the last point is joined to the first, which may also be
-            repeated at the end.
+        curve: float64 (n, 3), finite; the last point is joined to the first. Points may be
+            repeated, the first at the end, too.
 
     Raises:
         InvalidInput: the curve jumps, meets itself, or has more than 20,000 points.
@@ -136,8 +137,7 @@ def embedded(curve: Array) -> Array:
     if len(curve) > _MOST:
         raise InvalidInput(f"a curve has at most {_MOST} points, got {len(curve)}")
     unit = (curve - curve[0]) / np.ptp(curve, axis=0).max()
-    # Of a repeated point the last is kept, which may be the first of the next round.
-    kept = np.flatnonzero(np.linalg.norm(np.roll(unit, -1, axis=0) - unit, axis=1) > _SAME)
+    kept = np.flatnonzero(~same_spot(unit))
     points = unit[kept]
     chords = np.roll(points, -1, axis=0) - points
     lengths = np.linalg.norm(chords, axis=1)
@@ -161,7 +161,6 @@ def embedded(curve: Array) -> Array:
             f"it isn't embedded, so it has no knot: after point {kept[one] + 1} it meets itself"
             f" after point {kept[other] + 1}"
         )
-    return curve[kept]
 
 
 @numba.njit(cache=True, nogil=True)

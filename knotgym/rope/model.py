@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import Count, InvalidInput, NonNegative, Positive, choice, configuration
 from knotgym.rope.closed_curves import clearance, equal_chords
 from knotgym.rope.kinematics import backward, forward, transported
+from knotgym.topology import same_spot
 
 Array = NDArray[np.float64]
 
@@ -225,7 +226,7 @@ class Rope:
 
         Args:
             curve: (n, 3), n >= 4, any unit; the last point is joined to the first, which may also
-                be repeated at the end.
+                be repeated at the end. Of points on one spot one is kept.
             max_overlap: largest overlap of two beads that aren't neighbours, metres.
 
         Returns:
@@ -240,15 +241,14 @@ class Rope:
             raise InvalidInput(f"a curve is an (n, 3) array of points, got shape {p.shape}")
         if not (np.abs(p) < 1e100).all():  # their squares overflow
             raise InvalidInput("a curve needs finite coordinates, below 1e100, got others")
-        if len(p) > 1 and np.array_equal(p[0], p[-1]):
-            p = p[:-1]
+        again = same_spot(p) if len(p) else np.zeros(0, dtype=bool)
+        repeated, p = again[-1:].any(), p[:1] if again.all() else p[~again]
         different = len(np.unique(p, axis=0))
         if different < 4:
             raise InvalidInput(f"a closed rope needs at least 4 different points, got {different}")
         if not self._is_configuration(p):
             # a closing chord of more than three times any other is taken for an open curve
             chords = np.linalg.norm(np.roll(p, -1, axis=0) - p, axis=1)
-            repeated = len(p) < len(np.asarray(curve))
             if not repeated and chords[-1] > 3 * chords[:-1].max():
                 raise InvalidInput(
                     f"the curve isn't closed: its ends are {chords[-1]:.3g} apart, neighbouring"

@@ -42,7 +42,7 @@ from knotgym.states.schema import (
     WITHOUT_IMAGES,
 )
 from knotgym.states.split_names import STATE_SPLITS
-from knotgym.topology import UNKNOWN, GaussCode, diagram_form, dt_text, pd_text
+from knotgym.topology import UNKNOWN, GaussCode, diagram_form, dt_text, pd_text, same_spot
 
 _ACTIONS = "source/actions"
 BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
@@ -134,6 +134,8 @@ class States:
                 f"split must be {' or '.join(STATE_SPLITS)}, one for all or one for each of"
                 f" {len(curves)} ropes, got {split!r}"
             )
+        if curves.shape[1] and same_spot(curves)[:, -1].all():
+            curves = curves[:, :-1]  # the first vertex again, which makes no bead
         rope = Rope(rope_of(curves.shape[1]))
         rows = list[dict[str, Any]]()
         for number, curve in enumerate(curves):

@@ -16,6 +16,7 @@ from .crossings import count_crossings as count_crossings
 from .crossings import find_crossings as find_crossings
 from .crossings import label as label
 from .crossings import label_many as label_many
+from .crossings import same_spot as same_spot
 from .diagrams import chiralities as chiralities
 from .diagrams import faces as faces
 from .diagrams import is_planar as is_planar

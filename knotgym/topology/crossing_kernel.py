@@ -1,7 +1,9 @@
 """Compiled search for the crossings of a closed polyline; `topology.crossings` is its interface.
 
-The search runs in four steps:
+The search runs in five steps:
 
+0. `_distinct`: vertices on the spot of the one before are taken out, as edges without a length
+   cross nothing; their neighbours would seem to cross each other.
 1. `_hits`: pairs of edges (i, j), i < j, whose projections cross. Bounding boxes of blocks of
    neighbouring edges rule out most pairs; four exact orientation tests decide the rest.
 2. `_locate`: each hit h has two strands, strand 2 h on edge i and strand 2 h + 1 on edge j. Find
@@ -28,6 +30,10 @@ from knotgym.topology.orientation import side
 OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
 ALL = np.iinfo(np.int64).max  # crossings
+# Vertices that are no farther apart along any axis than this share of the curve's largest extent
+# are one. Curves that end where they begin miss it by rounding: by 1e-15 of their size if computed
+# as float64 and by 2e-7 as float32. A rope's edges are a hundredth of its size.
+SAME = 2.0**-20
 # about speed alone; `python benchmarks/labels.py` measures it
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
@@ -46,6 +52,7 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     """
     if not _all_finite(points):
         return False, np.empty(0, np.int64), np.empty((0, 7))
+    points, edges = _distinct(points)
     hits = _hits(points, ALL)
     fractions, heights = _locate(points, hits)
     walk = _walk(points.shape[0], hits, fractions)
@@ -61,8 +68,8 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
             # visited first counts as the upper one, so the code is always well defined.
             over = walk[k] if heights[walk[k]] >= heights[walk[k] ^ 1] else walk[k] ^ 1
             row = table[nx - 1]
-            row[OVER_PLACE] = hits[h, over % 2] + fractions[over]
-            row[UNDER_PLACE] = hits[h, 1 - over % 2] + fractions[over ^ 1]
+            row[OVER_PLACE] = edges[hits[h, over % 2]] + fractions[over]
+            row[UNDER_PLACE] = edges[hits[h, 1 - over % 2]] + fractions[over ^ 1]
             row[OVER_Z], row[UNDER_Z] = heights[over], heights[over ^ 1]
             # hits[h, 2] is the sign of d_i x d_j; the crossing sign is that of d_over x d_under
             row[SIGN] = hits[h, 2] if over % 2 == 0 else -hits[h, 2]
@@ -117,6 +124,45 @@ def _all_finite(points: np.ndarray) -> bool:
 
 
 @inner
+def _distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Take out vertices on the spot of the last one that was kept, and at the end of the first.
+
+    Returns:
+        kept: float64 (m, 3), `points` itself if all are kept.
+        edges: int64 (m,), the edge of `points` that leads from each of them to the next.
+    """
+    beads = points.shape[0]
+    extent = 0.0
+    for axis in range(3):
+        # scaled before the difference, which may overflow
+        extent = max(extent, SAME * points[:, axis].max() - SAME * points[:, axis].min())
+    edges, first = np.arange(beads), np.arange(beads)
+    kept = 1
+    for bead in range(1, beads):
+        if not _same_spot(points, first[kept - 1], bead, extent):
+            first[kept] = bead
+            kept += 1
+        edges[kept - 1] = bead  # the last vertex on the spot is where the next edge begins
+    while kept > 1 and _same_spot(points, 0, first[kept - 1], extent):
+        kept -= 1
+    if kept == beads:
+        return points, edges
+    distinct = np.empty((kept, 3))
+    for k in range(kept):
+        for axis in range(3):
+            distinct[k, axis] = points[first[k], axis]
+    return distinct, edges
+
+
+@inner
+def _same_spot(points: np.ndarray, one: int, other: int, extent: float) -> bool:
+    for axis in range(3):
+        if abs(points[one, axis] - points[other, axis]) > extent:
+            return False
+    return True
+
+
+@inner
 def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute bounding boxes in the plane, rows (x min, x max, y min, y max).
 
@@ -151,7 +197,7 @@ def _disjoint(boxes: np.ndarray, one: int, other: int) -> bool:
 @njit(cache=True, nogil=True)
 def count_hits(points: np.ndarray, most: int) -> int:
     """Count the pairs of edges that cross; the search ends once there are more than `most`."""
-    return len(_hits(points, most))
+    return len(_hits(_distinct(points)[0], most))
 
 
 @inner

@@ -2,12 +2,14 @@
 
 Two edges of the closed polyline through the beads (including the closing edge) cross where their
 projections onto the plane z = 0 meet; edges that share a bead never cross. Which edges cross is
-decided exactly, without a tolerance (`orientation`). If two strands have the same height at a
-crossing, the one visited first counts as the upper one. Positions along edges and heights are
-ordinary float64, so the order of two visits is unreliable when they are closer than rounding error
-(three strands near one point): `visit_spacing` returns how close they are. It doesn't detect
-strands that overlap exactly for a stretch, which happens on integer grids but not for ropes; the
-code of such a curve need not be planar.
+decided exactly, without a tolerance (`orientation`). A vertex on the spot of the one before, as at
+the end of a curve that repeats its first point, counts as one with it (`same_spot`).
+
+If two strands have the same height at a crossing, the one visited first counts as the upper one.
+Positions along edges and heights are ordinary float64, so the order of two visits is unreliable
+when they are closer than rounding error (three strands near one point): `visit_spacing` returns how
+close they are. It doesn't detect strands that overlap exactly for a stretch, which happens on
+integer grids but not for ropes; the code of such a curve need not be planar.
 
 Coordinates are in metres. A place along the rope is a fractional bead index: 2.25 is a quarter of
 the way from bead 2 to bead 3.
@@ -26,6 +28,7 @@ from knotgym.topology.code_arrays import FINITE, read_codes
 from knotgym.topology.crossing_kernel import (
     OVER_PLACE,
     OVER_Z,
+    SAME,
     SIGN,
     UNDER_PLACE,
     UNDER_Z,
@@ -130,6 +133,27 @@ def visit_spacing(crossings: Crossings, beads: int) -> float:
     # Both strands of each crossing count: a kink's two visits may be its smallest distance.
     places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
     return float(np.diff(places, append=places[0] + beads).min())
+
+
+def same_spot(points: ArrayLike) -> NDArray[np.bool_]:
+    """Tell which vertices lie on the spot of the next, so that the edge between has no length.
+
+    They do if no coordinate differs by more than 2**-20 of the curve's largest extent.
+
+    Args:
+        points: (..., n, 3), finite, n > 0; the vertex after the last is the first.
+
+    Returns:
+        bool (..., n).
+
+    >>> same_spot([[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1e-9]]).tolist()
+    [False, True, False, False, True]
+    """
+    p = 0.5 * np.asarray(points, dtype=np.float64)  # halved, so that no difference overflows
+    with np.errstate(invalid="ignore"):  # what isn't finite is on no spot
+        extent = SAME * np.ptp(p, axis=-2, keepdims=True).max(axis=-1)
+        same: NDArray[np.bool_] = np.abs(np.roll(p, -1, axis=-2) - p).max(axis=-1) <= extent
+    return same
 
 
 def _checked(points: ArrayLike, ndim: int) -> NDArray[np.float64]:

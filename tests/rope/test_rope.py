@@ -133,10 +133,10 @@ def test_a_curve_starts_at_its_first_point_and_keeps_its_direction(rope: Rope) -
     assert np.abs(points - np.roll(rope.loop(), -25, axis=0)).max() < 1e-9
 
 
-def test_repeating_the_first_point_changes_nothing(rope: Rope) -> None:
-    curve = trefoil()
-    repeated = np.concatenate([curve, curve[:1]])
-    assert np.array_equal(rope.from_curve(repeated), rope.from_curve(curve))
+def test_repeating_points_changes_nothing(rope: Rope) -> None:
+    for curve in (trefoil(), rope.from_curve(trefoil())):
+        for repeated in (np.vstack([curve, curve[:1]]), np.repeat(curve, 2, axis=0)):
+            assert np.array_equal(rope.from_curve(repeated), rope.from_curve(curve))
 
 
 def test_own_points_come_back_as_they_are(rope: Rope, tangled: NDArray[np.float64]) -> None:

@@ -164,6 +164,13 @@ def test_loops_and_curls_are_in_both_splits_by_code() -> None:
         assert np.array_equal(states.rows(nx, "test-code"), states.rows(nx, "test"))
 
 
+def test_states_of_closed_curves_whose_first_point_is_repeated_have_no_bead_more() -> None:
+    points = read_states(shipped(), images=False).points[[0, 100]]
+    made = States.from_points(np.concatenate([points, points[:, :1]], axis=1))
+    again = States.from_points(points)
+    assert all(np.array_equal(made.table[name], again.table[name]) for name in made.table)
+
+
 def test_an_environment_resets_to_states_made_of_the_points_that_another_showed(
     tmp_path: Path,
 ) -> None:

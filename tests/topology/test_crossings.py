@@ -10,11 +10,14 @@ from hypothesis.extra.numpy import arrays
 from numba import njit
 
 from knotgym.common import InvalidInput
+from knotgym.states import read_states, shipped
 from knotgym.topology import orientation
 from knotgym.topology.crossings import (
+    count_crossings,
     find_crossings,
     label,
     label_many,
+    same_spot,
     visit_spacing,
 )
 from knotgym.topology.diagrams import is_planar
@@ -185,6 +188,54 @@ def test_two_beads_on_one_spot_count_once() -> None:
     for base in range(len(eight)):
         for flip in (1.0, -1.0):
             assert label(np.roll(eight, base, axis=0) * [flip, 1.0, 1.0]).nx == 1
+
+
+def repeated_in(rope: np.ndarray) -> dict[str, np.ndarray]:
+    """A rope in which vertices are written again, as by tools that close or resample curves."""
+    twice = np.repeat(rope, 2, axis=0)
+    noise = np.random.default_rng(0).uniform(-1, 1, twice.shape)
+    return {
+        "the first at the end": np.vstack([rope, rope[:1]]),
+        "the first at once": np.vstack([rope[:1], rope]),
+        "one": np.insert(rope, 5, rope[5], axis=0),
+        "every one": twice,
+        "every one thrice": np.repeat(rope, 3, axis=0),
+        **{f"within {size} m": twice + size * noise for size in (1e-17, 1e-12, 1e-7)},
+    }
+
+
+def test_vertices_that_are_repeated_change_no_code() -> None:
+    for rope in [*read_states(shipped()).points, EIGHT, *map(random_curve, range(30))]:
+        code = label(rope)
+        for which, again in repeated_in(rope).items():
+            shown = (label(again), *label_many(again[None]), count_crossings(again, 99))
+            assert shown == (code, code, code.nx), which
+
+
+def test_places_are_those_of_the_edges_that_have_a_length() -> None:
+    for start in range(6):
+        rope = np.roll(EIGHT, start, axis=0)
+        at = find_crossings(rope)
+        for repeats in ([1, 1, 3, 1, 1, 2], [2, 1, 1, 1, 1, 1], [1, 1, 1, 1, 1, 1]):
+            again = np.vstack([np.repeat(rope, repeats, axis=0), rope[:1]])
+            ends = np.cumsum(repeats) - 1  # the last of each, from where its edge leads on
+            found = find_crossings(again)
+            for name in ("over_place", "under_place"):
+                old = getattr(at, name)
+                new = ends[old.astype(int)] + old % 1
+                assert getattr(found, name).tolist() == new.tolist()
+            assert found.position.tolist() == at.position.tolist()
+
+
+def test_a_curve_of_one_or_two_spots_has_no_crossings() -> None:
+    for spots in (1, 2):
+        assert label(np.repeat(EIGHT[:spots], 5, axis=0)) == GaussCode()
+
+
+def test_which_vertices_are_on_one_spot_is_told() -> None:
+    two = np.stack([np.vstack([EIGHT, EIGHT[:1]]), np.repeat(EIGHT, [1, 2, 1, 1, 1, 1], axis=0)])
+    told = same_spot(two * 1e300)
+    assert np.argwhere(told).tolist() == [[0, 6], [1, 1]]
 
 
 def test_a_strand_that_only_touches_a_bead_crosses_evenly() -> None:

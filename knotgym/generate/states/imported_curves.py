@@ -23,9 +23,9 @@ from knotgym.rope import (
     Rope,
     RopeConfig,
     Simulation,
-    embedded,
     read_curves,
     relaxed,
+    require_embedded,
     simulation_of,
 )
 from knotgym.states import IMPORT, States
@@ -113,10 +113,11 @@ def _shown_code(curve: Array, rope: Rope) -> GaussCode:
         InvalidInput: it is no embedded closed curve, or too intricate for the rope.
     """
     laid = rope.from_curve(curve, max_overlap=np.inf)
-    points, most = embedded(curve), rope.config.beads
-    if count_crossings(points, most) > most:
+    require_embedded(curve)
+    most = rope.config.beads
+    if count_crossings(curve, most) > most:
         raise InvalidInput(f"it has more than {most} crossings")
-    code = label(points)
+    code = label(curve)
     if label(laid) != code:
         raise InvalidInput(
             f"with {rope.config.beads} beads it shows another Gauss code: it is too intricate for"
