@@ -7,7 +7,6 @@ from .atomic_files import require_apart as require_apart
 from .atomic_files import require_no_links as require_no_links
 from .atomic_files import require_output as require_output
 from .atomic_files import require_own as require_own
-from .atomic_files import require_own_tree as require_own_tree
 from .atomic_files import require_regular as require_regular
 from .atomic_files import sha256 as sha256
 from .compiled import inner as inner

@@ -203,9 +203,14 @@ def _put_back(target: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, a folder with its contents, or a link, but never the target of a link."""
+    """Remove a file, a folder with its contents, or a link, but never the target of a link.
+
+    A folder is renamed first: it is gone at once, and nobody writes into what is being removed.
+    """
     if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
+        away = tempfile.mkdtemp(prefix=".part-", dir=path.parent)
+        path.rename(away)
+        shutil.rmtree(away)
     else:
         path.unlink(missing_ok=True)
 
@@ -213,8 +218,7 @@ def remove(path: Path) -> None:
 def require_own(path: Path, error: type[KnotgymError] = Occupied) -> None:
     """Raise `error` if a path exists and is a link or belongs to another user.
 
-    Somebody else may have planted it in a shared folder. The contents of a folder aren't checked;
-    see `require_own_tree`.
+    Somebody else may have planted it in a shared folder.
     """
     try:
         found = os.lstat(path)
@@ -224,14 +228,6 @@ def require_own(path: Path, error: type[KnotgymError] = Occupied) -> None:
         raise error(f"{path} is a link, and is never followed here; remove it")
     if found.st_uid != os.geteuid():
         raise error(f"{path} belongs to another user; remove it")
-
-
-def require_own_tree(folder: Path) -> None:
-    """Apply `require_own` to a folder and everything in it."""
-    require_own(folder)
-    for inside, folders, files in os.walk(folder):
-        for name in (*folders, *files):
-            require_own(Path(inside) / name)
 
 
 def require_no_links(root: Path, files: Iterable[Path]) -> None:

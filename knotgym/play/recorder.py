@@ -11,7 +11,6 @@ never stored.
 """
 
 import os
-import shutil
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -93,7 +92,7 @@ class Recorder:
         run = {"task": as_json(self._task), "seed": self._seed, "player": self._policy}
         whole = identity({**run, "dataset_id": self._metadata.dataset_id}, {"states": states})
         staging = staged(self.folder, whole, Existing(resume=True))
-        self._staging, self._journal = self._stack.enter_context(staging)
+        _, self._journal = self._stack.enter_context(staging)
         for key in [*self._journal]:
             number, kept = int(key.removeprefix(_KEY)), self._journal[key]
             pulls = [
@@ -111,9 +110,6 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        left = any(len(self._journal[key]["bead"]) for key in self._journal)
-        if not left:
-            shutil.rmtree(self._staging)
         self._stack.close()
 
     def next_number(self) -> int:
@@ -126,8 +122,11 @@ class Recorder:
             return number
 
     def note(self, number: int, pulls: Sequence[HandPull]) -> None:
-        """Note the pulls of an episode that is under way."""
+        """Note the pulls of an episode that is under way; without any it is forgotten."""
         with self._lock:
+            if not pulls:
+                del self._journal[f"{_KEY}{number}"]
+                return
             columns: dict[str, NDArray[Any]] = {
                 "bead": np.array([pull.bead for pull in pulls], dtype=np.int64),
                 "force": np.array([pull.force for pull in pulls], np.float32).reshape(-1, 3),

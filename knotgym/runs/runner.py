@@ -16,12 +16,11 @@ run.shard, where the journals of the shards lie. The output is the same, byte fo
 run was interrupted, divided and merged, and whatever executed it.
 """
 
-import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from glob import escape
 from itertools import islice
@@ -37,17 +36,15 @@ from knotgym.common import (
     remove,
     require_output,
     require_own,
-    require_own_tree,
 )
 from knotgym.runs.executors import InProcess, executor
 from knotgym.runs.identities import identity_of
-from knotgym.runs.journal import Journal, Result, has_results
+from knotgym.runs.journal import CHECKPOINT, LEFT, Journal, Result, has_work
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import WHOLE, Existing, RunOptions, Shard
 
 Output = TypeVar("Output")
 
-CHECKPOINT = "checkpoint"  # file that may lie beside the journal
 _AHEAD = 4  # calls in progress for each worker, so that one slow call doesn't leave others idle
 
 
@@ -154,14 +151,16 @@ def run(
     with Progress(options.quiet) if progress is None else nullcontext(progress) as shown:
         if shard.is_whole and _is_finished(out, identity, options, made_by):
             if staging_folder(out).exists():  # it was killed after moving its output into place
-                with staged(out, identity, options):
-                    shutil.rmtree(staging_folder(out))
+                with staged(out, identity, options) as (folder, _):
+                    remove(folder)
             shown.say(f"{out} is finished already")
             return out
         if shard.is_whole:
             require_output(out, folder=is_folder, overwrite=options.overwrite)
         with staged(out, identity, options, shard) as (folder, journal):
-            if options.resume and journal.is_empty and not (folder / CHECKPOINT).exists():
+            if shard.is_whole:  # another may have made it before this one had the lock
+                require_output(out, folder=is_folder, overwrite=options.overwrite)
+            if options.resume and journal.is_empty:
                 shown.say(f"{out}: there is nothing to resume, starting from the beginning")
             place, show = folder / "made" / out.name, _shown_on(shown, count)
             with (pool or partial(executor, options.workers, options.scheduler))() as workers:
@@ -178,7 +177,7 @@ def run(
                     _require_unchanged(identity.get("source"), sources())
                 shown.stage("writing")
                 move_into_place(place, out, overwrite=options.overwrite)
-            shutil.rmtree(folder)
+            remove(folder)
         text = f": {summary}" if isinstance(summary, str) else ""
         made, seconds = out if shard.is_whole else journal.path, time.perf_counter() - began
         shown.say(f"{made}{text}; {seconds:.0f} s")
@@ -196,8 +195,8 @@ def staged(
 ) -> Iterator[tuple[Path, Journal]]:
     """Hold the staging folder of an output and its journal; yield both.
 
-    The journal is locked, and with it the folder. The caller removes the folder when the output is
-    in place; after an error it stays if there are results in the journal.
+    The journal is locked, and with it the folder: only who holds the lock removes anything. At the
+    end both are removed if the journal is empty; otherwise they stay, for the next run.
 
     Raises:
         Occupied: another run holds it, or it has the work of an interrupted run and `existing`
@@ -208,30 +207,26 @@ def staged(
     folder = staging_folder(out if shard.is_whole else path)
     others = [other for other in _shard_journals(out) if other != path]
     path = folder / "journal" if shard.is_whole else path
-    require_own(folder)
-    new = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
+    for one in (folder, path):
+        require_own(one)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # so that nobody plants files in it
     try:
-        require_own_tree(folder)
-        require_own(path)
-        require_no_interrupted_run(out, existing, shard)
-        journal = Journal(path, identity, others, fresh=not existing.resume)
-    except BaseException:
-        if new:
-            shutil.rmtree(folder)
-        raise
-    with journal:
-        try:
-            for left in folder.iterdir():
-                if left != path and not (existing.resume and left.name == CHECKPOINT):
-                    remove(left)
-            (folder / "made").mkdir()
-            yield folder, journal
-        except BaseException:
-            if journal.is_held and journal.is_empty and not (folder / CHECKPOINT).exists():
-                shutil.rmtree(folder, ignore_errors=True)
-                remove(path)
-            raise
+        with Journal(
+            path, identity, others, resume=existing.resume, restart=existing.restart
+        ) as journal:
+            try:
+                for left in folder.iterdir():
+                    if left != path:
+                        remove(left)
+                (folder / "made").mkdir()
+                yield folder, journal
+            finally:
+                if journal.is_held and journal.is_empty:
+                    for one in (path, folder):
+                        remove(one)
+    finally:
+        with suppress(OSError):
+            folder.rmdir()  # only if nobody has begun in it
 
 
 def staging_folder(out: Path) -> Path:
@@ -244,28 +239,20 @@ def checkpoint_of(place: Path) -> Path:
 
     For work that isn't a function of a call, such as a training; a resumed run finds it again.
     """
-    return place.parents[1] / CHECKPOINT
-
-
-def _has_work(journal: Path) -> bool:
-    beside = journal.with_name(CHECKPOINT)
-    return has_results(journal) or (journal.name == "journal" and beside.exists())
+    return place.parents[1] / "journal" / CHECKPOINT
 
 
 def _shard_journals(out: Path) -> list[Path]:
     """Return the journals that shards left beside an output."""
     pattern = f"{escape(out.name)}-shard-*-of-*.journal"
-    return sorted(path for path in out.parent.glob(pattern) if path.is_file())
+    return sorted(path for path in out.parent.glob(pattern) if path.is_dir())
 
 
 def require_no_interrupted_run(out: Path, existing: Existing, shard: Shard = WHOLE) -> None:
     """Raise Occupied if an interrupted run left work, unless `existing` says what to do with it."""
     path = staging_folder(out) / "journal" if shard.is_whole else shard.journal(out)
-    if _has_work(path) and not (existing.resume or existing.restart):
-        raise Occupied(
-            f"an interrupted run of {out if shard.is_whole else path} left its work: --resume"
-            " continues it, --restart deletes it"
-        )
+    if not (existing.resume or existing.restart) and has_work(path):
+        raise Occupied(LEFT.format(path))
 
 
 def _is_finished(
@@ -280,7 +267,7 @@ def _is_finished(
         InvalidInput: it is the output of another run, and `existing` doesn't overwrite it.
     """
     # A run that was interrupted while it replaced an older output isn't finished.
-    replaces = existing.overwrite and _has_work(staging_folder(out) / "journal")
+    replaces = existing.overwrite and has_work(staging_folder(out) / "journal")
     there = made_by(out) if existing.resume and not replaces else None
     if there is None:
         return False

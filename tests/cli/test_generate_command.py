@@ -171,7 +171,7 @@ def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
 def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     words = typed("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a")
     run = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    wait_for_file(run, tmp_path, "journal")
+    wait_for_file(run, tmp_path, "run.json")
     os.kill(run.pid, signal.SIGTERM)
     _, error = run.communicate(timeout=SECONDS)
     assert run.returncode == 130 and error.startswith("knotgym: interrupted before all output ")

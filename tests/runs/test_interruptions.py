@@ -62,7 +62,7 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(tmp_path: Path) -> 
         time.sleep(0.01)
     os.kill(below[-1], signal.SIGKILL)
     error = broken.communicate(timeout=SECONDS)[1]
-    assert broken.returncode == 1 and error.startswith("knotgym: a worker died, perhaps out of mem")
+    assert broken.returncode == 1 and error.startswith("knotgym: a worker died or memory ran out")
     assert error.count("\n") == 1
     assert knotgym(*COLLECT, "--workers", 1, "--out", tmp_path, "--resume") == 0
 
@@ -73,7 +73,7 @@ def test_asked_to_stop_twice_it_says_so_once(tmp_path: Path) -> None:
     stopped = subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    wait_for_file(stopped, tmp_path, "journal")
+    wait_for_file(stopped, tmp_path, "run.json")
     for _ in range(2):
         os.killpg(stopped.pid, signal.SIGINT)
         time.sleep(0.01)

@@ -5,75 +5,105 @@ import os
 import random
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidFile, InvalidInput, KnotgymError
+from knotgym.common import InvalidFile, InvalidInput, KnotgymError, Occupied
 from knotgym.runs.journal import Journal
 
 RUN = {"config": {"seed": 0}}
 RESULT: dict[str, Any] = {
     "whole": np.arange(7, dtype=np.uint16),
-    "text": np.array(["a", "über"]),
+    "steps/text": np.array(["a", "über"]),
     "none": np.empty((0, 3)),
     "one": np.float64(2.5),
     "bits": np.array([[True], [False]]),
+    "turned": np.arange(6.0).reshape(2, 3).T,
+    "file": np.arange(100_000, dtype=np.float32).reshape(100, 10, 100),
 }
 
 
-def written(path: Path, keys: int = 3) -> bytes:
+def written(path: Path, keys: int = 3) -> dict[str, bytes]:
     with Journal(path, RUN) as journal:
         for key in range(keys):
             journal[f"part {key}"] = {"key": np.full(1000, key), **RESULT}
-    return path.read_bytes()
+    return content(path)
+
+
+def content(path: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in path.iterdir()}
 
 
 def test_results_come_back_as_they_were_and_read_only(tmp_path: Path) -> None:
     written(tmp_path / "j")
     with Journal(tmp_path / "j", RUN) as journal:
         assert list(journal) == ["part 0", "part 1", "part 2"]
+        assert list(journal["part 1"]) == ["key", *RESULT]
         for name, array in RESULT.items():
             found = journal["part 1"][name]
             assert found.dtype == array.dtype and found.shape == array.shape
             np.testing.assert_array_equal(found, array)
-        assert not journal["part 2"]["key"].flags.writeable
-        assert journal["part 0"]["whole"].ctypes.data % 64 == 0
+            assert not found.flags.writeable and found.flags.aligned
+        journal["new"] = {"x": np.arange(3.0)}
+        assert not journal["new"]["x"].flags.writeable
+    with np.load(tmp_path / "j/part 1.npz") as archive:  # a plain archive of NumPy's
+        np.testing.assert_array_equal(archive["file"], RESULT["file"])
 
 
-def test_a_journal_cut_anywhere_keeps_its_whole_records(tmp_path: Path) -> None:
-    whole, rng = written(tmp_path / "j"), random.Random(2)
-    for cut in [0, 1, 17, 18, 19, *(rng.randrange(len(whole)) for _ in range(40)), len(whole) - 1]:
-        (tmp_path / "j").write_bytes(whole[:cut])
-        with Journal(tmp_path / "j", RUN) as journal:
-            left = list(journal)
-            assert left == [f"part {key}" for key in range(len(left))]
-            for key in range(len(left), 3):
-                journal[f"part {key}"] = {"key": np.full(1000, key), **RESULT}
-        assert (tmp_path / "j").read_bytes() == whole
-    changed = bytearray(whole)
-    changed[-10_000] ^= 1  # takes its record and those after it
-    (tmp_path / "j").write_bytes(changed)
+def test_any_key_is_kept_inside_the_folder(tmp_path: Path) -> None:
+    keys = ["../out", ".part", "run.json", "a/b", "request 1 0:0f", "%2F", "über", "", "checkpoint"]
     with Journal(tmp_path / "j", RUN) as journal:
-        assert "part 2" not in journal and "part 0" in journal
+        for number, key in enumerate(keys):
+            journal[key] = {"x": np.array(number)}
+    with Journal(tmp_path / "j", RUN) as journal:
+        assert {key: int(journal[key]["x"]) for key in journal} == {
+            key: number for number, key in enumerate(keys)
+        }
+    assert list(tmp_path.iterdir()) == [tmp_path / "j"]
 
 
-def test_the_last_result_of_a_key_counts(tmp_path: Path) -> None:
+def test_an_archive_that_is_cut_or_changed_anywhere_is_missing(tmp_path: Path) -> None:
+    whole, rng = written(tmp_path / "j"), random.Random(2)
+    size = len(whole["part 1.npz"])
+    for at in [0, 1, *(rng.randrange(size) for _ in range(60)), size - 1]:
+        changed = bytearray(whole["part 1.npz"])
+        changed[at] ^= 1 << rng.randrange(8)
+        for damaged in (whole["part 1.npz"][:at], bytes(changed)):
+            (tmp_path / "j/part 1.npz").write_bytes(damaged)
+            with Journal(tmp_path / "j", RUN) as journal:
+                assert "part 0" in journal
+                if "part 1" in journal:  # where the byte has no meaning, such as a date
+                    assert journal["part 1"].keys() == {"key", *RESULT}
+                    for name, array in RESULT.items():
+                        assert journal["part 1"][name].dtype == array.dtype
+                        np.testing.assert_array_equal(journal["part 1"][name], array)
+                journal["part 1"] = {"key": np.full(1000, 1), **RESULT}
+            assert content(tmp_path / "j") == whole
+
+
+def test_the_last_result_of_a_key_counts_and_one_can_be_forgotten(tmp_path: Path) -> None:
     with Journal(tmp_path / "j", RUN) as journal:
         journal["a"] = {"x": np.zeros(3)}
         journal["a"] = {"x": np.ones(5)}
         assert journal["a"]["x"].tolist() == [1] * 5
     with Journal(tmp_path / "j", RUN) as journal:
-        assert journal["a"]["x"].tolist() == [1] * 5
+        assert journal["a"]["x"].tolist() == [1] * 5 and not journal.is_empty
+        del journal["a"], journal["never"]
+        assert "a" not in journal and journal.is_empty
 
 
 def test_other_journals_are_only_read(tmp_path: Path) -> None:
     before = written(tmp_path / "other")
-    (tmp_path / "other").chmod(0o400)
+    for file in (tmp_path / "other").iterdir():
+        file.chmod(0o400)
+    (tmp_path / "other").chmod(0o500)
     with Journal(tmp_path / "j", RUN, [tmp_path / "other"]) as journal:
         journal["part 9"] = RESULT
-        assert "part 1" in journal and journal["part 1"]["key"][0] == 1
-    assert (tmp_path / "other").read_bytes() == before
+        assert "part 1" in journal and journal["part 1"]["key"][0] == 1 and len(journal) == 4
+    assert content(tmp_path / "other") == before
+    (tmp_path / "other").chmod(0o700)
 
 
 def test_the_journal_of_another_run_is_refused_and_left(tmp_path: Path) -> None:
@@ -83,91 +113,137 @@ def test_the_journal_of_another_run_is_refused_and_left(tmp_path: Path) -> None:
         Journal(tmp_path / "j", other)
     with pytest.raises(InvalidInput, match="seed is 0 there and 1 here"):
         Journal(tmp_path / "new", other, [tmp_path / "j"])
-    assert (tmp_path / "j").read_bytes() == before
+    assert content(tmp_path / "j") == before and not (tmp_path / "new").exists()
+    with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
+        Journal(tmp_path / "j", other, resume=False)
+    with Journal(tmp_path / "j", other, resume=False, restart=True) as journal:
+        assert journal.is_empty
 
 
-@pytest.mark.parametrize("more", [-129, -128, -127, -1, 0, 1, 127, 128])
-def test_a_result_with_too_long_names_is_refused_or_comes_back(more: int, tmp_path: Path) -> None:
-    line = '[{"columns": [["", "|u1", []]], "key": "a"}, 64]'
-    name = "x" * (2**20 + more - len(line))
-    with Journal(tmp_path / "j", RUN) as journal:
-        try:
-            journal["a"] = {name: np.array(3, np.uint8)}
-        except InvalidInput:
-            assert more > -128
-        is_kept = "a" in journal
-    with Journal(tmp_path / "j", RUN) as journal:
-        assert ("a" in journal) == is_kept
-
-
-def test_a_result_that_never_reaches_the_disk_is_not_counted(
+def test_a_result_that_does_not_reach_the_disk_is_not_counted_and_spoils_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(_: int) -> None:
-        raise OSError(errno.EDQUOT, "Disk quota exceeded")  # which network disks say only here
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    with Journal(tmp_path / "j", RUN) as journal, monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", full)
-        with pytest.raises(OSError, match="quota"):
-            journal["a"] = RESULT
-        assert "a" not in journal
+    with Journal(tmp_path / "j", RUN) as journal:
+        journal["a"] = {"x": np.zeros(3)}
+        for broken in ("os.fsync", "knotgym.runs.journal.np.lib.format.write_array"):
+            with monkeypatch.context() as patch:
+                patch.setattr(broken, full)
+                for key in ("a", "b"):
+                    with pytest.raises(OSError, match="No space"):
+                        journal[key] = RESULT
+            assert list(journal) == ["a"]
+        journal["c"] = RESULT  # after room was made
+    with Journal(tmp_path / "j", RUN) as journal:
+        assert list(journal) == ["a", "c"] and journal["a"]["x"].tolist() == [0] * 3
 
 
 def test_objects_are_not_kept(tmp_path: Path) -> None:
-    with Journal(tmp_path / "j", RUN) as journal, pytest.raises(InvalidInput, match="not objects"):
-        journal["a"] = {"x": np.array([object()])}
+    with Journal(tmp_path / "j", RUN) as journal:
+        for wrong in (np.array([object()]), np.zeros(2, "f8,i4"), np.zeros(2, "M8[s]")):
+            with pytest.raises(InvalidInput, match="not objects"):
+                journal["a"] = {"x": wrong}
+        assert journal.is_empty
 
 
-def record(head: str, size: int = 0, content: bytes = b"") -> bytes:
-    from zlib import crc32
-
-    line = f"[{head}, {size}]".encode()
-    return b"%08x %s\n" % (crc32(content, crc32(line)), line) + content
+def planted(path: Path, head: bytes, content: bytes = bytes(64), kind: int = 0) -> None:
+    """Write an archive whose array has this header."""
+    head = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
+    with ZipFile(path, "w", kind) as archive:
+        archive.writestr("x.npy", head + content)
 
 
 @pytest.mark.parametrize(
-    "content",
+    "head",
     [
-        b"hello\n",
-        b"\x89HDF\r\n\x1a\n",
-        b"knotgym journal 1\n" + record("{}"),
-        b"knotgym journal 1\n" + record('{"run": 3}'),
-        b"knotgym journal 1\nnonsense\n",
-        b"knotgym journal 1\n" + record("5"),
-        *(
-            b"knotgym journal 1\n"
-            + record('{"run": {"config": {"seed": 0}}}')
-            + record(head, 64, bytes(64))
-            for head in (
-                "{}",
-                '{"key": 3, "columns": [["x", "<f8", [8]]]}',
-                '{"key": "a", "columns": [["x", "|O", [8]]]}',
-                '{"key": "a", "columns": [["x", "<f8", [80]]]}',
-                '{"key": "a", "columns": [["x", "<f8", [-8]]]}',
-                '{"key": "a", "columns": [["x", "f8,O", [8]]]}',
-                '{"key": "a", "columns": [["x", "<f8", [0, 15292150460684697]], ["", "<f8", [8]]]}',
-                '{"key": "a", "columns": 5}',
-            )
-        ),
+        "{}",
+        "5",
+        "__import__('os').system('touch owned')",
+        "{'descr': '|O', 'fortran_order': False, 'shape': (8,)}",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (80,)}",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (-8,)}",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (-2, -4)}",
+        "{'descr': '<f8', 'fortran_order': True, 'shape': (2, 4)}",
+        "{'descr': [('a', '<f8'), ('b', '|O')], 'fortran_order': False, 'shape': (4,)}",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (2305843009213693952, 8)}",
+        "(" * 10_000,
     ],
-)  # fmt: skip
-def test_what_no_run_writes_is_one_line(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "j").write_bytes(content)
+)
+def test_an_archive_that_no_run_writes_is_missing(head: str, tmp_path: Path) -> None:
+    written(tmp_path / "j", keys=1)
+    planted(tmp_path / "j/a.npz", head.encode())
+    with Journal(tmp_path / "j", RUN) as journal:
+        assert list(journal) == ["part 0"]
+
+
+def test_an_archive_that_would_expand_is_not_read(tmp_path: Path) -> None:
+    written(tmp_path / "j", keys=1)
+    head = b"{'descr': '|u1', 'fortran_order': False, 'shape': (100000000,)}"
+    planted(tmp_path / "j/a.npz", head, bytes(100_000_000), ZIP_DEFLATED)
+    with Journal(tmp_path / "j", RUN) as journal:
+        assert list(journal) == ["part 0"]
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"",
+        b"hello",
+        b"5",
+        b"[]",
+        b"{}",
+        b'{"run": 3}',
+        b'{"format": "knotgym journal", "format_version": 1, "run": {"config": {"seed": 0}}}',
+        b"[" * 100_000,
+        b"\x89HDF\r\n\x1a\n",
+    ],
+)
+def test_what_no_run_writes_is_one_line(head: bytes, tmp_path: Path) -> None:
+    written(tmp_path / "j")
+    (tmp_path / "j/run.json").write_bytes(head)
+    before = content(tmp_path / "j")
     with pytest.raises((InvalidFile, InvalidInput)) as caught:
         Journal(tmp_path / "j", RUN)
     assert "\n" not in str(caught.value)
-    assert (tmp_path / "j").read_bytes() == content
+    assert content(tmp_path / "j") == before
+
+
+@pytest.mark.parametrize("kind", ["a file", "a link", "a linked run", "a pipe", "an old journal"])
+def test_a_path_that_is_no_folder_of_a_journal_is_one_line(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/run.json").write_text("mine")
+    path = tmp_path / "j"
+    if kind == "a link":
+        path.symlink_to(tmp_path / "mine")
+    elif kind in ("a file", "an old journal"):
+        path.write_bytes(b"knotgym journal 1\n")
+    else:
+        path.mkdir()
+        if kind == "a pipe":
+            os.mkfifo(path / "run.json")
+        else:
+            (path / "run.json").symlink_to(tmp_path / "mine/run.json")
+    with pytest.raises(KnotgymError, match="should be the folder of a journal; remove it"):
+        Journal(path, RUN)
+    assert (tmp_path / "mine/run.json").read_text() == "mine"
 
 
 @pytest.mark.parametrize("kind", ["a link", "a pipe", "a folder"])
-def test_a_path_that_is_no_file_is_one_line(kind: str, tmp_path: Path) -> None:
-    (tmp_path / "mine").write_text("mine")
+def test_a_result_that_is_no_file_is_missing_and_replaced(kind: str, tmp_path: Path) -> None:
+    before = written(tmp_path / "j")
+    (tmp_path / "mine").write_bytes(before["part 1.npz"])
+    result = tmp_path / "j/part 1.npz"
+    result.unlink()
     if kind == "a link":
-        (tmp_path / "j").symlink_to(tmp_path / "mine")
+        result.symlink_to(tmp_path / "mine")
     elif kind == "a pipe":
-        os.mkfifo(tmp_path / "j")
+        os.mkfifo(result)
     else:
-        (tmp_path / "j").mkdir()
-    with pytest.raises(KnotgymError, match="should be a file; remove it"):
-        Journal(tmp_path / "j", RUN)
-    assert (tmp_path / "mine").read_text() == "mine"
+        result.mkdir()
+    with Journal(tmp_path / "j", RUN) as journal:
+        assert "part 1" not in journal
+        if kind != "a folder":
+            journal["part 1"] = {"key": np.full(1000, 1), **RESULT}
+            assert content(tmp_path / "j") == before

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 
@@ -108,13 +109,13 @@ def test_a_shard_computes_its_share_alone_and_names_the_others(
     path = made_toy(tmp_path / "a", RunOptions(workers=1, shard=Shard(2, 3)))
     assert "run shard 1/3, 3/3" in capsys.readouterr().out
     with Journal(path, {"config": {"toy": 0}}) as journal:
-        assert list(journal) == [f"parts {number}" for number in range(1, 30, 3)]
-    before, again = path.read_bytes(), replace(QUIET, shard=Shard(2, 3))
+        assert set(journal) == {f"parts {number}" for number in range(1, 30, 3)}
+    before, again = content(path), replace(QUIET, shard=Shard(2, 3))
     with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
         made_toy(tmp_path / "a", again)
-    assert path.read_bytes() == before
+    assert content(path) == before
     made_toy(tmp_path / "a", replace(again, restart=True))
-    assert path.read_bytes() == before
+    assert content(path) == before
     with pytest.raises(InvalidInput, match="shard-2-of-3.journal belongs to a different run"):
         run(toy, tmp_path / "a", {"config": {"toy": 1}}, QUIET)
     assert [path.name for path in tmp_path.iterdir()] == ["a-shard-2-of-3.journal"]
@@ -208,6 +209,30 @@ def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
         run(recipe, tmp_path / "a", {}, QUIET)
 
 
+@pytest.mark.parametrize("existing", [QUIET, RESUMED, replace(QUIET, restart=True)])
+@pytest.mark.parametrize("count", [2, 8])
+def test_of_several_that_begin_at_the_same_moment_one_makes_the_output(
+    count: int, existing: RunOptions, tmp_path: Path, unbroken: Unbroken
+) -> None:
+    """Locks are of open files, so threads stand for processes."""
+    for number in range(10):
+        out, start = tmp_path / str(number) / "toy", Barrier(count)
+
+        def begin(_: int, out: Path = out, start: Barrier = start) -> str:
+            start.wait()
+            try:
+                return str(made_toy(out, existing))
+            except Occupied as error:
+                return f"refused: {error}"
+
+        with ThreadPoolExecutor(count) as pool:
+            ended = list(pool.map(begin, range(count)))
+        assert str(out) in ended
+        assert {word.partition(":")[0] for word in ended} <= {str(out), "refused"}
+        assert content(out) == unbroken("toy")
+        assert list(out.parent.iterdir()) == [out]
+
+
 def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     staging_folder(tmp_path / "a").symlink_to(tmp_path / "other")
@@ -216,8 +241,18 @@ def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path: Path) -> None:
     assert list((tmp_path / "other").iterdir()) == []
 
 
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
+def test_no_other_user_can_plant_files_in_the_folder(tmp_path: Path) -> None:
+    def recipe(place: Path) -> Recipe[None]:
+        yield [Call("one 1", drawn, (0, 0, 1.0))]
+        assert place.parents[1].stat().st_mode & 0o777 == 0o700
+        place.mkdir()
+
+    assert run(recipe, tmp_path / "a", {}, QUIET).stat().st_mode & 0o500
+
+
+def _size(journal: Path) -> int:
+    """The number of results."""
+    return sum(name.endswith(".npz") for *_, names in os.walk(journal) for name in names)
 
 
 def test_a_disk_without_locks_is_one_line_and_nothing_is_left(
