@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -28,7 +29,46 @@ _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnas
 _MODE: Any = getattr(gym.vector, "AutoresetMode", str)  # Gymnasium before 1.1 has no such class
 
 
-class KnotEnv(gym.Env[Any, NDArray[Any]]):
+class _HorizonSpec(EnvSpec):
+    """A spec that says truly after how many steps an episode ends, whatever wraps it.
+
+    Attributes:
+        horizon: the environment's own limit. `TimeLimit` with a lower one ends episodes earlier;
+            with a higher one, as from `gymnasium.make(..., max_episode_steps=120)`, it has no
+            effect, which no environment can find out before somebody reads the spec.
+    """
+
+    horizon: int
+
+    @classmethod
+    def of(cls, spec: EnvSpec, horizon: int) -> _HorizonSpec:
+        """Return a spec with the horizon as its `max_episode_steps`."""
+        own = cls.__new__(cls)
+        vars(own).update(vars(spec), horizon=horizon, max_episode_steps=horizon)
+        return own
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "max_episode_steps" and value > self.horizon:
+            gym.logger.warn(
+                f"max_episode_steps = {value} has no effect: episodes end after horizon ="
+                f" {self.horizon} steps; make the environment with horizon={value}"
+            )
+            value = self.horizon
+        super().__setattr__(name, value)
+
+
+class _KnowsHorizon:
+    """Keeps a spec, which Gymnasium sets, as a `_HorizonSpec`, for wrappers that read it."""
+
+    config: TaskConfig
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if isinstance(value, EnvSpec):
+            value = _HorizonSpec.of(value, self.config.horizon)
+        super().__setattr__(name, value)
+
+
+class KnotEnv(_KnowsHorizon, gym.Env[Any, NDArray[Any]]):
     """Environment with one rope; see `TaskConfig` for keywords and `EpisodeBatch.info` for info."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
@@ -102,7 +142,7 @@ class KnotEnv(gym.Env[Any, NDArray[Any]]):
             )
 
 
-class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
+class KnotVectorEnv(_KnowsHorizon, gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
     """Environment with many ropes; with seed s, rope i behaves as `KnotEnv` with seed s + i.
 
     Args:
@@ -111,6 +151,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         threads: that share stepping, codes and pictures; 0 for every core. They change no byte.
         autoreset_mode: "next_step", "same_step" or "disabled", or Gymnasium's constants.
         render_mode: "rgb_array" or None.
+        max_episode_steps: Gymnasium's word for the keyword `horizon`; None for that.
         settings: keywords, see `TaskConfig`.
     """
 
@@ -127,9 +168,17 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         threads: int = 0,
         autoreset_mode: str | AutoresetMode = "next_step",
         render_mode: str | None = "rgb_array",
+        max_episode_steps: int | None = None,
         **settings: Any,
     ) -> None:
+        if max_episode_steps is not None:
+            settings.setdefault("horizon", max_episode_steps)
         self.config = task_config(task, settings)
+        if max_episode_steps not in (None, self.config.horizon):
+            raise InvalidInput(
+                f"max_episode_steps is {max_episode_steps} and horizon {self.config.horizon}, and"
+                " they are the same thing: give one"
+            )
         warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array")
         self.num_envs = num_envs

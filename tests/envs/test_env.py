@@ -534,3 +534,54 @@ def test_a_registered_task_is_played_as_its_crossings_say() -> None:
         assert info["crossings"] == 3 and GaussCode.parse(info["goal_gauss_code"]).nx == 2
     finally:
         del tasks.TASKS["simplify"], gym.registry["knotgym/Simplify-v0"]
+
+
+SHORT: dict[str, Any] = {"engine": "chain", "observation": "state", "horizon": 4}
+
+
+def test_the_spec_says_after_how_many_steps_episodes_end() -> None:
+    env = gym.make("knotgym/Tie-v0", **SHORT)
+    assert env.spec is not None and env.spec.max_episode_steps == 4
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec == env.spec and pickle.loads(pickle.dumps(env.spec)) == env.spec
+    many = gym.make_vec("knotgym/Tie-v0", num_envs=2, **SHORT)
+    assert many.spec is not None and many.spec.max_episode_steps == 4
+    assert gym.make_vec(many.spec).unwrapped.config.horizon == 4  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("limit", "truth"), [(3, 3), (120, 4)])
+def test_another_limit_of_gymnasium_is_honoured_or_said_to_be_without_effect(
+    limit: int, truth: int, recwarn: pytest.WarningsRecorder
+) -> None:
+    env = gym.make("knotgym/Tie-v0", max_episode_steps=limit, **SHORT)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(6, np.float32))[3] for _ in range(truth)]
+    assert ends == [False] * (truth - 1) + [True]
+    assert env.spec is not None and env.spec.max_episode_steps == truth
+    assert (limit > 4) == any(
+        "make the environment with horizon=120" in str(w.message) for w in recwarn
+    )
+
+
+def test_vectorized_environments_take_gymnasiums_word_for_the_horizon() -> None:
+    keywords = {**SHORT, "num_envs": 2, "max_episode_steps": 9}
+    with pytest.raises(InvalidInput, match="max_episode_steps is 9 and horizon 4"):
+        gym.make_vec("knotgym/Tie-v0", **keywords)
+    del keywords["horizon"]
+    envs: Any = gym.make_vec("knotgym/Tie-v0", **keywords)
+    assert envs.unwrapped.config.horizon == 9
+
+
+def test_stock_wrappers_that_read_the_limit_work() -> None:
+    env: Any = gym.wrappers.TimeAwareObservation(gym.make("knotgym/Tie-v0", **SHORT))
+    env = gym.wrappers.RecordEpisodeStatistics(env)
+    assert env.reset(seed=0)[0].shape == (601,)
+    for _ in range(4):
+        *_, info = env.step(np.zeros(6, np.float32))
+    assert info["episode"]["l"] == 4
+    envs: Any = gym.make_vec("knotgym/Tie-v0", num_envs=2, **SHORT)
+    envs = gym.wrappers.vector.RecordEpisodeStatistics(envs)
+    envs.reset(seed=0)
+    for _ in range(4):
+        *_, infos = envs.step(np.zeros((2, 6), np.float32))
+    assert infos["episode"]["l"].tolist() == [4, 4]
