@@ -183,7 +183,7 @@ class WatchingPlayer(ScriptedPlayer):
         pulls, points = super().act(ids), self._batch.simulation.points[ids]
         beads = points.shape[1]
         # the dynamics are nearly the same from the first bead of every sub-chain
-        for base, _ in sub_chains(self._batch.task.rope):
+        for base, _ in sub_chains(self._batch.task.rope_config):
             sights = see(np.roll(points, -base, axis=1))
             for index, sight in zip(ids.tolist(), sights, strict=True):
                 code, key = sight.diagram.code, (index, base)

@@ -119,7 +119,7 @@ def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
         author=("Ada",),
         author_email=("ada@example",),
         code_permalink="https://example.org",
-        digests={"rope": tiny.task.rope.fingerprint},
+        digests={"rope": tiny.task.rope_config.fingerprint},
     )
     facts = {"run": {"seed": 0}, "selection": []}
     root = tmp_path_factory.mktemp("minari")

@@ -301,7 +301,7 @@ def write_episodes(
         **own,
         "form": "recording" if parts[0].is_recording else "columns",
         "task": as_json(task),
-        "rope": task.rope.fingerprint,
+        "rope": task.rope_config.fingerprint,
         "versions": {"knotgym": knotgym.__version__, "mujoco": version("mujoco")},
         "digest": content_digest(merged([part.recording() for part in same])),
     }

@@ -135,7 +135,7 @@ def show_episodes(source: Any) -> dict[str, Any]:
 
 def _file_faults(dataset: EpisodeDataset) -> Iterator[str]:
     """Yield the faults for which nothing else can be checked."""
-    rope, episodes = dataset.task.rope, dataset.episodes
+    rope, episodes = dataset.task.rope_config, dataset.episodes
     if dataset.attributes.get("rope") != rope.fingerprint:
         yield (
             f"{dataset.path}: generated with rope model {dataset.attributes.get('rope')}, this"

@@ -284,7 +284,8 @@ def _minari_episodes(
     failed = np.zeros(steps.rows, dtype=bool)
     failed[dataset.episodes.last()] = own["diverged"]
     share = steps["applied_fraction"].astype(np.float64)
-    applied = share[:, None] * steps["force"].astype(np.float64) * dataset.task.rope.max_force
+    applied = share[:, None] * steps["force"].astype(np.float64)
+    applied *= dataset.task.rope_config.max_force
 
     def led(values: NDArray[Any], at_first: float = 0) -> NDArray[Any]:
         """Move each pull's values to the state that it led to."""

@@ -84,8 +84,8 @@ def _episode(
     key = seen.name.removeprefix(f"/{name}/")
     ropes, goals = np.moveaxis(read(key).reshape(-1, 2, task.beads, 3).astype(np.float32), 1, 0)
     points, actions = ropes.astype(np.float64), read("actions").astype(np.float32)
-    sides = np.linalg.norm(np.roll(points, -1, axis=1) - points, axis=2) - task.rope.bead_length
-    if not (np.abs(sides) < 2 * task.rope.radius).all():
+    sides, rope = np.linalg.norm(np.roll(points, -1, axis=1) - points, axis=2), task.rope_config
+    if not (np.abs(sides - rope.bead_length) < 2 * rope.radius).all():
         raise InvalidInput(f"{path} holds observations that a wrapper changed: record vertices")
     pulls = len(points) - 1
     terminated = read("terminations")
@@ -94,7 +94,7 @@ def _episode(
     codes = read_codes(np.concatenate([points, goals[:1].astype(np.float64)]))
     sizes = {
         "beads": task.beads,
-        "nq": Rope(task.rope).nq,
+        "nq": Rope(rope).nq,
         "visits": codes.visits.shape[1],
         "labels": codes.signs.shape[1],
     }
@@ -107,7 +107,7 @@ def _episode(
         "crossings": codes.crossings[:-1].astype(np.int16),
     }
     led: dict[str, Any] = {
-        "bead": decode_actions(actions, points[:pulls], task.rope)[0],
+        "bead": decode_actions(actions, points[:pulls], rope)[0],
         "force": np.clip(actions[:, 3:], -1, 1),
         "action": actions,
         "reward": read("rewards"),

@@ -33,7 +33,7 @@ def split_faults(dataset: EpisodeDataset) -> list[str]:
         sides = _sides(dataset)
     except KnotgymError as error:
         return [f"{dataset.path}: its split can't be checked: {error}"]
-    own, task, rope = dataset.episodes.episodes, dataset.task, Rope(dataset.task.rope)
+    own, task, rope = dataset.episodes.episodes, dataset.task, Rope(dataset.task.rope_config)
     faults: list[str] = []
     for name, (states, allowed) in sides.items():
         for row, named in enumerate(own[name].tolist()):

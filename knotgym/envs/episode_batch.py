@@ -81,7 +81,7 @@ class EpisodeBatch:
         if count < 1:
             raise InvalidInput(f"num_envs must be at least 1, got {count}")
         self.task, self.count = task, count
-        self.simulation = simulation(task.engine, count, Rope(task.rope), threads)
+        self.simulation = simulation(task.engine, count, Rope(task.rope_config), threads)
         self.view = ActionView(task.action, self.simulation)
         self._picture = picture_config(task)
         self._sides = task_sides(task)

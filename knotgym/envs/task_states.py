@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rope import RopeConfig, rope_of
+from knotgym.rope import RopeConfig
 from knotgym.states import CODE_SPLITS, States, read_states, shipped, ships, states_file
 from knotgym.topology import UNKNOT
 
@@ -62,7 +62,7 @@ def task_sides(task: TaskConfig) -> list[tuple[TaskSide, TaskSide]]:
 def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     """Return the states of a task with one nx."""
     path = states_file(task.states)
-    own = _of_our_rope(path, task.beads)
+    own = _of_our_rope(path, task)
     starts, goals = (_side(task, path, own, nx) for nx in (start_nx(task, own), task.goal_nx))
     goals = goals._replace(rows=goals.rows[: task.max_goals])
     if len({*starts.knots, *goals.knots}) > 1:
@@ -96,7 +96,7 @@ def _side(task: TaskConfig, path: Path, states: States, nx: int) -> TaskSide:
     origin = SHIPPED if ships(task.states) else OWN
     if nx == 0 and not (states.nx == 0).any() and task.beads == RopeConfig().beads:
         path, origin = shipped(), SHIPPED
-        states = _of_our_rope(path, task.beads)
+        states = _of_our_rope(path, task)
     rows = states.rows(nx, task.split)
     if not len(rows):
         if task.split in CODE_SPLITS and len(states.rows(nx, task.split[:-5])):
@@ -113,15 +113,18 @@ def _side(task: TaskConfig, path: Path, states: States, nx: int) -> TaskSide:
     return TaskSide(states, origin, nx, rows)
 
 
-def _of_our_rope(path: Path, beads: int) -> States:
+def _of_our_rope(path: Path, task: TaskConfig) -> States:
     """Read the states of a file; raise InvalidInput if they were made for another rope."""
     states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
-    # states at rest don't depend on the integrator's step, so the default rope is compared
-    if (own := states.points.shape[1]) != beads:
-        raise InvalidInput(f"{path} has ropes of {own} beads, got beads = {beads}; use {own}")
-    made_for, ours = states.attributes.get("rope"), rope_of(beads).fingerprint
+    if (own := states.points.shape[1]) != task.beads:
+        raise InvalidInput(f"{path} has ropes of {own} beads, got beads = {task.beads}; use {own}")
+    # states at rest depend on the rope's shape, not on its damping or the integrator's step
+    made_for, ours = states.attributes.get("rope"), task.rope_at_rest.fingerprint
     if made_for != ours:
-        raise InvalidInput(f"{path} was made for rope model {made_for}, this version has {ours}")
+        shape = f" of rope = {task.rope}" if task.rope else ""
+        raise InvalidInput(
+            f"{path} was made for rope model {made_for}, this version{shape} has {ours}"
+        )
     return states
 
 

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
 MIN_BEADS, MAX_BEADS = 50, 1000
+# parameters of the rope that its states depend on, and those that the keyword `rope` can't set
+_SHAPE = "length", "radius"
+_NOT_OF_ROPE = frozenset({"beads", "sub_chains", "rooted", "timestep", "frame_skip"})
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
 TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
@@ -93,6 +96,10 @@ class TaskConfig:
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
         beads: number of beads of the rope, each 13.3 mm long. The states must have as many; the
             sets that are included have 100.
+        rope: parameters of the rope that differ from the published ones, such as {"joint_damping":
+            0.02, "max_force": 0.3}: any of `knotgym.rope.RopeConfig` but those that have keywords
+            of their own (beads, integrator_steps) or that states depend on otherwise. The states
+            must fit: their ropes have the same length and radius.
         observation: observation: pixels, state, both, symbolic or marked.
         action: "pull", six numbers; "bead", a bead and binned forces; or "macro", a bead led past a
             strand by up to ten pulls. See `knotgym.rope.action_views`.
@@ -129,6 +136,7 @@ class TaskConfig:
     states: str | None = None
     engine: EngineName = MUJOCO
     beads: Annotated[Int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = 100
+    rope: dict[str, Real] | None = None
     observation: Annotated[str, choice(*OBSERVATIONS)] = "pixels"
     action: Annotated[str, choice(*ACTIONS)] = "pull"
     max_goals: Count | None = None
@@ -151,6 +159,15 @@ class TaskConfig:
     numeric_infos: bool = False
 
     def __post_init__(self) -> None:
+        if self.rope is not None:
+            from knotgym.rope import RopeConfig
+
+            known = sorted(RopeConfig.__dataclass_fields__.keys() - _NOT_OF_ROPE)
+            if unknown := sorted(self.rope.keys() - known):
+                raise InvalidInput(
+                    f"rope may set {', '.join(known)}; got {', '.join(map(repr, unknown))}"
+                )
+            _ = self.rope_config  # refuses values out of range
         require_depth(self.depth, self.renderer)
         if max(self.crossings) > max_nx(self.beads):
             raise InvalidInput(
@@ -213,13 +230,20 @@ class TaskConfig:
         return TASKS[self.tasks[0]](self.crossings[0])[1]
 
     @property
-    def rope(self) -> RopeConfig:
+    def rope_config(self) -> RopeConfig:
         """The rope, with an action's time divided into `integrator_steps`."""
-        from knotgym.rope import rope_of
-
-        default = rope_of(self.beads)
+        default = self.rope_at_rest
         return replace(
             default,
+            **(self.rope or {}),  # type: ignore[arg-type]
             frame_skip=self.integrator_steps,
             timestep=default.timestep * default.frame_skip / self.integrator_steps,
         )
+
+    @property
+    def rope_at_rest(self) -> RopeConfig:
+        """The rope as far as a state depends on it: the published one with this shape."""
+        from knotgym.rope import rope_of
+
+        shape = {name: (self.rope or {})[name] for name in _SHAPE if name in (self.rope or {})}
+        return replace(rope_of(self.beads), **shape)  # type: ignore[arg-type]

@@ -215,7 +215,7 @@ class Transitions:
             beads = steps["bead"][at].astype(np.int64)
         else:
             points = steps["observation"][at].astype(np.float64)
-            beads = decode_actions(pulls, points, self.task.rope)[0]
+            beads = decode_actions(pulls, points, self.task.rope_config)[0]
         return np.column_stack([beads, force_choices(pulls[:, 3:])])
 
     @cached_property

@@ -55,7 +55,7 @@ class HandTab:
         self._selected = 0
         self._kept: set[int] = set()  # episodes that are recorded
         self.session = Session(config.task, config.seed, recorder.next_number() if recorder else 0)
-        self._client, self._closed, rope = client, threading.Event(), config.task.rope
+        self._client, self._closed, rope = client, threading.Event(), config.task.rope_config
         self.scene = RopeScene(client, self.session.points, rope)
         self._seconds_per_pull = rope.timestep * rope.frame_skip  # in rope time
         self._status = client.gui.add_markdown("")

@@ -205,7 +205,7 @@ def _pictures(
     images = [batch.rgb(index) for index in ids.tolist()]
     if goal:
         return [Picture(encode(image[:, size:]), TEXTS["goal"]) for image in images]
-    middles = batch.simulation.points[ids].mean(axis=1) / config.task.rope.reach
+    middles = batch.simulation.points[ids].mean(axis=1) / config.task.rope_config.reach
     return [
         Picture(encode(image[:, :size]), caption(middle[:2] if config.tell_centre else None))
         for image, middle in zip(images, middles.tolist(), strict=True)

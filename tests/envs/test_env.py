@@ -585,3 +585,35 @@ def test_stock_wrappers_that_read_the_limit_work() -> None:
     for _ in range(4):
         *_, infos = envs.step(np.zeros((2, 6), np.float32))
     assert infos["episode"]["l"].tolist() == [4, 4]
+
+
+def test_a_user_sets_parameters_of_the_rope() -> None:
+    ends = []
+    for rope in (None, {"joint_damping": 0.02}, {"max_force": 0.1, "medium_density": 5000.0}):
+        env = KnotEnv("tie", rope=rope, **SHORT)
+        env.reset(seed=0)
+        for action in np.random.default_rng(0).uniform(-1, 1, (4, 6)):
+            seen = env.step(action.astype(np.float32))[0]
+        ends.append(seen)
+        for name, value in (rope or {}).items():
+            assert getattr(env.episodes.simulation.rope.config, name) == value
+    assert len({one.tobytes() for one in ends}) == 3
+    made = gym.make("knotgym/Tie-v0", rope={"joint_damping": 0.02}, **SHORT)
+    assert made.spec is not None
+    again: Any = gym.make(gym.envs.registration.EnvSpec.from_json(made.spec.to_json()))
+    assert again.unwrapped.config.rope == {"joint_damping": 0.02}
+
+
+@pytest.mark.parametrize(
+    ("rope", "message"),
+    [
+        ({"damping": 0.1}, "rope may set density, joint_damping, length, .*; got 'damping'"),
+        ({"beads": 50}, "got 'beads'"),
+        ({"joint_damping": -1.0}, "joint_damping must be at least 0"),
+        ({"joint_damping": "soft"}, "rope.* must be a number"),
+        ({"radius": 0.004}, "was made for rope model .*, this version of rope = {'radius': 0.004}"),
+    ],
+)
+def test_a_rope_that_states_do_not_fit_is_refused(rope: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        KnotEnv("tie", rope=rope, **SHORT)

@@ -202,7 +202,7 @@ def _episode(dataset: EpisodeDataset, row: int) -> dict[str, Any]:
     codes, code = _indexed(gauss_codes(steps["visits"][states]))
     chiral, code_chiral = _indexed(gauss_codes(steps["visits"][states], steps["signs"][states]))
     share = steps["applied_fraction"][pulls].astype(float)
-    force = share[:, None] * steps["force"][pulls] * dataset.task.rope.max_force
+    force = share[:, None] * steps["force"][pulls] * dataset.task.rope_config.max_force
     points = steps["observation"][states].astype(np.float64)
     goal = own["goal_points"][row].astype(np.float64)
     return {

@@ -309,7 +309,7 @@ def _identity_of(folder: Path) -> Mapping[str, Any] | None:
 def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata:
     """Return Minari's metadata; reference scores are those of random and expert policies."""
     task, policy = config.task, config.policy
-    measured = task.engine == MUJOCO and task.rope == RopeConfig() and not task.endless
+    measured = task.engine == MUJOCO and task.rope_config == RopeConfig() and not task.endless
     scores = reference_scores().get(task.name, {}) if measured else {}
     labels = " At every state stands what an expert would do there (infos/expert_action)."
     planned = total["planned"] / max(total["played"], 1)
