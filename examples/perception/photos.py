@@ -23,25 +23,21 @@ from misread import Misread, page
 from numpy.typing import NDArray
 
 from knotgym.datasets import decode, read_rows
-from knotgym.learn import (
-    ROPE_READER,
-    StrandNetwork,
-    Strands,
-    load_rope_reader,
-    strand_loss,
-    write_checkpoint,
-)
+from knotgym.learn import RopeReader, StrandNetwork, load_rope_reader
 from knotgym.rendering import photograph
 from knotgym.topology import GaussCode, find_crossings
 
 SIDE, PLACES, MOST = 256, 512, 12  # of a training picture: side, places on the line, crossings
 Array = NDArray[np.float64]
-Example = tuple[NDArray[np.uint8], Array, Array, Array]  # picture, and the parts of `Strands`
+Example = tuple[
+    NDArray[np.uint8], Array, Array, Array
+]  # picture, and the targets of `StrandNetwork.loss`
 
 
 def read(given: argparse.Namespace) -> None:
     """Read pictures and print the share of right codes, overall and by factor."""
-    reader, rows, missed = load_rope_reader(given.weights), list[dict[str, Any]](), list[Misread]()
+    reader = load_rope_reader(given.weights) if given.weights else load_rope_reader()
+    rows, missed = list[dict[str, Any]](), list[Misread]()
     for row in itertools.islice(read_rows(given.folder, given.split), given.count):
         code, image = GaussCode.parse(row["gauss_code_chiral"]), decode(row["image"])
         found = reader.read(image, given.views)
@@ -110,9 +106,10 @@ def train(given: argparse.Namespace) -> None:
                 group["lr"] = rate
             picked = np.random.default_rng([given.seed, step]).integers(len(kept), size=given.batch)
             parts = zip(*(kept[k] for k in picked), strict=True)
-            image, *true = (torch.from_numpy(np.stack(part)).to(given.device) for part in parts)
-            fields = network(image.permute(0, 3, 1, 2).float())
-            loss = strand_loss(fields, Strands(*(part.float() for part in true)))
+            image, *true = (
+                torch.from_numpy(np.stack(part)).to(given.device).float() for part in parts
+            )
+            loss = network.loss(image.permute(0, 3, 1, 2), *true)
             optimizer.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
@@ -120,12 +117,7 @@ def train(given: argparse.Namespace) -> None:
             step += 1
             if step % given.every == 0:
                 print(f"{time.time() - begin:6.0f} s  step {step}  loss {loss.item():.3f}")
-    state = {
-        name: own.to(torch.float16).cpu().contiguous()
-        for name, own in network.state_dict().items()
-        if own.is_floating_point()
-    }
-    write_checkpoint(given.out, state, {"learner": ROPE_READER, "steps": step})
+    RopeReader(network.cpu()).save(given.out, {"steps": step})
 
 
 _ROPES: list[Array] = []
@@ -155,15 +147,15 @@ def example(number: int) -> Example:
     if shot.look.marked:
         step = line[1, :2] - line[-1, :2]
         base[:] = *line[0, :2], *(step / np.hypot(*step)), 1
-    return shot.image, evenly(line), crossings, base
+    return shot.image, evenly(line[:, :2]), crossings, base
 
 
 def evenly(line: Array) -> Array:
-    """Return PLACES places, evenly in the picture, along a closed line (n, 3)."""
+    """Return PLACES places, evenly in the picture, along a closed line (n, 2)."""
     closed = np.concatenate([line, line[:1]])
-    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(closed[:, :2], axis=0).T)))
+    walked = np.append(0.0, np.cumsum(np.hypot(*np.diff(closed, axis=0).T)))
     at = np.arange(PLACES) * walked[-1] / PLACES
-    return np.stack([np.interp(at, walked, closed[:, k]) for k in range(3)], axis=1)
+    return np.stack([np.interp(at, walked, closed[:, k]) for k in range(2)], axis=1)
 
 
 def main() -> None:
@@ -175,7 +167,7 @@ def main() -> None:
     one.add_argument("--split")
     one.add_argument("--count", type=int)
     one.add_argument("--views", type=int, default=8)
-    one.add_argument("--weights", default=ROPE_READER)
+    one.add_argument("--weights", help="folder; by default those that ship")
     one.add_argument("--page", type=Path, help="file for a page of misread pictures")
     two = commands.add_parser("train", help="train on new photos of a table's ropes")
     two.set_defaults(run=train)

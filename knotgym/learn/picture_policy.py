@@ -11,8 +11,6 @@ from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.learn.agent import Agent
 from knotgym.learn.checkpoint import PRETRAINED, Learned, load_reader
 from knotgym.learn.colour_reading import BEADS, SIZE
-from knotgym.learn.photo_translation import PhotoTranslation
-from knotgym.learn.rope_reader import RopeReader, load_rope_reader
 
 
 class PicturePolicy:
@@ -34,35 +32,28 @@ class PicturePolicy:
     def player(self, batch: EpisodeBatch) -> Player:
         """Return a player for the lanes of a batch."""
         starts = self._learned.starts.astype(np.float64)
-        photos = load_rope_reader() if batch.task.appearance == "photo" else None
-        return _PicturePlayer(Agent(self._learned.reader, starts), batch, photos)
+        return _PicturePlayer(Agent(self._learned.reader, starts), batch)
 
 
 class _PicturePlayer:
-    def __init__(self, agent: Agent, batch: EpisodeBatch, photos: RopeReader | None) -> None:
-        self._agent, self._batch, self._photos = agent, batch, photos
-        self._translations = dict[int, PhotoTranslation]()
+    def __init__(self, agent: Agent, batch: EpisodeBatch) -> None:
+        self._agent, self._batch = agent, batch
         self.planned = np.zeros(batch.count, dtype=np.int64)
 
     def begin(self, ids: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
         self.planned[ids] = 0
         for index, rng in zip(ids.tolist(), rngs, strict=True):
             self._agent.begin(index, rng, self._batch.task.horizon)
-            if self._photos is not None:
-                self._translations[index] = PhotoTranslation(self._photos)
 
     def act(self, ids: NDArray[np.int64]) -> Pulls:
-        actions = np.stack([self._agent.act(index, self._seen(index)) for index in ids.tolist()])
+        actions = np.stack(
+            [self._agent.act(index, self._batch.rgb(index)) for index in ids.tolist()]
+        )
         self.planned[ids] = [self._agent.imagined(index) for index in ids.tolist()]
         # The agent names a point, as an action does: which bead that is, the simulation decides and
         # the agent must infer.
         beads, _ = self._batch.simulation.read_actions(actions, ids)
         return Pulls(ids, beads, actions[:, 3:])
-
-    def _seen(self, index: int) -> NDArray[np.uint8]:
-        """Return the picture of an episode in the published colours."""
-        picture = self._batch.rgb(index)
-        return self._translations[index].redraw(picture) if self._translations else picture
 
 
 def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> TaskConfig:
@@ -71,7 +62,6 @@ def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> Tas
     Raises:
         InvalidPolicy: it doesn't.
     """
-    published = task.appearance == "published"
     differing = [
         f"{name} {given} instead of {needed}"
         for name, given, needed in (
@@ -79,8 +69,8 @@ def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> Tas
             ("views", ",".join(task.views), "top"),
             ("depth", task.depth, False),
             ("camera", task.camera, "orthographic"),
-            ("appearance", task.appearance, "published" if action != "pull" else task.appearance),
-            ("image_size", task.image_size, SIZE if published else task.image_size),
+            ("appearance", task.appearance, "published"),
+            ("image_size", task.image_size, SIZE),
             ("hold", task.hold, 1),
             ("action", task.action, action),
         )

@@ -107,6 +107,12 @@ class ChatConfig:
                 "the base URL must be http://HOST/PATH or https://HOST/PATH, without user, password"
                 f" or query; set the key in the environment, as {KEY}"
             )
+        try:
+            json.dumps(self.extra, allow_nan=False)
+        except ValueError:
+            raise InvalidInput(
+                "chat.extra must be JSON, which has no NaN and no infinity"
+            ) from None
         if own := self.extra.keys() & _OURS:
             raise InvalidInput(f"chat.extra can't set {', '.join(sorted(own))}")
         for marks in self.drafts:

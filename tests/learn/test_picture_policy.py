@@ -93,6 +93,7 @@ def test_its_networks_run_on_one_thread(
         ({"camera": "perspective"}, "camera perspective instead of orthographic"),
         ({"views": ("top", "front")}, "views top,front instead of top"),
         ({"depth": True}, "depth True instead of False"),
+        ({"appearance": "photo"}, "appearance photo instead of published"),
         ({"image_size": 64}, "image_size 64 instead of 128"),
         ({"hold": 2}, "hold 2 instead of 1"),
     ],

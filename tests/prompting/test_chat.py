@@ -111,7 +111,12 @@ def test_further_fields_are_sent_as_given() -> None:
     assert {name: server.requests[0][name] for name in more} == more
     typed: dict[str, Any] = {"model": "m", "extra": json.dumps(more)}
     assert ChatConfig(**typed).extra == more
-    for wrong, said in (("{", "JSON object"), ("[1]", "extra"), ('{"model": "x"}', "model")):
+    for wrong, said in (
+        ("{", "JSON object"),
+        ("[1]", "extra"),
+        ('{"model": "x"}', "model"),
+        ('{"a": NaN}', "NaN"),
+    ):
         with pytest.raises(InvalidInput, match=said):
             ChatConfig(**{**typed, "extra": wrong})
     with pytest.raises(InvalidInput, match="set the key only in"):
