@@ -163,10 +163,10 @@ def _harder(points: Array, kind: str, rng: np.random.Generator) -> Array:
         share = rng.random((len(points), 1))
         on = points[rows, other] * share + points[rows, (other + 1) % beads] * (1 - share)
         points[rows, bead, :2] = on[:, :2] + rng.normal(size=(len(points), 2)) * 1e-15
-    elif kind == "doubled":
+    elif kind == "doubled":  # nearer than 1e-15 m they are one vertex, see `same_spot`
         points[rows, bead] = points[rows, (bead + 1) % beads] + rng.normal(
             size=(len(points), 3)
-        ) * 10.0 ** -rng.integers(9, 16, (len(points), 1))
+        ) * 10.0 ** -rng.integers(9, 13, (len(points), 1))
     return points
 
 

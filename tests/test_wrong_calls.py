@@ -112,7 +112,6 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: rope(sub_chains=1), "sub-chains"),
     (lambda: rope(sub_chains=50), "sub-chains"),
     (lambda: rope(radius=0.02), "bead"),
-    (lambda: rope(rooted="end"), "rooted"),
     (lambda: knotgym.shipped("best"), "no shipped set of states 'best'; there are readable"),
     (lambda: knotgym.verify("nope"), "no such file: nope, nor a Minari dataset of this id"),
     (lambda: knotgym.States.from_points([]), "points must have shape (n, beads, 3), got (0,)"),

@@ -8,32 +8,50 @@ Source: arXiv 2505.18028 for the constants. All beads are equal here; in the pub
 lengths vary.
 
 After a change run `pytest tests/rope/test_rope.py`; if the same configuration moves differently,
-raise ROPE_FORMAT: shipped states and recordings are refused until they are made again.
+raise the format in _PUBLISHED: shipped states and recordings are refused until they are made again.
 """
 
 import hashlib
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Count, InvalidInput, NonNegative, Positive, choice, configuration
+from knotgym.common import Count, InvalidInput, NonNegative, Positive, configuration
 from knotgym.rope.closed_curves import clearance, equal_chords
 from knotgym.rope.kinematics import backward, forward, transported
 from knotgym.topology import same_spot
 
 Array = NDArray[np.float64]
 
-ROPE_FORMAT = 1  # increase whenever the same configuration would move differently
 # MuJoCo's solver parameters of the constraints that join the sub-chains, as published; the chain
-# engine closes the rope exactly and has none. They count for the fingerprint, by these names.
+# engine closes the rope exactly and has none.
 _CLOSURES: dict[str, tuple[float, ...]] = {
     "closure_solref": (0.02, 1.0),
     "closure_solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
+}
+# The rope that ships, of which a fingerprint is the hash with the values that differ from it. A
+# parameter that isn't here counts once it differs from its default, so a new one whose default
+# changes no motion leaves every file readable.
+_PUBLISHED: dict[str, Any] = {
+    "format": 1,  # increase whenever the same configuration would move differently
+    "beads": 100,
+    "length": 1.33,
+    "radius": 0.005,
+    "density": 1000.0,
+    "medium_density": 10000.0,
+    "joint_damping": 0.01,
+    "sub_chains": 7,
+    "rooted": "middle",  # each sub-chain's free bead
+    "timestep": 0.008,
+    "frame_skip": 24,
+    "max_force": 0.2,
+    "reach": 2.0,
+    **_CLOSURES,
 }
 
 
@@ -49,10 +67,6 @@ class RopeConfig:
         medium_density: density of the surrounding medium, kg/m^3; its drag stops the rope.
         joint_damping: damping of the ball joints, N m s / rad.
         sub_chains: number of open chains that the loop is cut into.
-        rooted: bead of a sub-chain that carries the free joint, "middle" or "start" (published).
-            The rope is the same, but with the root in the middle the tree is half as deep. MuJoCo
-            integrates joint angles, which differ between the two, so that beads end up millimetres
-            apart after an action.
         timestep: integrator step, seconds.
         frame_skip: integrator steps per action.
         max_force: largest component of the force on a bead, newtons.
@@ -66,7 +80,6 @@ class RopeConfig:
     medium_density: Positive = 10000.0
     joint_damping: NonNegative = 0.01
     sub_chains: Count = 7
-    rooted: Annotated[str, choice("middle", "start")] = "middle"
     timestep: Positive = 0.008
     frame_skip: Count = 24
     max_force: Positive = 0.2
@@ -91,8 +104,13 @@ class RopeConfig:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of the settings, 16 hexadecimal digits, stored in files made with this rope."""
-        text = json.dumps({"format": ROPE_FORMAT, **asdict(self), **_CLOSURES}, sort_keys=True)
+        """Hash of what differs from the published rope, 16 hexadecimal digits.
+
+        Files hold that of the rope they were made with.
+        """
+        usual = {**{field.name: field.default for field in fields(self)}, **_PUBLISHED}
+        own = {name: value for name, value in asdict(self).items() if value != usual[name]}
+        text = json.dumps({**_PUBLISHED, **own}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -323,10 +341,11 @@ def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -
 
     # Bead k of the plain loop starts at angle turn * k of the circle and points along the chord to
     # the next vertex, which is the tangent half a bead further on.
-    root = (first + last + 1) // 2 if config.rooted == "middle" else first
+    root = (first + last + 1) // 2
     start = [radius * np.cos(turn * root), radius * np.sin(turn * root), 0.0]
-    # The root in the middle halves the longest lever from root to end, and with it the errors
-    # that add up on the way.
+    # The root in the middle (published: at the start) halves the longest lever from root to end,
+    # and with it the errors that add up on the way. MuJoCo integrates joint angles, which differ
+    # between the two, so that beads end up millimetres apart after an action.
     free = add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
     free.add_freejoint()
     body = free

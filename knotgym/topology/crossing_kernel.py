@@ -31,9 +31,10 @@ OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
 ALL = np.iinfo(np.int64).max  # crossings
 # Vertices that are no farther apart along any axis than this share of the curve's largest extent
-# are one. Curves that end where they begin miss it by rounding: by 1e-15 of their size if computed
-# as float64 and by 2e-7 as float32. A rope's edges are a hundredth of its size.
-SAME = 2.0**-20
+# are one: 16 units of rounding. A curve that is computed round to its first point misses it by a
+# few, and the edge between would seem to cross the next but one. What is farther apart is labelled
+# exactly, however near.
+SAME = 2.0**-48
 # about speed alone; `python benchmarks/labels.py` measures it
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 

@@ -138,7 +138,7 @@ def visit_spacing(crossings: Crossings, beads: int) -> float:
 def same_spot(points: ArrayLike) -> NDArray[np.bool_]:
     """Tell which vertices lie on the spot of the next, so that the edge between has no length.
 
-    They do if no coordinate differs by more than 2**-20 of the curve's largest extent.
+    They do if no coordinate differs by more than 2**-48 of the curve's largest extent.
 
     Args:
         points: (..., n, 3), finite, n > 0; the vertex after the last is the first.
@@ -146,7 +146,7 @@ def same_spot(points: ArrayLike) -> NDArray[np.bool_]:
     Returns:
         bool (..., n).
 
-    >>> same_spot([[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1e-9]]).tolist()
+    >>> same_spot([[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1e-16]]).tolist()
     [False, True, False, False, True]
     """
     p = 0.5 * np.asarray(points, dtype=np.float64)  # halved, so that no difference overflows

@@ -3,12 +3,11 @@
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.model import Rope
 from knotgym.rope.mujoco_simulation import MujocoSimulation
 
-from ..conftest import blow_up, curled, rough_play
+from ..conftest import blow_up, rough_play
 from .test_simulations import moved
 
 
@@ -80,50 +79,3 @@ def test_a_rope_that_blows_up_had_no_force_applied(rope: Rope) -> None:
     blow_up(simulation, 0, np.nan)
     assert simulation.act(np.zeros((2, 6))).tolist() == [False, True]
     assert simulation.applied_shares.tolist() == [0.0, 1.0]
-
-
-def turned_alike(here: Rope, there: Rope, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return qpos with the vertices and bead orientations of `here`, in the model of `there`."""
-    ours, theirs = mujoco.MjData(here.model), mujoco.MjData(there.model)
-    ours.qpos[:] = qpos
-    mujoco.mj_kinematics(here.model, ours)
-    same = dict(zip(there.bodies.tolist(), here.bodies.tolist(), strict=True))
-    rest, back = np.zeros(4), np.zeros(4)
-    for body in sorted(same):
-        joint, parent = int(there.model.body_jntadr[body]), int(there.model.body_parentid[body])
-        at = int(there.model.jnt_qposadr[joint])
-        if parent == 0:
-            theirs.qpos[at : at + 3] = ours.xpos[same[body]]
-            theirs.qpos[at + 3 : at + 7] = ours.xquat[same[body]]
-        else:
-            mujoco.mju_mulQuat(rest, ours.xquat[same[parent]], there.model.body_quat[body])
-            mujoco.mju_negQuat(back, rest)
-            mujoco.mju_mulQuat(theirs.qpos[at : at + 4], back, ours.xquat[same[body]])
-    return theirs.qpos.copy()
-
-
-@pytest.mark.parametrize(("finer", "share"), [(1, 0.08), (4, 0.02)])
-@pytest.mark.parametrize("nx", [0, 3])
-def test_the_root_of_a_sub_chain_is_bookkeeping(nx: int, finer: int, share: float) -> None:
-    # Over 20 steps at full force the two came apart by at most 0.055 of the distance that the rope
-    # moved, 0.014 at a quarter of the timestep: it is the integrator's error. Beads are turned
-    # alike, because MuJoCo's drag treats a bead as a box, so that its twist matters.
-    here, there = (
-        Rope(RopeConfig(rooted=rooted, timestep=0.008 / finer, frame_skip=24 * finer))
-        for rooted in ("middle", "start")
-    )
-    points = here.from_curve(curled(nx))
-    qpos = here.qpos(points)
-    starts = [qpos, turned_alike(here, there, qpos)]
-    rng = np.random.default_rng(0)
-    for _ in range(4):
-        bead, force = int(rng.integers(100)), rng.choice([-0.2, 0.2], 3)
-        ends = []
-        for rope, start in zip((here, there), starts, strict=True):
-            simulation = MujocoSimulation(1, rope)
-            simulation.lay(start[None])
-            assert simulation.step([bead], force[None]).all()
-            ends.append(simulation.points[0].copy())
-        moved_by = np.linalg.norm(ends[0] - points, axis=1).max()
-        assert moved_by > 0.02
-        assert np.linalg.norm(ends[0] - ends[1], axis=1).max() < share * moved_by

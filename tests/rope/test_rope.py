@@ -1,8 +1,10 @@
 """The rope model matches the published one, and configurations and qpos convert without loss."""
 
 import hashlib
+from dataclasses import fields
 from typing import Any
 
+import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
@@ -10,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput
+from knotgym.common import InvalidInput, NonNegative, configuration
 from knotgym.rope.closed_curves import _add_solution, clearance
-from knotgym.rope.model import Rope, RopeConfig, sub_chains
+from knotgym.rope.model import Rope, RopeConfig, rope_of, sub_chains
+from knotgym.states import read_states, shipped
 from knotgym.topology import label
 
 from ..conftest import curled, trefoil
@@ -25,12 +28,32 @@ def chords(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
 
 
-@pytest.mark.parametrize(
-    "name", ["length", "radius", "joint_damping", "timestep", "frame_skip", "rooted"]
-)
+# stored in every file of the rope that ships; another value would make them unreadable
+PUBLISHED = "68d74ed3ebfefb54"
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(RopeConfig)])
 def test_fingerprint_changes_with_every_number(name: str) -> None:
-    other: Any = {"rooted": "start", "radius": 0.004}.get(name) or 2 * getattr(RopeConfig(), name)
+    other: Any = {"radius": 0.004, "beads": 120}.get(name) or 2 * getattr(RopeConfig(), name)
     assert RopeConfig(**{name: other}).fingerprint != RopeConfig().fingerprint
+
+
+@configuration
+class Rubbing(RopeConfig):
+    """A rope with a parameter that no file knows."""
+
+    friction: NonNegative = 0.0
+
+
+def test_a_new_parameter_leaves_files_readable_where_it_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("knotgym.rope.model.RopeConfig", Rubbing)
+    assert isinstance(rope_of(100), Rubbing)
+    assert rope_of(100).fingerprint == read_states(shipped()).attributes["rope"] == PUBLISHED
+    gym.make("knotgym/Tie-v0", nx=1, engine="chain").reset(seed=0)
+    assert Rubbing(length=2.0).fingerprint == RopeConfig(length=2.0).fingerprint
+    assert len({Rubbing(friction=x).fingerprint for x in (0.0, 0.1, 0.2)}) == 3
 
 
 def test_model_has_the_published_sizes(rope: Rope) -> None:
@@ -56,9 +79,7 @@ def test_sub_chains_cover_the_loop_once() -> None:
     assert [bead for first, last in chains for bead in range(first, last + 1)] == list(range(100))
 
 
-@pytest.mark.parametrize("rooted", ["middle", "start"])
-def test_vertices_are_mujocos_body_positions(rooted: str, tangled: NDArray[np.float64]) -> None:
-    rope = Rope(RopeConfig(rooted=rooted))
+def test_vertices_are_mujocos_body_positions(rope: Rope, tangled: NDArray[np.float64]) -> None:
     data = mujoco.MjData(rope.model)
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -79,11 +100,9 @@ def test_many_points_at_once_are_the_points_one_by_one(
     assert np.array_equal(many.reshape(6, 100, 3), [rope.points(one) for one in tangled[:6]])
 
 
-@pytest.mark.parametrize("rooted", ["middle", "start"])
-def test_points_come_back_from_qpos(rooted: str, rope: Rope, tangled: NDArray[np.float64]) -> None:
-    own = Rope(RopeConfig(rooted=rooted))
+def test_points_come_back_from_qpos(rope: Rope, tangled: NDArray[np.float64]) -> None:
     for points in rope.points(tangled):
-        assert np.abs(own.points(own.qpos(points)) - points).max() < 1e-6
+        assert np.abs(rope.points(rope.qpos(points)) - points).max() < 1e-6
 
 
 def test_qpos_holds_unit_quaternions(rope: Rope, tangled: NDArray[np.float64]) -> None:
