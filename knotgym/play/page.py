@@ -1,17 +1,20 @@
 """The page that `knotgym play` serves: each browser tab has a rope and a thread of its own.
 
-It is on the loopback alone. A page of another site can't connect: the handshake checks the headers
-Host and Origin. And viser's tunnel to a public host, which any tab could ask for, is taken away.
+It is on the loopback alone, and its address has a token, without which no other user of the machine
+can connect. A page of another site can't connect either: the handshake checks the headers Host and
+Origin. And viser's tunnel to a public host, which any tab could ask for, is taken away.
 """
 
 import io
 import logging
 import re
+import secrets
 import socket
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import replace
 from http import HTTPStatus
 from typing import Any, Self
 
@@ -20,14 +23,19 @@ from knotgym.play.page_config import PageConfig
 
 _MOST_TABS = 16  # ropes at a time
 _HOST = "127.0.0.1"
-_OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?", re.IGNORECASE)
+# what a browser on this machine, or at the other end of a tunnel, may be told to open
+_OWN_HOST = re.compile(r"(127(\.\d+){3}|0\.0\.0\.0|\[::1\]|localhost)(:\d+)?", re.IGNORECASE)
+_REFUSAL = """\
+Open the address that knotgym play printed, with all that follows the port.
+From another machine use a tunnel, ssh -L 8080:127.0.0.1:8080 HOST, and the same address.
+"""
 
 
 class Page:
     """A running server; a context manager.
 
     Attributes:
-        address: what to open.
+        address: what to open, with the token.
         players: the tabs that play, by viser's number of the client.
     """
 
@@ -49,7 +57,7 @@ class Page:
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a tab that left
         self._open_tab = open_tab
         self.players: dict[int, Any] = {}
-        self._lock = threading.Lock()
+        self._lock, token = threading.Lock(), secrets.token_urlsafe(12)
 
         class LocalServer(viser.ViserServer):
             """A server that never opens a tunnel, even on request."""
@@ -58,7 +66,7 @@ class Page:
                 return None
 
         # viser prints its address, which the command says too
-        with redirect_stdout(io.StringIO()), _guarded_handshakes():
+        with redirect_stdout(io.StringIO()), _guarded_handshakes(token):
             self._server = LocalServer(
                 host=_HOST, port=config.port, label="knotgym play", verbose=False
             )
@@ -69,7 +77,7 @@ class Page:
         self._server.gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, control_width="medium"
         )
-        self.address = f"http://{_HOST}:{self._server.get_port()}"
+        self.address = f"http://{_HOST}:{self._server.get_port()}/{token}/"
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._gone)
 
@@ -100,17 +108,20 @@ class Page:
 
 
 @contextmanager
-def _guarded_handshakes() -> Iterator[None]:
-    """Let a server that is started in the block refuse the handshakes of other sites' pages."""
+def _guarded_handshakes(token: str) -> Iterator[None]:
+    """Let a server that is started in the block refuse requests without its token or of others."""
     import websockets.asyncio.server as module
 
     whole = module.serve
 
     def serve(handler: Any, *given: Any, process_request: Any = None, **named: Any) -> Any:
         def checked(connection: Any, request: Any) -> Any:
-            if _is_own_page(request.headers):
-                return process_request(connection, request)
-            return connection.respond(HTTPStatus.FORBIDDEN, "not from this page\n")
+            # the page asks at its own address, of which viser knows no token
+            first, _, rest = request.path.removeprefix("/").partition("/")
+            has_token = secrets.compare_digest(first.encode(errors="replace"), token.encode())
+            if has_token and _is_own_page(request.headers):
+                return process_request(connection, replace(request, path=f"/{rest}"))
+            return connection.respond(HTTPStatus.FORBIDDEN, _REFUSAL)
 
         return whole(handler, *given, process_request=checked, **named)
 
@@ -128,6 +139,8 @@ def _is_own_page(headers: Mapping[str, str]) -> bool:
     browser takes this server for; it is another site's where that site's name leads here.
 
     >>> _is_own_page({"Host": "localhost:8080", "Origin": "http://localhost:8080"})
+    True
+    >>> _is_own_page({"Host": "[::1]:8080", "Origin": "http://[::1]:8080"})
     True
     >>> _is_own_page({"Host": "localhost:8080", "Origin": "https://evil.example"})
     False

@@ -1,6 +1,7 @@
 """The page is attacked, and left."""
 
 import errno
+import http.client
 import os
 import signal
 import socket
@@ -44,12 +45,12 @@ def until(condition: Any, seconds: float = 60) -> None:
 class Tab:
     """A client without a browser, which may say anything."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, page: Page) -> None:
         import viser
         from websockets.sync.client import connect
 
         self.socket = connect(
-            f"ws://127.0.0.1:{port}", subprotocols=[f"viser-v{viser.__version__}"], max_size=None
+            socket_address(page), subprotocols=[f"viser-v{viser.__version__}"], max_size=None
         )
         self.say(
             "ViewerCameraMessage", wxyz=(1, 0, 0, 0), position=(0, 0, 4), fov=1.0, near=0.01,
@@ -75,11 +76,16 @@ def page() -> Iterator[Page]:
 
 
 def port_of(page: Page) -> int:
-    return int(page.address.rpartition(":")[2])
+    return int(page.address.split("/")[2].rpartition(":")[2])
+
+
+def socket_address(page: Page) -> str:
+    """Where the page of a browser connects to, see `getDefaultServerFromUrl` of viser's client."""
+    return page.address.replace("http://", "ws://").rstrip("/")
 
 
 def test_garbage_ends_the_tab_that_sent_it(page: Page) -> None:
-    good, bad = Tab(port_of(page)), Tab(port_of(page))
+    good, bad = Tab(page), Tab(page)
     until(lambda: len(page.players) == 2)
     bad.socket.send(bytes(range(256)))
     until(lambda: len(page.players) == 1)
@@ -90,10 +96,10 @@ def test_garbage_ends_the_tab_that_sent_it(page: Page) -> None:
 
 
 def test_a_flood_delays_nobody_else(page: Page) -> None:
-    quiet = Tab(port_of(page))
+    quiet = Tab(page)
     until(lambda: len(page.players) == 1)
     player = next(iter(page.players.values()))
-    loud = Tab(port_of(page))
+    loud = Tab(page)
     until(lambda: len(page.players) == 2)
     for number in range(10_000):
         loud.drag(number % 100, (0.1, 0.1, 0.0))
@@ -113,7 +119,7 @@ def test_a_flood_delays_nobody_else(page: Page) -> None:
 def test_a_drag_of_nonsense_is_harmless(page: Page, bead: Any, place: Any) -> None:
     from websockets.exceptions import ConnectionClosed
 
-    tab = Tab(port_of(page))
+    tab = Tab(page)
     until(lambda: page.players)
     player = page.players[0]
     with suppress(ConnectionClosed):  # viser itself may end the tab
@@ -126,23 +132,42 @@ def test_a_drag_of_nonsense_is_harmless(page: Page, bead: Any, place: Any) -> No
 
 
 @pytest.mark.parametrize(
-    "headers",
-    [{"Origin": "https://evil.example"}, {"Host": "evil.example"}],
-    ids=["another site's page", "another site's name for this machine"],
+    "host, path, headers",
+    [
+        ("127.0.0.1", "", {"Origin": "https://evil.example"}),
+        ("evil.example", "", {}),
+        ("127.0.0.1", "/", {}),
+        ("127.0.0.1", "/another-token", {}),
+        ("127.0.0.1", "/%C3%A9", {}),
+    ],
+    ids=["another site's page", "another site's name", "no token", "another token", "not ASCII"],
 )
-def test_pages_of_other_sites_are_not_let_in(page: Page, headers: dict[str, str]) -> None:
+def test_who_does_not_have_the_address_is_not_let_in(
+    page: Page, host: str, path: str, headers: dict[str, str]
+) -> None:
     import viser
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
     protocols: Any = [f"viser-v{viser.__version__}"]
-    host = headers.pop("Host", "127.0.0.1")
+    uri = socket_address(page).replace("127.0.0.1", host)
+    uri = f"ws://{host}:{port_of(page)}{path}" if path else uri
     with socket.create_connection(("127.0.0.1", port_of(page))) as wire:
-        with pytest.raises(InvalidStatus, match="403"):
-            uri = f"ws://{host}:{port_of(page)}"
+        with pytest.raises(InvalidStatus, match="403") as refused:
             connect(uri, sock=wire, subprotocols=protocols, additional_headers=headers)
-    Tab(port_of(page))
+    assert b"the address that knotgym play printed" in refused.value.response.body
+    Tab(page)
     until(lambda: len(page.players) == 1)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]", "0.0.0.0"])
+def test_the_page_is_served_to_whatever_leads_to_the_loopback(page: Page, host: str) -> None:
+    wire = http.client.HTTPConnection("127.0.0.1", port_of(page))
+    path = "/" + page.address.split("/", 3)[3]
+    named = f"{host}:{port_of(page)}"
+    wire.request("GET", path, headers={"Host": named, "Origin": f"http://{named}"})
+    answer = wire.getresponse()
+    assert answer.status == 200 and b"<!doctype html>" in answer.read()
 
 
 def test_no_tab_can_open_a_tunnel_to_a_public_host(
@@ -152,7 +177,7 @@ def test_no_tab_can_open_a_tunnel_to_a_public_host(
 
     opened: list[Any] = []
     monkeypatch.setattr(_viser, "ViserTunnel", lambda *given: opened.append(given))
-    tab = Tab(port_of(page))
+    tab = Tab(page)
     until(lambda: page.players)
     tab.say("ShareUrlRequest")
     player = page.players[0]
@@ -165,7 +190,7 @@ def test_no_tab_can_open_a_tunnel_to_a_public_host(
 def test_a_full_disk_is_told_and_the_tab_goes_on(
     page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tab = Tab(port_of(page))
+    tab = Tab(page)
     until(lambda: page.players)
     player, told = page.players[0], list[Any]()
     monkeypatch.setattr(player._client, "add_notification", lambda *said, **_: told.append(said))
