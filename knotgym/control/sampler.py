@@ -17,15 +17,33 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidPolicy, Schema, Stream, Table, derived_seed, generator
-from knotgym.datasets import EPISODES, MACROS, RECORDED, STEPS, Episodes, code_sizes, fitted
+from knotgym.common import (
+    InvalidInput,
+    InvalidPolicy,
+    Schema,
+    Stream,
+    Table,
+    derived_seed,
+    generator,
+)
+from knotgym.datasets import (
+    EPISODES,
+    MACROS,
+    RECORDED,
+    STEPS,
+    Episodes,
+    Shown,
+    code_sizes,
+    fitted,
+    state_columns,
+)
 from knotgym.envs import EpisodeBatch, Outcome, TaskConfig
 from knotgym.rope import encode_actions
 
 Ids = NDArray[np.int64]
 
-_STATES = frozenset({"observation", "visits", "signs", "crossings"})  # the last state has them too
 _CODES = ("visits", "signs")  # columns that widen with the longest code
+_PULLED = frozenset({"bead", "force", "action", "expert_action", *MACROS})
 _OUTCOMES = ("reward", "terminated", "truncated", "applied_fraction")
 
 # Of speed and memory alone: no result depends on these three. `python benchmarks/collect.py`
@@ -299,6 +317,12 @@ class _Record:
         if not advised:
             names = [name for name in names if name != "expert_action"]
         self._schema = self._sized((keep or STEPS).only(*names))
+        self._states = {c.name for c in self._schema.columns if c.of == "state"}
+        if unknown := {*names} - self._states - _PULLED - {*_OUTCOMES}:
+            raise InvalidInput(
+                f"nothing fills column {', '.join(sorted(unknown))} of steps: a column of a state"
+                " is `derived`, one of a pull is filled in knotgym/control/sampler.py"
+            )
         self._episodes = self._sized(EPISODES if "observation" in names else RECORDED)
         length = batch.task.horizon + 1
         self._steps = {
@@ -352,7 +376,7 @@ class _Record:
         batch, number = self._batch, int(self._batch.number[index])
         length = int(batch.steps[index])
         for name, kept in self._steps.items():
-            if name not in _STATES:
+            if name not in self._states:
                 kept[index, length] = 0  # no pull is made in the last state
         self._parts[number] = {
             name: kept[index, : length + 1].copy() for name, kept in self._steps.items()
@@ -381,6 +405,11 @@ class _Record:
         # goals were kept at the width that codes had then; all get the final one
         width = 2 * self._batch.signs.shape[1]
         rows: dict[str, Any] = {}
+        if unknown := {c.name for c in self._episodes.columns} - {*self._rows[0]}:
+            raise InvalidInput(
+                f"nothing fills column {', '.join(sorted(unknown))} of episodes: it is filled in"
+                " knotgym/control/sampler.py"
+            )
         for column in self._episodes.columns:
             values = [row[column.name] for row in self._rows]
             if column.name == "goal_visits":
@@ -406,14 +435,14 @@ class _Record:
 
     def _see(self, ids: Ids) -> None:
         batch = self._batch
-        if "observation" in self._steps:
-            self._put("observation", ids, batch.simulation.points[ids])
-        for name in ("visits", "signs", "crossings"):
-            if name in self._steps:
-                values = getattr(batch, name)[ids]
-                if name != "crossings" and values.shape[1] > self._steps[name].shape[2]:
-                    self._steps[name] = _padded(self._steps[name], values.shape[1])
-                self._put(name, ids, values)
+        if not self._states:
+            return
+        codes = (batch.visits[ids], batch.signs[ids], batch.crossings[ids])
+        shown = Shown(batch.simulation.points[ids], *codes)
+        for name, values in state_columns(self._schema, shown).items():
+            if name in _CODES and values.shape[1] > self._steps[name].shape[2]:
+                self._steps[name] = _padded(self._steps[name], values.shape[1])
+            self._put(name, ids, values)
 
     def _actions(self, pulls: Pulls) -> NDArray[np.float32]:
         simulation = self._batch.simulation

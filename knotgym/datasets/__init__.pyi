@@ -27,6 +27,7 @@ from .episodes import RECORDED as RECORDED
 from .episodes import STARTS as STARTS
 from .episodes import STEPS as STEPS
 from .episodes import Episodes as Episodes
+from .episodes import Shown as Shown
 from .episodes import code_sizes as code_sizes
 from .episodes import codes_held as codes_held
 from .episodes import differences as differences
@@ -39,6 +40,7 @@ from .episodes import goal_reached as goal_reached
 from .episodes import goals_reached as goals_reached
 from .episodes import merged as merged
 from .episodes import ranges as ranges
+from .episodes import state_columns as state_columns
 from .exports.exporters import export as export
 from .exports.exporters import export_help as export_help
 from .foreign_file import try_files as try_files

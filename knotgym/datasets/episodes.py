@@ -27,6 +27,12 @@ from knotgym.common import Column, InvalidInput, Schema, Table, joined
 from knotgym.envs import TaskConfig
 from knotgym.topology import NEGATIVE, POSITIVE, GaussCode
 
+
+def _of(what: str, *columns: Column) -> tuple[Column, ...]:
+    """Return columns of a "state" or of a "pull"; the last state of an episode has no pull."""
+    return tuple(column._replace(of=what) for column in columns)
+
+
 _STARTS = (
     Column("seed", "int64", (), "", "of start, goal and the policy's draws; -1 if none is known"),
     Column("start", "int64", (), "", "row of the states that it starts in, before reset noise"),
@@ -43,7 +49,8 @@ _PLAYED = (
     Column("return_", "float64", (), "", "sum of the rewards"),
     Column("planner_steps", "int64", (), "pulls", "that the policy simulated to plan"),
 )
-_PULLS = (
+_PULLS = _of(
+    "pull",
     Column("bead", "uint16", (), "", "that is pulled, at its centre"),
     Column("force", "float32", (3,), "of max_force", "that it is pulled with"),
     Column("macro_start", "bool", (), "", "the pull is the first of a macro-action", True),
@@ -51,18 +58,24 @@ _PULLS = (
     Column("macro_target", "uint16", (), "", "bead whose strand the macro-action passes", True),
     Column("macro_side", "int8", (), "", "+1 over, -1 under; 0 without a macro-action", True),
 )
-_FRAMES = (
-    Column("observation", "float32", ("beads", 3), "m", "vertices of the rope"),
+_OUTCOMES = _of(
+    "pull",
     Column("action", "float32", (6,), "[-1, 1]", "the same pull: bead's position / reach, force"),
     Column("reward", "float64", (), "", "of the pull"),
     Column("terminated", "bool", (), "", "the pull reached the goal, and the episode ended"),
     Column("truncated", "bool", (), "", "the episode ended without"),
     Column("applied_fraction", "float32", (), "", "of the force, that the engine applied"),
+)
+_SHOWN = _of(
+    "state",
     Column("visits", "int16", ("visits",), "", "Gauss code: +label over, -label under, then 0"),
     Column("signs", "int8", ("labels",), "", "of crossings 1, 2, ...: +1 positive, -1, then 0"),
     Column("crossings", "int16", (), "", "how many there are"),
-    Column("expert_action", "float32", (6,), "[-1, 1]", "what the expert would do here", True),
 )
+_OBSERVATION = Column("observation", "float32", ("beads", 3), "m", "vertices of the rope")
+# asked for in each state but the last, like a pull
+_ADVICE = Column("expert_action", "float32", (6,), "[-1, 1]", "what the expert would do here", True)
+_FRAMES = (*_of("state", _OBSERVATION), *_OUTCOMES, *_SHOWN, *_of("pull", _ADVICE))
 _GOALS = (Column("goal_points", "float32", ("beads", 3), "m", "vertices that show the goal"),)
 
 STARTS = Schema("episodes", _STARTS, "where an episode begins")
@@ -77,6 +90,36 @@ NOT_STEPPED = frozenset(
     {"planner_steps", "expert_action"}
 )  # a replay plans nothing and asks no expert
 RELABEL = ("last", "all")
+
+
+class Shown(NamedTuple):
+    """States of n ropes, from which a column of a state is `derived`.
+
+    Attributes:
+        observation: float64 (n, beads, 3), vertices, metres.
+        visits, signs, crossings: their codes, as the columns of these names.
+    """
+
+    observation: NDArray[np.float64]
+    visits: NDArray[np.int16]
+    signs: NDArray[np.int8]
+    crossings: NDArray[np.int64]
+
+
+def state_columns(schema: Schema, shown: Shown) -> dict[str, NDArray[Any]]:
+    """Return the columns of states of a schema by name, from what the states show.
+
+    Raises:
+        InvalidInput: nothing says how a column is computed.
+    """
+    columns = {c.name: c.derived for c in schema.columns if c.of == "state"}
+    if unknown := [name for name, of in columns.items() if not of and name not in shown._fields]:
+        raise InvalidInput(
+            f"nothing computes column {', '.join(unknown)} of steps: give it `derived`, a function"
+            " of `Shown`, in knotgym/datasets/episodes.py"
+        )
+    given = shown._asdict()
+    return {name: of(shown) if of else given[name] for name, of in columns.items()}
 
 
 class Episodes(NamedTuple):

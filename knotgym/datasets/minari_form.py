@@ -51,13 +51,18 @@ from knotgym.datasets.episode_dataset import (
     open_episodes,
     write_episodes,
 )
-from knotgym.datasets.episodes import MACROS, Episodes, gauss_codes, goal_reached
+from knotgym.datasets.episodes import STEPS, Episodes, gauss_codes, goal_reached
 from knotgym.envs import TaskConfig
 from knotgym.rope import action_space
 from knotgym.states import CODE_SPLITS, STATE_SPLITS, minari_root
 
 MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default
 METADATA = "metadata.json"
+# columns of steps that Minari's form has under other names
+_PLACED = {
+    *("observation", "action", "reward", "terminated", "truncated"),
+    *("force", "applied_fraction", "visits", "signs"),
+}
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
 _COUNTED = ("dataset_size", "minari_version", "requirements")  # of the machine that wrote them
 # A chunk of pictures is a strip: a few pixel rows of eight consecutive frames, which differ little.
@@ -305,8 +310,12 @@ def _minari_episodes(
         "bead": led(steps["bead"].astype(np.int64), -1),
         "force": led(applied),
         "applied_share": led(share, 1),
-        **{name: led(steps[name]) for name in MACROS if name in steps},
         **{name: steps[name] for name in ("expert_action",) if name in steps},
+    }
+    infos |= {  # columns that have no other place in Minari's form
+        c.name: steps[c.name] if c.of == "state" else led(steps[c.name])
+        for c in STEPS.columns
+        if c.name in steps and c.name not in (*_PLACED, *infos)
     }
     numbers = {"seed": own["seed"], "options/start": own["start"], "options/goal": own["goal"]}
     for k in range(own.rows):

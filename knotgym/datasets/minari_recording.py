@@ -28,7 +28,15 @@ from knotgym.common import (
     read_json,
     require_stored_here,
 )
-from knotgym.datasets.episodes import EPISODES, MACROS, STEPS, Episodes, goal_reached, merged
+from knotgym.datasets.episodes import (
+    EPISODES,
+    STEPS,
+    Episodes,
+    Shown,
+    goal_reached,
+    merged,
+    state_columns,
+)
 from knotgym.envs import TaskConfig
 
 
@@ -98,14 +106,12 @@ def _episode(
         "visits": codes.visits.shape[1],
         "labels": codes.signs.shape[1],
     }
-    kept = [one.name for one in STEPS.columns if one.name not in (*MACROS, "expert_action")]
-    schema = STEPS.sized(**sizes).only(*kept)
-    steps = schema.empty(pulls + 1) | {
-        "observation": ropes,
-        "visits": codes.visits[:-1],
-        "signs": codes.signs[:-1],
-        "crossings": codes.crossings[:-1].astype(np.int16),
-    }
+    optional = [c.name for c in STEPS.columns if c.of == "pull" and c.optional]
+    schema = STEPS.sized(**sizes).without(*optional)
+    shown = Shown(points, codes.visits[:-1], codes.signs[:-1], codes.crossings[:-1])
+    steps = schema.empty(pulls + 1)
+    for column, found in state_columns(schema, shown).items():
+        steps[column][:] = found
     led: dict[str, Any] = {
         "bead": decode_actions(actions, points[:pulls], rope)[0],
         "force": np.clip(actions[:, 3:], -1, 1),

@@ -30,7 +30,7 @@ from knotgym.datasets.cards.fact_tables import table
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.episodes import distinct
-from knotgym.datasets.exports.parquet_tables import step_tables, write_parquet
+from knotgym.datasets.exports.parquet_tables import rows_of_steps, step_tables, write_parquet
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.image_table import arrow
 from knotgym.datasets.located import Located
@@ -93,9 +93,10 @@ def _tables(source: Located) -> Iterator[tuple[str, str, Iterable[Table]]]:
             " themselves"
         )
     pictures = all(one.task.observation in ("pixels", "both") for one in datasets)
+    columns = rows_of_steps(datasets, pictures)
     for split in dict.fromkeys(one.task.split for one in datasets):
         own = [one for one in datasets if one.task.split == split]
-        tables = (part for one in own for part in step_tables(one, pictures))
+        tables = (part for one in own for part in step_tables(one, columns))
         yield "steps", split.replace("-", "_"), tables  # Hugging Face's splits have no dashes
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Column, Schema, Table
+from knotgym.common import Column, Schema, Table, filled
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import STEPS, gauss_codes, goal_reached, ranges
 from knotgym.datasets.image_table import arrow, encode, picture_column, shown
@@ -32,20 +32,32 @@ _PLACES = (
     Column("goal_points", "float32", ("beads", 3), "m", "vertices that show the goal"),
 )
 _IMAGE = Column("image", "uint8", ("height", "width", 3), "", "what the environment shows", True)
-# columns that some datasets lack are left out, because a file's rows have the same columns
 _KEPT = tuple(
     column._replace(name="points") if column.name == "observation" else column
     for column in STEPS.columns
-    if column.name not in ("visits", "signs") and not column.optional
+    if column.name not in ("visits", "signs")
 )
 ROWS_OF_STEPS = Schema("steps", (*_TEXTS, *_PLACES, *_KEPT, _IMAGE))
 
 
-def step_tables(dataset: EpisodeDataset, pictures: bool) -> Iterator[Table]:
-    """Yield a dataset's states, one row each, in tables of some episodes."""
+def rows_of_steps(datasets: Iterable[EpisodeDataset], pictures: bool) -> Schema:
+    """Return the columns of a file of these datasets: optional ones if any of them has them."""
+    stored = {name for one in datasets for name in one.episodes.steps}
+    lacking = [c.name for c in _KEPT if c.optional and c.name not in stored]
+    return ROWS_OF_STEPS.without(*lacking, *([] if pictures else ["image"]))
+
+
+def step_tables(dataset: EpisodeDataset, schema: Schema) -> Iterator[Table]:
+    """Yield a dataset's states, one row each, in tables of some episodes.
+
+    Args:
+        dataset: columns.
+        schema: `rows_of_steps`; optional columns that the dataset lacks hold `Column.unknown`.
+    """
+    pictures = any(column.name == "image" for column in schema.columns)
     for first in range(0, dataset.episodes.episodes.rows, _AT_ONCE):
         last = min(first + _AT_ONCE, dataset.episodes.episodes.rows)
-        yield _step_table(dataset.select(np.arange(first, last)), first, pictures)
+        yield filled(_step_table(dataset.select(np.arange(first, last)), first, pictures), schema)
 
 
 def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:
