@@ -222,7 +222,7 @@ def import_(given: Given) -> None:
 
     Args:
         curves: Files of closed curves: rows x,y,z or name,x,y,z (.csv, .tsv, .txt, .dat, .xyz),
-            .obj, .vect, .json, .npy or .npz.
+            .vect, .json, .npy or .npz.
         out: State file to write, such as states.h5.
     """
     if not given["curves"]:

@@ -17,8 +17,6 @@ from .chain.layout import STATE as STATE
 from .chain.solver import SCHEDULE as SCHEDULE
 from .chain.solver import advance as advance
 from .closed_curves import require_embedded as require_embedded
-from .curve_files import Curve as Curve
-from .curve_files import read_curves as read_curves
 from .engines import CHAIN as CHAIN
 from .engines import ENGINES as ENGINES
 from .engines import MUJOCO as MUJOCO
@@ -50,7 +48,6 @@ from .model import RopeConfig as RopeConfig
 from .model import rope_of as rope_of
 from .model import sub_chains as sub_chains
 from .mujoco_simulation import MujocoSimulation as MujocoSimulation
-from .relaxation import relaxed as relaxed
 from .reset_noise import least_clearance as least_clearance
 from .reset_noise import noised as noised
 from .reset_noise import start_qpos as start_qpos

@@ -1,7 +1,7 @@
 """Lay closed curves from files as states.
 
 A curve is cut into beads, scaled to the rope's length, relaxed as little as needed
-(`rope.relaxation`), laid in the simulator, left to rest and judged by the limits of drawn states.
+(`relaxation`), laid in the simulator, left to rest and judged by the limits of drawn states.
 It keeps the Gauss code that it shows from +z, and its knot must be certified.
 """
 
@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 
 from knotgym.common import InvalidInput, Stream, key
+from knotgym.generate.states.curve_files import Curve, read_curves
+from knotgym.generate.states.relaxation import relaxed
 from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_rows import row_of, stacked, states_of
 from knotgym.quality import UNITS, Limits, Quality
 from knotgym.rope import (
     Array,
-    Curve,
     Rope,
     RopeConfig,
     Simulation,
-    read_curves,
-    relaxed,
     require_embedded,
     simulation_of,
 )

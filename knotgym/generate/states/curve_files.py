@@ -1,22 +1,22 @@
 """Files of closed curves, read in the forms in which others publish them.
 
     .csv .tsv .txt .dat .xyz   rows x y z or name x y z; the first may name the columns
-    .obj                       line elements, or else the vertices of each object in their order
     .vect                      polylines of Geomview
     .json                      [[x, y, z], ...], also by name
     .npy .npz                  arrays (n, 3)
 
-Several curves in one file have names of their own: in the first column, after `o` or `g`, or as
-keys. Components without them, such as parts between empty rows, pieces of an object, polylines and
-nested lists, are those of a link, which is refused.
+A first row with the number of rows, a first column that counts them, and a last row that repeats
+the first are recognized in each. Several curves in one file have names of their own: in the first
+column or as keys. Components without them, such as parts between empty rows, polylines and nested
+lists, are those of a link, which is refused.
 """
 
 import codecs
 import json
 import re
-from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain, groupby, islice, pairwise
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import chain, groupby
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,12 +25,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from knotgym.common import InvalidInput, one_line, require_regular
-from knotgym.rope.model import Array
+from knotgym.rope import Array
 
 _MOST = 1_000_000  # lines or points of a file, characters of a line
 _MOST_CURVES = 20_000  # of a file
 _COMMENT = re.compile(r"(?:^|\s)#.*")  # 3_1#4_1 is a name
-_Vertex = tuple[tuple[int, str], tuple[float, float, float]]  # its object, and where it is
 Components = Iterator[tuple[str, ArrayLike]]  # a name, "" without, and points (n, 3)
 
 
@@ -83,9 +82,26 @@ def _array(points: ArrayLike) -> Array:
     values = np.asarray(points)
     if values.dtype.kind not in "fiu":
         raise InvalidInput("a curve consists of real numbers")
-    if values.size > 3 * _MOST:
+    if values.size > 4 * _MOST or values.shape[:1] > (_MOST,):
         raise InvalidInput(f"a curve has more than {_MOST} points")
-    return values.astype(np.float64)
+    points = values.astype(np.float64)
+    if points.ndim == 2 and points.shape[1] == 4 and _counts_rows(points[:, 0], points[:, 1:]):
+        points = points[:, 1:]
+    if len(points) > 3 and points.ndim == 2 and (np.diff(points[:, 0]) == 1).all():
+        raise InvalidInput("its first column counts the rows, and beside it x y z are needed")
+    return points
+
+
+def _counts_rows(numbers: Array, points: Array) -> bool:
+    """Tell whether numbers count rows: whole and rising, but in a last row that repeats the first.
+
+    Args:
+        numbers: float64 (n,).
+        points: float64 (n, 3), of the same rows.
+    """
+    if len(points) > 1 and numbers[-1] == numbers[0] and (points[-1] == points[0]).all():
+        numbers = numbers[:-1]
+    return bool((numbers % 1 == 0).all() and (np.diff(numbers) > 0).all())
 
 
 def _lines(path: Path) -> Iterator[str]:
@@ -105,23 +121,38 @@ def _lines(path: Path) -> Iterator[str]:
 
 def _from_table(path: Path) -> Components:
     """Read rows x y z or name x y z, parted by commas, semicolons, tabs or spaces."""
-    lines = _lines(path)
-    if path.suffix.lower() == ".xyz":
-        lines = _without_counts(lines)
     component: list[tuple[str, list[float]]] = []
-    begun = False
-    for number, line in enumerate(chain(lines, [""]), 1):
-        text = _COMMENT.sub("", line).strip()
-        # the first of these that the row has; None parts by any white space
-        parted_by = next((mark for mark in ",;\t" if mark in text), None)
-        words = [word.strip(" \t\"'") for word in text.split(parted_by)]
-        if any(words):
+    announced, begun, counted = "", False, False  # counted: the last line told how many rows follow
+    for number, line in enumerate(chain(_lines(path), [""]), 1):
+        words = _words(line)
+        is_row = len(words) in (3, 4) and _numbers(words[-3:])
+        if counted and not is_row:  # chemists' files have a comment there
+            counted = False
+        elif words[0].isdecimal() and len(words) == 1:
+            yield from _by_name(component, announced, path)
+            component, announced, counted = [], words[0], True
+        elif any(words):
             if begun or [word.lower() for word in words[-3:]] != ["x", "y", "z"]:
                 component.append(_row(words, number))
-            begun = True
+            begun, counted = True, False
         elif not line.lstrip().startswith("#"):
-            yield from _by_name(component)
-            component = []
+            yield from _by_name(component, announced, path)
+            component, announced = [], ""
+
+
+def _words(line: str) -> list[str]:
+    text = _COMMENT.sub("", line).strip()
+    # the first of these that the row has; None parts by any white space
+    parted_by = next((mark for mark in ",;\t" if mark in text), None)
+    return [word.strip(" \t\"'") for word in text.split(parted_by)] or [""]
+
+
+def _numbers(words: Sequence[str]) -> list[float]:
+    """Return the numbers that words are, if all are."""
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        return []
 
 
 def _row(words: Sequence[str], number: int) -> tuple[str, list[float]]:
@@ -133,109 +164,25 @@ def _row(words: Sequence[str], number: int) -> tuple[str, list[float]]:
         raise InvalidInput(f"line {number}: {error}") from error
 
 
-def _by_name(rows: list[tuple[str, list[float]]]) -> Components:
-    """Part the rows of a component by name, unless the names only count them."""
-    try:
-        # A first column that only counts the rows, as pandas writes, is no name.
-        counts = [float(name) for name, _ in rows]
-    except ValueError:  # a name, or none
-        counts = []
-    if not all(count.is_integer() for count in counts):
+def _by_name(rows: list[tuple[str, list[float]]], announced: str, path: Path) -> Components:
+    """Part the rows of a component by name, unless the names only count them.
+
+    Args:
+        rows: names, "" without, and points.
+        announced: how many they should be, if that was told.
+        path: in chemists' files names are those of atoms.
+    """
+    if announced and len(rows) != int(announced):
+        raise InvalidInput(f"{announced} rows are announced, and there are {len(rows)}")
+    # A first column that only counts the rows, as pandas writes, is no name.
+    counts = np.array(_numbers([name for name, _ in rows]))
+    if not (counts % 1 == 0).all():
         raise InvalidInput(f"rows are x y z or name x y z, and {rows[0][0]!r} is no name")
-    if counts and all(one < other for one, other in pairwise(counts)):
+    counting = len(counts) > 0 and _counts_rows(counts, np.array([point for _, point in rows]))
+    if counting or announced and path.suffix.lower() == ".xyz":
         rows = [("", point) for _, point in rows]
     for name, same in groupby(rows, itemgetter(0)):
         yield name, [point for _, point in same]
-
-
-def _without_counts(lines: Iterator[str]) -> Iterator[str]:
-    """Leave x y z of a molecule's file: the number of atoms, a comment, and a row for each."""
-    # Chemists' files begin with the number of atoms; others with this suffix are plain tables.
-    first = next(lines, "")
-    lines = chain([first], lines)
-    if not first.strip().isdecimal():
-        yield from lines
-        return
-    for line in lines:
-        yield ""
-        yield next(lines, "") and "#"
-        for row in islice(lines, int(line or 0)):
-            yield " ".join(row.split()[1:])
-
-
-def _from_obj(path: Path) -> Components:
-    part = (0, "")  # number and name of the object
-    vertices: list[_Vertex] = []
-    joined: dict[_Vertex, list[_Vertex]] = {}  # by line elements, each to at most two
-    for number, line in _continued(_lines(path)):
-        kind, *words = line.partition("#")[0].split() or [""]
-        try:
-            if kind in ("o", "g"):
-                part = (part[0] + 1, " ".join(words))
-            elif kind == "v":
-                x, y, z = [float(word) for word in words[:3]]
-                vertices.append((part, (x, y, z)))
-            elif kind == "l":
-                for one, other in pairwise([_vertex(word, vertices) for word in words]):
-                    _join(one, other, joined)
-            elif kind == "f":
-                raise InvalidInput("a face of a surface; curves have line elements")
-        except ValueError as error:
-            raise InvalidInput(f"line {number}: {error}") from error
-    if not joined:
-        for (_, name), row in groupby(vertices, itemgetter(0)):
-            yield name, [point for _, point in row]
-    seen: set[_Vertex] = set()
-    for start in joined:
-        if start not in seen:
-            yield start[0][1], [point for _, point in _walk(start, joined, seen)]
-
-
-def _continued(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
-    r"""Number lines; one that ends with \ goes on in the next."""
-    held = ""
-    for number, line in enumerate(lines, 1):
-        held += line.rstrip()
-        if len(held) > _MOST:
-            raise InvalidInput(f"line {number} goes on for more than {_MOST} characters")
-        if held.endswith("\\"):
-            held = held[:-1] + " "
-            continue
-        yield number, held
-        held = ""
-
-
-def _vertex(word: str, vertices: Sequence[_Vertex]) -> _Vertex:
-    """Return the vertex that a line element names as 3, 3/1 or, counted from the last, -1."""
-    given = int(word.partition("/")[0])
-    if not 0 < abs(given) <= len(vertices):
-        raise InvalidInput(f"there are {len(vertices)} vertices before it, and not {given}")
-    return vertices[given - 1 if given > 0 else given]
-
-
-def _join(one: _Vertex, other: _Vertex, joined: dict[_Vertex, list[_Vertex]]) -> None:
-    for here, there in ((one, other), (other, one)):
-        neighbours = joined.setdefault(here, [])
-        if here != there and there not in neighbours:  # a vertex may be written twice
-            neighbours.append(there)
-        if len(neighbours) > 2:
-            raise InvalidInput("three line elements meet in one vertex")
-
-
-def _walk(
-    start: _Vertex, joined: dict[_Vertex, list[_Vertex]], seen: set[_Vertex]
-) -> list[_Vertex]:
-    """Follow line elements from a vertex in the direction of the first, then in the other."""
-    walk = deque([start])
-    seen.add(start)
-    for end, add in ((-1, walk.append), (0, walk.appendleft)):
-        while following := [vertex for vertex in joined[walk[end]] if vertex not in seen]:
-            seen.add(following[0])
-            add(following[0])
-    # Line elements say whether a curve closes; a vertex that is repeated at the end says so to the
-    # reader.
-    closed = len(walk) > 2 and walk[0] in joined[walk[-1]]
-    return [*walk, walk[0]] if closed else [*walk]
 
 
 def _from_vect(path: Path) -> Components:
@@ -293,7 +240,6 @@ def _stacked(name: str, values: np.ndarray) -> Components:
 # Reader and largest size, MB. Texts that are parsed as a whole take up to 40 times their size.
 _FORMS = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".xyz"), (_from_table, 64)),
-    ".obj": (_from_obj, 64),
     ".vect": (_from_vect, 16),
     ".json": (_from_json, 16),
     **dict.fromkeys((".npy", ".npz"), (_from_numpy, 64)),

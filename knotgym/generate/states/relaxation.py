@@ -10,15 +10,15 @@ lead to it, at a thousandth of the cost of simulation. Each iteration
 
 Source of step 4: position-based dynamics, Müller et al., 2007.
 
-After a change run `pytest tests/rope/test_rope.py`: a relaxed curve must keep its code, and all
-of its edges get the length of a bead.
+After a change run `pytest tests/generate/test_imported_curves.py`: a relaxed curve must keep
+its code, and all of its edges get the length of a bead.
 """
 
 import numba
 import numpy as np
 
 from knotgym.common import InvalidInput, inner
-from knotgym.rope.model import Array, Rope
+from knotgym.rope import Array, Rope
 from knotgym.topology import label
 
 # Set by hand when pictures were relaxed, too; what other values gave was not recorded. A change
