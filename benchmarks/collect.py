@@ -24,7 +24,7 @@ from knotgym.datasets import FILE, columns_of, episodes_of, write_episodes, writ
 from knotgym.envs import TaskConfig
 from knotgym.generate import CollectConfig, blocks, collect, play
 from knotgym.rope import ChainSimulation
-from knotgym.runs import Call, Recipe, RunOptions, run
+from knotgym.runs import Call, Recipe, RunOptions, identity, run
 
 ROPES, PULLS = 256, 50  # of the engine alone
 OPTIONS = RunOptions(workers=1, quiet=True)
@@ -68,7 +68,7 @@ def measure(policy: str, nx: int, episodes: int, folder: Path) -> None:
     before, out = engine_rate(starts), folder / f"{policy}-{nx}.h5"
 
     def collected() -> int:
-        run(lambda place: columns(config, place), out, {}, OPTIONS, is_folder=False)
+        run(lambda place: columns(config, place), out, identity(config), OPTIONS, is_folder=False)
         return int(columns_of(out).episodes.episodes["length"].sum())
 
     spent, steps = seconds(collected)

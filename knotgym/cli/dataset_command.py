@@ -233,8 +233,9 @@ def import_(given: Given) -> None:
 
     out, overwrite = given["out"], given.run.overwrite
     given.progress.stage("relaxing curves")
-    require_output(out, folder=False, overwrite=overwrite)
-    states, refused = import_curves([Path(name) for name in given["curves"]])
+    curves = [Path(name) for name in given["curves"]]
+    require_output(out, folder=False, overwrite=overwrite, reads=curves)
+    states, refused = import_curves(curves)
     with atomic_write(out, overwrite=overwrite) as temporary:
         write_states(temporary, states)
     knots = ", ".join(sorted(set(states.knot.tolist())))

@@ -29,7 +29,7 @@ def demo(given: Given) -> None:
     from knotgym.rendering import write_film
     from knotgym.runs import Progress, RunOptions, compile_first
 
-    require_output(out, folder=True, overwrite=overwrite)
+    require_output(out, folder=True, overwrite=overwrite, reads=[])
     compile_first(progress, plan=compile_planning)
     config = CollectConfig(
         task=TaskConfig(task="tie", nx=3, split="test", observation="both"),

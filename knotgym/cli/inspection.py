@@ -13,6 +13,7 @@ from knotgym.cli.summaries import print_episodes, print_images, print_states, pr
 from knotgym.common import Failed, InvalidInput, atomic_write, require_output
 from knotgym.control import dataset_faults, replay
 from knotgym.datasets import (
+    Located,
     differences,
     episode_tiles,
     expanded,
@@ -85,8 +86,8 @@ def checked(named: str) -> str:
 
 def gallery(named: str, out: Path, overwrite: bool) -> str:
     """Write a contact sheet; return a one-line summary."""
-    _require_picture_or_page(out, ".png", overwrite)
     found = locate(named)
+    _require_picture_or_page(out, ".png", overwrite, found)
     if found.pictures:
         tiles, what = picture_tiles(found.pictures), "pictures"
         count = len(read_table(found.pictures, columns=["nx"]))
@@ -103,19 +104,19 @@ def gallery(named: str, out: Path, overwrite: bool) -> str:
 
 def page(named: str, out: Path, overwrite: bool) -> str:
     """Write an HTML page for browsing a dataset; return a one-line summary."""
-    _require_picture_or_page(out, ".html", overwrite)
     found = locate_own(named)
+    _require_picture_or_page(out, ".html", overwrite, found)
     data = page_data(found.title, found)
     with atomic_write(out, overwrite=overwrite) as temporary:
         temporary.write_text(page_html(data), encoding="utf-8")
     return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
 
-def _require_picture_or_page(out: Path, suffix: str, overwrite: bool) -> None:
+def _require_picture_or_page(out: Path, suffix: str, overwrite: bool, found: Located) -> None:
     """Raise if the output can't be written, or might be a file of the dataset beside it."""
     if out.suffix.lower() != suffix:
         raise InvalidInput(f"the output must end in {suffix}, got {out}")
-    require_output(out, folder=False, overwrite=overwrite)
+    require_output(out, folder=False, overwrite=overwrite, reads=found.files)
 
 
 def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -> str:
@@ -125,9 +126,9 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
         InvalidInput: there is no such row, or it has no recorded actions.
         Failed: the replay ended in another state; nothing is written.
     """
-    require_output(out, folder=False, overwrite=overwrite)
     require_film(out)
     found = locate(named).only("states", "episodes")
+    require_output(out, folder=False, overwrite=overwrite, reads=found.files)
     made = _state_film(found.states, row) if found.states else _episode_film(found.episodes[0], row)
     frames, steps, difference = made
     if difference:

@@ -13,6 +13,7 @@ reach every field, under the same names.
 
 import dataclasses
 import inspect
+import os
 import re
 import tomllib
 import types
@@ -22,7 +23,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_ori
 
 from cyclopts import App, Group, Parameter
 
-from knotgym.common import InvalidInput, from_json, merged, read_json
+from knotgym.common import InvalidInput, Occupied, from_json, marked, merged, read_json
 from knotgym.runs import Progress, RunOptions
 
 Config = TypeVar("Config")
@@ -177,7 +178,17 @@ class Given:
                 fields[option.path] = value
             elif not option.is_field:
                 self._extras[option.path] = option.default if value is None else value
+        self._require_apart(options, values)
         settings = _read_settings(self._extras.get("settings"))
+        for section, kind in sections.items():
+            own = settings.get(section) if section else settings
+            for path, _, text in marked(kind, own, "typed"):
+                if text is not None:
+                    name = f"{section}.{path}" if section else path
+                    raise InvalidInput(
+                        f"a settings file may not set {name}, which reaches the network or names"
+                        f" code: type --set {name}=... if you mean it"
+                    )
         for one in self._extras.get("set") or ():
             path, sign, text = one.partition("=")
             if not sign:
@@ -186,6 +197,19 @@ class Given:
             value = _read_value(text, field.kind, f"--set {path}") if field else text
             settings = merged(settings, _nested({path: value}))
         self._settings = merged(settings, _nested(fields))
+
+    def _require_apart(self, options: list[Option], values: Mapping[str, Any]) -> None:
+        """Raise Occupied if --out is a file or folder that another option names."""
+        out = self._extras.get("out")
+        if out is None or not os.path.exists(out):
+            return
+        for option in options:
+            value = values.get(option.key)
+            for text in value if isinstance(value, list) else [value]:
+                if option.path == "out" or not isinstance(text, str) or not os.path.exists(text):
+                    continue
+                if os.path.samefile(text, out):
+                    raise Occupied(f"--out {out} is what {option.typed} reads; choose another")
 
     def __getitem__(self, name: str) -> Any:
         """Return the value of an option that is no field."""

@@ -92,7 +92,7 @@ def _show(
     text, shown = sample_prompt(config, rows)
     pictures = {} if out is None else {out / f"{name}.png": png for name, png in shown.items()}
     for path in pictures:
-        require_output(path, folder=False, overwrite=overwrite)
+        require_output(path, folder=False, overwrite=overwrite, reads=[])
     progress.console.print(text, end="", soft_wrap=True, highlight=False, markup=False)
     for path, png in pictures.items():
         with atomic_write(path, overwrite=overwrite) as temporary:

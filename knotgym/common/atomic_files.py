@@ -30,7 +30,13 @@ _BESIDE = (
 _AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2(2)
 
 
-def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: bool = False) -> None:
+def require_output(
+    path: str | os.PathLike[str],
+    *,
+    folder: bool,
+    overwrite: bool = False,
+    reads: Iterable[str | os.PathLike[str]],
+) -> None:
     """Check, before hours of work, that an output can be written and replaces nothing unasked.
 
     Only a regular file, a link, an empty folder or a folder that is an output of this package is
@@ -40,24 +46,21 @@ def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: boo
         path: path of the output.
         folder: whether it will be a folder.
         overwrite: whether it may replace an older output.
+        reads: files and folders that it is made from; it may not be, contain or lie in one.
 
     Raises:
-        Occupied: something exists at `path` that may not be replaced.
+        Occupied: something exists at `path` that may not be replaced, or is read.
         InvalidInput: the path can't be written.
     """
     target = Path(path)
+    for source in reads:
+        # a link at the end of the path is replaced itself, so it is where it lies
+        found, wanted = Path(source).resolve(), target.parent.resolve() / target.name
+        if wanted.is_relative_to(found) or found.is_relative_to(wanted):
+            raise Occupied(f"{path} is, contains or is in its source {source}; choose another")
     _put_back(target)
     _require_free(target, folder, overwrite)
     require_writable(path)
-
-
-def require_apart(path: str | os.PathLike[str], sources: Iterable[str | os.PathLike[str]]) -> None:
-    """Raise Occupied if an output is, contains or is in one of the paths that it is made from."""
-    target = Path(path).resolve()
-    for source in sources:
-        found = Path(source).resolve()
-        if target.is_relative_to(found) or found.is_relative_to(target):
-            raise Occupied(f"{path} is, contains or is in its source {source}; choose another")
 
 
 def _require_free(target: Path, folder: bool, overwrite: bool) -> None:

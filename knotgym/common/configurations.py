@@ -15,9 +15,18 @@ what no single field can tell in `__post_init__`, and raises the error itself.
 import dataclasses
 import json
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, TypeVar, dataclass_transform, get_args, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    NamedTuple,
+    NoReturn,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_type_hints,
+)
 
 import numpy as np
 from pydantic import (
@@ -33,6 +42,29 @@ from pydantic.dataclasses import dataclass as validated_dataclass
 from knotgym.common.errors import InvalidFile, InvalidInput, KnotgymError, one_line
 
 Config = TypeVar("Config")
+
+
+class Mark(NamedTuple):
+    """What a field's value stands for, as part of its annotation; `marked` finds such fields.
+
+    Attributes:
+        word: "states" and "policy" name files, which a run digests and never overwrites; "typed" is
+            what reaches the network or names code, so that no settings file may set it.
+        applies: for which values.
+    """
+
+    word: str
+    applies: Callable[[Any], bool] = lambda value: True
+
+
+TypedOnly = Mark("typed")
+StatesName = Annotated[str, Mark("states")]
+PolicyName = Annotated[
+    str,
+    Mark("policy"),
+    # module:name is imported; recorded:DATASET is only read
+    Mark("typed", lambda name: ":" in str(name) and not str(name).startswith("recorded:")),
+]
 
 MOST_JSON = 256 << 20  # largest JSON file that is read, bytes
 
@@ -212,6 +244,32 @@ def _problem(error: Any) -> str:
 def _configuration_in(hint: Any) -> Any:
     """The configuration class that a field's type is or allows, such as `X | None`; else None."""
     return next((one for one in (hint, *get_args(hint)) if dataclasses.is_dataclass(one)), None)
+
+
+def marked(kind: type, values: Any, word: str, path: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Yield the fields with a mark: path, the values beside it, and its own, which may be None.
+
+    Args:
+        kind: a configuration class.
+        values: a configuration of this class, or JSON of one, which needn't be valid.
+        word: the mark.
+        path: what comes before the names of the fields.
+    """
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        own = values.get(name) if isinstance(values, Mapping) else getattr(values, name, None)
+        for one in _members(hint):
+            if isinstance(one, Mark) and one.word == word and one.applies(own):
+                yield f"{path}{name}", values, own
+            if dataclasses.is_dataclass(one) and isinstance(one, type) and own is not None:
+                for each in own if isinstance(own, (list, tuple)) else [own]:
+                    yield from marked(one, each, word, f"{path}{name}.")
+
+
+def _members(hint: Any) -> Iterator[Any]:
+    """Yield what an annotation consists of: types and marks."""
+    yield hint
+    for one in get_args(hint):
+        yield from _members(one)
 
 
 def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:

@@ -39,7 +39,7 @@ from .planning.sights import first_goal as first_goal
 from .planning.sights import see as see
 from .policies import PolicyFamily as PolicyFamily
 from .policies import make_policy as make_policy
-from .policies import policy_digests as policy_digests
+from .policies import policy_files as policy_files
 from .policies import register_policy as register_policy
 from .policies import training_card as training_card
 from .policy_config import PassPlannerConfig as PassPlannerConfig

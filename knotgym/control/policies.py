@@ -26,7 +26,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from knotgym.common import InvalidPolicy, one_line, sha256
+from knotgym.common import InvalidPolicy, one_line, require_regular
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.own_policies import OwnPolicy, load_own, module_files
 from knotgym.control.planning import CHANGES, PASSES, PassPlanner, PullPlanner
@@ -94,8 +94,8 @@ def make_policy(config: PolicyConfig) -> Policy:
     return _family(config.policy).make(config)
 
 
-def policy_digests(config: PolicyConfig) -> dict[str, str]:
-    """SHA-256 of each file that decides how a policy acts: weights, user code, transcripts, and the
+def policy_files(config: PolicyConfig) -> dict[str, Path]:
+    """Return each file that decides how a policy acts: weights, user code, transcripts, and the
     planner's table. The package's own code isn't among them; its version is recorded elsewhere.
 
     Raises:
@@ -103,7 +103,9 @@ def policy_digests(config: PolicyConfig) -> dict[str, str]:
     """
     try:
         files = _family(config.policy).files(config.policy)
-        return {name: sha256(files[name]) for name in sorted(files)}
+        for path in files.values():
+            require_regular(path, "file", InvalidPolicy)
+        return {name: Path(files[name]) for name in sorted(files)}
     except OSError as error:
         raise InvalidPolicy(f"policy {config.policy}: {one_line(error)}") from error
 

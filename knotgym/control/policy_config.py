@@ -6,7 +6,7 @@ Whether a policy of that name exists is found out when it is made, see `policies
 from math import inf
 from pathlib import Path
 
-from knotgym.common import Count, InvalidPolicy, Share, Whole, configuration
+from knotgym.common import Count, InvalidPolicy, PolicyName, Share, Whole, configuration
 
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
 _PLANNED = ("expert", "noisy", "play", "planner", "mixed")
@@ -55,7 +55,7 @@ class PolicyConfig:
         planner: settings of the planner.
     """
 
-    policy: str = "random"
+    policy: PolicyName = "random"
     noise: Share = 0.1
     shares: tuple[float, ...] = (0.25, 0.25, 0.25, 0.25)
     expert: PassPlannerConfig = PassPlannerConfig()

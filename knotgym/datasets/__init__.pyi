@@ -67,6 +67,7 @@ from .image_table import shards as shards
 from .image_table import table_of as table_of
 from .image_verification import image_faults as image_faults
 from .image_verification import row_faults as row_faults
+from .located import Located as Located
 from .located import locate as locate
 from .located import locate_own as locate_own
 from .manifest import machine as machine

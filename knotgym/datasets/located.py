@@ -45,6 +45,16 @@ class Located(NamedTuple):
         """The folder; for a file, its parent."""
         return self.root if self.root.is_dir() else self.root.parent
 
+    @property
+    def files(self) -> list[Path]:
+        """The files that hold the data."""
+        files = shards(self.pictures) if self.pictures else []
+        files += [self.states] if self.states else []
+        for one in self.episodes:
+            data = episode_file(one)
+            files += dataset_files(data.parent) if one.is_dir() else [data]
+        return files
+
     def only(self, *kinds: str) -> "Located":
         """Return this if it is one dataset, of one of these kinds if there are any.
 
@@ -94,12 +104,7 @@ def locate_own(named: str) -> Located:
         InvalidFile: a file is a link, which could lead to a private file of the user.
     """
     found = locate(named)
-    files = shards(found.pictures) if found.pictures else []
-    files += [found.states] if found.states else []
-    for one in found.episodes:
-        data = episode_file(one)
-        files += dataset_files(data.parent) if one.is_dir() else [data]
-    require_no_links(found.root, files)
+    require_no_links(found.root, found.files)
     return found
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from knotgym.common import InvalidInput, atomic_write, require_apart, sha256
+from knotgym.common import InvalidInput, atomic_write, require_output, sha256
 from knotgym.datasets.episode_dataset import (
     STATES_DIGEST,
     EpisodeDataset,
@@ -51,7 +51,8 @@ def merge(
     if dataset_id:
         if states:
             raise InvalidInput("an id is for episodes; give --out for states")
-        require_apart(Path(out or minari_root()) / dataset_id, sources)
+        folder = Path(out or minari_root()) / dataset_id
+        require_output(folder, folder=True, overwrite=overwrite, reads=sources)
     elif out is None:
         raise InvalidInput("give an output, --out, or for episodes --id for a Minari dataset")
     else:

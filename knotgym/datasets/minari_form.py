@@ -146,7 +146,7 @@ def publish(
         Occupied: there is a dataset of this id, and `overwrite` is false.
     """
     folder = Path(out or minari_root()) / metadata.dataset_id
-    require_output(folder, folder=True, overwrite=overwrite)
+    require_output(folder, folder=True, overwrite=overwrite, reads=[])  # callers know the sources
     if states is not None:
         task = replace(task, states=metadata.dataset_id)
     pulls = sum(int(part.episodes["length"].sum()) for part in parts)

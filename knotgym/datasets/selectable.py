@@ -18,7 +18,6 @@ from knotgym.common import (
     InvalidFile,
     InvalidInput,
     atomic_write,
-    require_apart,
     require_output,
     sha256,
 )
@@ -171,9 +170,8 @@ def opened(source: str | Path) -> Selectable:
 
 def require_file(out: Path, sources: Iterable[Path], overwrite: bool) -> None:
     """Refuse an output that exists, is one of its sources, or lies in Minari's folder."""
-    require_output(out, folder=False, overwrite=overwrite)
+    require_output(out, folder=False, overwrite=overwrite, reads=sources)
     refuse_minaris_folder(out)
-    require_apart(out, sources)
 
 
 def write_rows(

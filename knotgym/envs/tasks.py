@@ -18,6 +18,7 @@ from knotgym.common import (
     ListToo,
     Positive,
     Real,
+    StatesName,
     choice,
     configuration,
 )
@@ -133,7 +134,7 @@ class TaskConfig:
     task: TaskName | Annotated[tuple[TaskName, ...], ListToo, Distinct]
     nx: Count | Annotated[tuple[Count, ...], ListToo, Distinct] = 2
     split: Annotated[str, choice(*STATE_SPLITS, *CODE_SPLITS)] = "train"
-    states: str | None = None
+    states: StatesName | None = None
     engine: EngineName = MUJOCO
     beads: Annotated[Int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = 100
     rope: dict[str, Real] | None = None

@@ -4,7 +4,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from knotgym.common import Count, Crossings, InvalidInput, Positive, Seed, Whole, configuration
+from knotgym.common import (
+    Count,
+    Crossings,
+    InvalidInput,
+    Positive,
+    Seed,
+    StatesName,
+    Whole,
+    configuration,
+)
 
 
 @configuration
@@ -67,7 +76,7 @@ class CloneConfig(TrainConfig):
     task: tuple[Literal["tie", "convert", "unknot"], ...] = ("tie",)
     nx: Crossings = (2,)
     split: Literal["train", "train-code"] = "train"
-    states: str = "readable"
+    states: StatesName = "readable"
     device: Literal["cpu", "cuda"] = "cpu"
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import knotgym
-from knotgym.common import InvalidInput, Stream, generator
+from knotgym.common import InvalidInput, Stream, generator, table_digest
 from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.learn.checkpoint import CARD, Learned, save_reader
 from knotgym.learn.clone_policy import save_clone
@@ -26,7 +26,6 @@ from knotgym.learn.train_config import CloneConfig, ReaderConfig
 from knotgym.learn.training import draw_curve, fit
 from knotgym.learn.training_data import (
     decisions_of,
-    digest,
     require_trainable,
     states_and_pulls,
 )
@@ -81,9 +80,13 @@ def train(
             "nothing to learn from: name datasets, as in --data FOLDER, or let demonstrations be"
             " made for a clone, as in --set clone.demonstrations=1000"
         )
-    columns = "observation", "bead", "force", "applied_fraction"
-    read = digest([one.episodes.steps[name] for one in opened for name in columns])
-    whole = identity(config, {"data_sha256": read})
+    whole = identity(
+        config,
+        {
+            "data": [part.path for one in opened for part in one.parts or [one]],
+            "columns": [table_digest(table) for one in opened for table in one.episodes],
+        },
+    )
     card = {
         "knotgym": knotgym.__version__,
         "config": whole["config"],

@@ -1,6 +1,5 @@
 """What learners take from episode datasets: states and pulls, or decisions."""
 
-import hashlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -91,12 +90,3 @@ def require_trainable(task: TaskConfig, rope: str, episodes: Episodes, name: Any
     beads = episodes.steps["observation"].shape[1]
     if beads != BEADS:
         raise InvalidInput(f"{name} has ropes of {beads} beads; {BEADS} are needed")
-
-
-def digest(arrays: Sequence[NDArray[Any]]) -> str:
-    """Return the SHA-256 of arrays, in order, hexadecimal."""
-    whole = hashlib.sha256()
-    for array in arrays:
-        whole.update(f"{array.dtype}{array.shape}".encode())
-        whole.update(np.ascontiguousarray(array).tobytes())
-    return whole.hexdigest()

@@ -132,7 +132,7 @@ def to_tensordict(
     transitions = Transitions(dataset, **opening)
     if folder is None:
         return _tensors(tensordict, transitions, rows(transitions), slice(None))
-    require_output(folder, folder=True)
+    require_output(folder, folder=True, reads=[transitions.dataset.path])
     with atomic_write(folder, overwrite=False) as part:
         _map(tensordict, transitions, part)
     return tensordict.TensorDict.load_memmap(folder)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from knotgym.common import Seed, configuration
+from knotgym.common import PolicyName, Seed, configuration
 from knotgym.envs import TaskConfig
 from knotgym.rope import CHAIN
 
@@ -23,6 +23,6 @@ class PageConfig:
 
     task: TaskConfig = TaskConfig(task="tie", observation="state", engine=CHAIN)
     seed: Seed = 0
-    policy: str = "expert"
+    policy: PolicyName = "expert"
     player: str = ""
     port: Annotated[int, Field(ge=0, le=65535)] = 8080

@@ -22,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, printable, sha256
+from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, printable
 from knotgym.control import Player, Pulls, episode_seed, rollouts
 from knotgym.datasets import EpisodeDataset, MinariMetadata, open_episodes, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
@@ -88,9 +88,8 @@ class Recorder:
 
     def __enter__(self) -> Self:
         self._seeds = self._stored_seeds()
-        states = sha256(states_file(self._task.states))
         run = {"task": as_json(self._task), "seed": self._seed, "player": self._policy}
-        whole = identity({**run, "dataset_id": self._metadata.dataset_id}, {"states": states})
+        whole = identity(self._task, fields={**run, "dataset_id": self._metadata.dataset_id})
         staging = staged(self.folder, whole, Existing(resume=True))
         _, self._journal = self._stack.enter_context(staging)
         for key in [*self._journal]:

@@ -29,6 +29,7 @@ from knotgym.common import (
     InvalidInput,
     MissingExtra,
     Positive,
+    TypedOnly,
     configuration,
     install_command,
     one_line,
@@ -85,7 +86,7 @@ class ChatConfig:
     """
 
     model: str
-    base_url: str = PUBLIC
+    base_url: Annotated[str, TypedOnly] = PUBLIC
     temperature: float = 1.0
     extra: Annotated[dict[str, Any], BeforeValidator(_read_extra)] = Field(default_factory=dict)
     drafts: tuple[str, ...] = _DRAFTS

@@ -67,7 +67,7 @@ def run_prompts(
             stop.set()
 
     asked = {**settings, "chat": {k: v for k, v in settings["chat"].items() if k not in _FREE}}
-    run_identity = identity(asked)
+    run_identity = identity(config, fields=asked)
     return run(
         recipe,
         out,

@@ -6,6 +6,7 @@ or recognized as finished if its identity is the same; otherwise the error names
 
 import hashlib
 import json
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,33 +16,109 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.common import as_json, read_json
+from knotgym.common import (
+    InvalidInput,
+    as_json,
+    differences,
+    marked,
+    merged,
+    read_json,
+    require_regular,
+    sha256,
+)
+from knotgym.control import policy_files
 from knotgym.rope import RopeConfig
+from knotgym.states import ships, states_file
 
 FIELDS = ("config", "source", "versions", "rope")
 
 
-def identity(config: Any, source: Any = None) -> dict[str, Any]:
+class Identity(dict[str, Any]):
+    """Everything that determines the output of a run, as JSON.
+
+    Attributes:
+        files: the files that the run reads, in the form of `source`, which has their digests.
+    """
+
+    files: Mapping[str, Any] = {}
+
+    @property
+    def reads(self) -> list[Path]:
+        """The files that the run reads."""
+        return list(_leaves(self.files))
+
+    def require_unchanged(self) -> None:
+        """Raise InvalidInput if a file has changed since."""
+        if found := list(differences(self.get("source") or {}, _digests(self.files), "source")):
+            raise InvalidInput(
+                f"a source of the run has changed while it ran, so nothing is written: {found[0]}"
+            )
+
+
+def identity(
+    config: Any,
+    files: Mapping[str, Any] | None = None,
+    *,
+    also: Iterable[Any] = (),
+    fields: Mapping[str, Any] | None = None,
+) -> Identity:
     """Return the identity of a run.
 
+    The files that fields typed `StatesName` and `PolicyName` name are read and digested here.
+
     Args:
-        config: its configuration; settings that can't change the output are left out.
-        source: digests of the files that it reads, as JSON.
+        config: its configuration.
+        files: others that are read, by names; nested as in `source`. Texts stay as they are.
+        also: configurations of what else is read.
+        fields: what of the configuration determines the output, as JSON; all by default.
+
+    Raises:
+        MissingFile, InvalidFile: a file can't be read.
+        InvalidPolicy: nor that of a policy.
     """
+    found: Any = {}
+    for one in (config, *also):
+        for _, _, named in marked(type(one), one, "states"):
+            origin = "shipped" if ships(named) else "own"
+            found = merged(found, {"states": {origin: states_file(named)}})
+        for _, owner, named in marked(type(one), one, "policy"):
+            found = merged(found, {"policies": {named: policy_files(owner)}})
+    found = merged(found, files or {})
     whole = {
-        "config": config if isinstance(config, dict) else as_json(config),
-        "source": source,
+        "config": as_json(config) if fields is None else fields,
+        "source": _digests(found) or None,
         "versions": versions(),
         "rope": RopeConfig().fingerprint,
     }
-    found: dict[str, Any] = json.loads(json.dumps(whole))
-    return found
+    made = Identity(json.loads(json.dumps(whole)))
+    made.files = found
+    return made
+
+
+def _digests(files: Any) -> Any:
+    """Replace paths by the SHA-256 of their files."""
+    if isinstance(files, Mapping):
+        return {name: _digests(files[name]) for name in sorted(files)}
+    if isinstance(files, list):
+        return [_digests(one) for one in files]
+    if isinstance(files, Path):
+        require_regular(files, "file")
+        return sha256(files)
+    return files
+
+
+def _leaves(files: Any) -> Iterator[Path]:
+    if isinstance(files, Path):
+        yield files
+    elif isinstance(files, Mapping | list):
+        for one in files.values() if isinstance(files, Mapping) else files:
+            yield from _leaves(one)
 
 
 def versions() -> dict[str, str]:
     """Return the versions of everything that could change the output.
 
-    `code` is a digest of this package's modules, to distinguish edits within a version.
+    `code` is a digest of this package's modules and data, to distinguish edits within a version.
     """
     return {
         "knotgym": knotgym.__version__,
@@ -64,10 +141,10 @@ def identity_of(out: Path, file: str = "manifest.json") -> dict[str, Any] | None
 
 @cache
 def _code_sha256() -> str:
-    """Return the SHA-256 of this package's modules, except `cli`, which can't affect the output."""
+    """Return the SHA-256 of this package's files, except `cli`, which can't affect the output."""
     root, digest = Path(knotgym.__file__).parent, hashlib.sha256()
-    modules = {path.relative_to(root).as_posix(): path for path in root.rglob("*.py")}
-    for name in sorted(modules):
-        if not name.startswith("cli/"):
-            digest.update(f"{name}\0".encode() + modules[name].read_bytes() + b"\0")
+    files = {path.relative_to(root).as_posix(): path for path in root.rglob("*.*")}
+    for name in sorted(files):
+        if not name.startswith("cli/") and "__pycache__" not in name and files[name].is_file():
+            digest.update(f"{name}\0".encode() + files[name].read_bytes() + b"\0")
     return digest.hexdigest()

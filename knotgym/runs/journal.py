@@ -237,9 +237,9 @@ def _opened(path: Path, flags: int, mode: str) -> IO[bytes]:
         raise wrong
     try:
         descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
-    except FileNotFoundError:
-        raise
     except OSError as error:
+        if isinstance(error, (FileNotFoundError, NotADirectoryError)):
+            raise wrong if path.parent.is_file() else FileNotFoundError(str(path)) from None
         raise wrong if path.is_symlink() or not path.parent.is_dir() else error from None
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)

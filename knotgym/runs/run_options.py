@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from knotgym.common import InvalidInput, Whole, configuration
+from knotgym.common import InvalidInput, TypedOnly, Whole, configuration
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class RunOptions(Existing):
     """
 
     workers: Whole = 0
-    scheduler: str = ""
+    scheduler: Annotated[str, TypedOnly] = ""
     shard: Annotated[Shard, BeforeValidator(_shard)] = Shard()
     quiet: bool = False
 

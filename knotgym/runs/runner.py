@@ -38,7 +38,7 @@ from knotgym.common import (
     require_own,
 )
 from knotgym.runs.executors import InProcess, executor
-from knotgym.runs.identities import identity_of
+from knotgym.runs.identities import Identity, identity_of
 from knotgym.runs.journal import CHECKPOINT, LEFT, Journal, Result, has_work
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import WHOLE, Existing, RunOptions, Shard
@@ -116,7 +116,7 @@ class _Missing(Failed):
 def run(
     recipe: Callable[[Path], Recipe[Any]],
     out: Path,
-    identity: Mapping[str, Any],
+    identity: Identity,
     options: RunOptions,
     progress: Progress | None = None,
     *,
@@ -124,7 +124,6 @@ def run(
     prepare: Callable[[Progress, Executor], None] | None = None,
     pool: Callable[[], AbstractContextManager[Executor]] | None = None,
     count: Callable[[Result], Mapping[str, int]] | None = None,
-    sources: Callable[[], Any] | None = None,
     made_by: Callable[[Path], Mapping[str, Any] | None] = identity_of,
 ) -> Path:
     """Make an output and return it; a shard returns its journal.
@@ -133,12 +132,11 @@ def run(
         recipe: where to write the output -> generator, which writes it at its end. If it returns a
             text, that is the summary to show. Nothing else may be done there; files that later
             calls need may be written beside it.
-        identity: everything that determines the output, see `identity.identity`.
+        identity: everything that determines the output, see `identities.identity`; none of the
+            files that are read is ever replaced, and a change of one stops the publication.
         prepare: called with the executor before the work, for example to compile kernels.
         pool: opens the executor; by default that of the options.
         count: result -> numbers to add up and show, such as {"reached the goal": 3}.
-        sources: returns the digests of the files that are read; the output is only published if
-            they still are those of the identity.
         made_by: path of an output -> the identity of its run, or None.
 
     Raises:
@@ -155,11 +153,16 @@ def run(
                     remove(folder)
             shown.say(f"{out} is finished already")
             return out
-        if shard.is_whole:
-            require_output(out, folder=is_folder, overwrite=options.overwrite)
+        free = partial(
+            require_output,
+            out,
+            folder=is_folder,
+            overwrite=options.overwrite or not shard.is_whole,
+            reads=identity.reads,
+        )
+        free()
         with staged(out, identity, options, shard) as (folder, journal):
-            if shard.is_whole:  # another may have made it before this one had the lock
-                require_output(out, folder=is_folder, overwrite=options.overwrite)
+            free()  # another may have made it before this one had the lock
             if options.resume and journal.is_empty:
                 shown.say(f"{out}: there is nothing to resume, starting from the beginning")
             place, show = folder / "made" / out.name, _shown_on(shown, count)
@@ -173,8 +176,7 @@ def run(
             if not journal.is_held:
                 raise Occupied(f"{journal.path} was removed during the run; start the run again")
             if shard.is_whole:
-                if sources is not None:
-                    _require_unchanged(identity.get("source"), sources())
+                identity.require_unchanged()
                 shown.stage("writing")
                 move_into_place(place, out, overwrite=options.overwrite)
             remove(folder)
@@ -331,10 +333,3 @@ def _shown_on(
         progress.stage(stage, done, total, totals)
 
     return show
-
-
-def _require_unchanged(before: Any, now: Any) -> None:
-    if found := list(differences(before, now, "source")):
-        raise InvalidInput(
-            f"a source of the run has changed while it ran, so nothing is written: {found[0]}"
-        )

@@ -320,3 +320,31 @@ print(*sys.modules, file=sys.stderr)
     modules = set(run.stderr.split())
     heavy = {"cv2", "dask", "h5py", "minari", "mujoco", "numba", "pyarrow", "torch"}
     assert "knotgym.cli.prompt_command" in modules and modules & heavy == set()
+
+
+@pytest.mark.parametrize(
+    ("command", "settings"),
+    [
+        ("evaluate", {"run": {"scheduler": "tcp://127.0.0.1:8786"}}),
+        ("evaluate", {"policies": [{"policy": "random"}, {"policy": "mine:act"}]}),
+        ("evaluate", {"policy": {"policy": "mine:act"}}),
+        ("collect", {"policy": {"policy": "mine:act"}}),
+        ("prompt", {"chat": {"base_url": "http://127.0.0.1:1/v1"}}),
+        ("play", {"policy": "mine:act"}),
+    ],
+)
+def test_a_settings_file_neither_reaches_the_network_nor_names_code(
+    command: str,
+    settings: dict[str, Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("open('imported', 'w')\n")
+    (tmp_path / "s.json").write_text(json.dumps(settings))
+    pytest.importorskip({"prompt": "openai", "play": "viser"}.get(command, "numpy"))
+    assert knotgym(command, "--settings", "s.json") == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "may not set" in line and "which reaches the network or names code" in line
+    assert not (tmp_path / "imported").exists()

@@ -199,3 +199,48 @@ def test_overwrite_replaces_a_dataset_but_no_folder_of_the_users(
     shutil.rmtree(path)
     assert typed("collect", *words) == 0 and typed("collect", *words) == 0
     assert [one.name for one in path.iterdir()] == ["data"]
+
+
+SOURCES = {
+    "collect": f"collect --policy random --episodes 1 --states {{h5}} --id {ID} --out {{root}}",
+    "evaluate": "evaluate --episodes 1 --states {h5} --out {h5}",
+    "video": "evaluate --episodes 1 --states {gif} --video {gif}",
+    "recorded": "evaluate --episodes 1 --policy recorded:{set} --out {set}/data/episodes.h5",
+    "settings": "evaluate --episodes 1 --settings {json} --out {json}",
+    "images": "images --nx 0 --count 1 --states {h5} --out {set}",
+    "generate": "generate --codes {codes} --out {codes}",
+    "train": "train --data {set} --out {set}",
+    "gallery": "dataset gallery {png} --out {png}",
+    "page": "dataset page {html} --out {html}",
+    "replay": "dataset replay {gif} --out {gif}",
+    "import": "dataset import {npy} --out {npy}",
+    "select": "dataset select {h5} --sample 1 --out {h5}",
+    "export": "dataset export {set} --to minari --out {set}",
+    "merge": f"dataset merge {{set}} --id {ID} --out {{root}}",
+}
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_a_source_is_never_replaced_not_even_with_overwrite(
+    name: str, states_path: str, episodes: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    if name == "train":
+        pytest.importorskip("torch")
+    if name == "images":
+        pytest.importorskip("pyarrow")
+    root = tmp_path / "root"
+    shutil.copytree(episodes, root / ID)
+    places = {"root": root, "set": root / ID, "h5": root / ID / "data" / "states.h5"}
+    for kind in ("gif", "html", "png", "json", "npy", "codes"):
+        places[kind] = tmp_path / f"a.{kind}"
+        shutil.copy(states_path, places[kind])
+    shutil.copy(states_path, places["h5"])
+    places["json"].write_text("{}")
+    places["codes"].write_text("1+,1-\n")
+    np.save(places["npy"], np.zeros((8, 3)))
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    words = [word.format(**places) for word in SOURCES[name].split()]
+    assert knotgym(*words, "--overwrite", "--quiet") == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "its source" in line or "reads; choose another" in line, line
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

@@ -12,7 +12,6 @@ import pytest
 from knotgym.common.atomic_files import (
     atomic_write,
     copy_file,
-    require_apart,
     require_output,
     sha256,
 )
@@ -126,7 +125,7 @@ def test_an_exchange_that_was_killed_is_put_back(tmp_path: Path) -> None:
     (tmp_path / ".replaced-set").mkdir()
     (tmp_path / ".replaced-set" / "manifest.json").write_text("old")
     with pytest.raises(Occupied):
-        require_output(tmp_path / "set", folder=True)
+        require_output(tmp_path / "set", folder=True, reads=[])
     assert (tmp_path / "set" / "manifest.json").read_text() == "old"
 
 
@@ -159,14 +158,14 @@ def test_nothing_but_an_output_is_replaced(
     if kind:
         make(kind, out)
     with pytest.raises(Occupied, match=message):
-        require_output(out, folder=folder, overwrite=True)
+        require_output(out, folder=folder, overwrite=True, reads=[])
 
 
 @pytest.mark.parametrize("source", [".", "out", "out/part.h5", "linked"])
 def test_an_output_is_apart_from_its_sources(tmp_path: Path, source: str) -> None:
     (tmp_path / "linked").symlink_to(tmp_path / "out")
     with pytest.raises(Occupied, match="is, contains or is in its source"):
-        require_apart(tmp_path / "out", [tmp_path / source])
+        require_output(tmp_path / "out", folder=True, reads=[tmp_path / source])
 
 
 def test_a_link_is_replaced_and_not_its_target(tmp_path: Path) -> None:

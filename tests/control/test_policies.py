@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidPolicy, Table, sha256
+from knotgym.common import InvalidPolicy, Table
 from knotgym.control import policies
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.own_policies import OwnPolicy
 from knotgym.control.policies import (
     PolicyFamily,
     make_policy,
-    policy_digests,
+    policy_files,
     register_policy,
     training_card,
 )
@@ -337,7 +337,7 @@ def test_what_user_code_does_wrong_is_one_line_that_names_it(name: str, says: st
     assert "\n" not in str(refused.value) and "own:" in str(refused.value)
 
 
-def test_a_module_in_the_current_folder_is_found_and_digested(
+def test_a_module_in_the_current_folder_is_found_with_its_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code = 'FILES = ["weights"]\ndef act(observation):\n    return [0] * 6\n'
@@ -347,8 +347,10 @@ def test_a_module_in_the_current_folder_is_found_and_digested(
     path = list(sys.path)
     assert played("left_alone:act", SEEDS[:1], 1).episodes["policy"][0] == "left_alone:act"
     assert sys.path == path
-    found = policy_digests(PolicyConfig(policy="left_alone:act"))
-    assert found == {name: sha256(tmp_path / name) for name in ("left_alone.py", "weights")}
+    found = policy_files(PolicyConfig(policy="left_alone:act"))
+    assert {name: path.resolve() for name, path in found.items()} == {
+        name: tmp_path / name for name in ("left_alone.py", "weights")
+    }
 
 
 def test_a_module_that_exits_is_an_invalid_policy(
@@ -356,7 +358,7 @@ def test_a_module_that_exits_is_an_invalid_policy(
 ) -> None:
     (tmp_path / "leaves_at_once.py").write_text("import sys\nsys.exit()\n")
     monkeypatch.chdir(tmp_path)
-    for call in (make_policy, policy_digests):
+    for call in (make_policy, policy_files):
         with pytest.raises(InvalidPolicy, match="SystemExit.*leaves_at_once.py, line 2"):
             call(PolicyConfig(policy="leaves_at_once:act"))
 
@@ -386,15 +388,15 @@ def test_a_registered_policy_is_made_by_its_name(
     weights.write_bytes(b"weights")
     register_policy("restless", lambda config: RandomPolicy(), [weights])
     assert isinstance(make_policy(PolicyConfig(policy="restless")), RandomPolicy)
-    assert policy_digests(PolicyConfig(policy="restless")) == {"weights": sha256(weights)}
+    assert policy_files(PolicyConfig(policy="restless")) == {"weights": weights}
     weights.unlink()
     with pytest.raises(InvalidPolicy, match="weights"):
-        policy_digests(PolicyConfig(policy="restless"))
+        policy_files(PolicyConfig(policy="restless"))
 
 
 @pytest.mark.parametrize(("name", "tables"), [("expert", 3), ("planner", 1), ("random", 0)])
 def test_digests_are_of_the_planners_tables(name: str, tables: int) -> None:
-    assert len(policy_digests(PolicyConfig(policy=name))) == tables
+    assert len(policy_files(PolicyConfig(policy=name))) == tables
 
 
 still = PolicyFamily(
@@ -421,7 +423,7 @@ def test_another_package_s_family_makes_policies(provided: list[EntryPoint]) -> 
     provided.append(EntryPoint("still", "still_policies:still", policies.GROUP))
     config = PolicyConfig(policy="still:now")
     assert isinstance(make_policy(config), RandomPolicy)
-    assert list(policy_digests(config)) == ["this"]
+    assert list(policy_files(config)) == ["this"]
     assert training_card("still:now") == {"word": "now"} and training_card("random") is None
 
 

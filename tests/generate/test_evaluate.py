@@ -15,11 +15,11 @@ from knotgym.control import PolicyConfig, RandomPolicy, episode_seed, rollouts
 from knotgym.datasets import episodes_of
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
-from knotgym.generate.episodes.evaluate import evaluate, film, report, sources_of
+from knotgym.generate.episodes.evaluate import evaluate, film, report
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import show
 from knotgym.rope import RopeConfig
-from knotgym.runs import RunOptions, Shard
+from knotgym.runs import RunOptions, Shard, identity
 from knotgym.states import States, write_states
 
 from ..small_job import knotgym
@@ -62,7 +62,7 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(tmp_path: Path) -
     made = config()
     results = evaluate(made, QUIET, out=tmp_path / "r.json")
     held = json.loads((tmp_path / "r.json").read_text())
-    assert held == json.loads(json.dumps(report(made, results, sources_of(made))))
+    assert held == json.loads(json.dumps(report(made, results, identity(made))))
     low, high = held["interval"]
     assert 0 <= low <= held["success_rate"] <= high <= 1
     assert held["config"]["seed"] == 0 and held["config"]["policies"][0]["policy"] == "random"
@@ -156,7 +156,7 @@ def test_a_file_swapped_while_episodes_are_played_is_refused(
 ) -> None:
     file, play = tmp_path / "scored_policy.py", evaluating.play
     digest = sha256(file)
-    assert sources_of(own_policy)["policies"] == {"scored_policy:act": {file.name: digest}}
+    assert identity(own_policy)["source"]["policies"] == {"scored_policy:act": {file.name: digest}}
 
     def swap(*arguments: Any) -> Any:
         file.write_text("act = lambda seen: [0.25] * 6\n")

@@ -11,10 +11,10 @@ from knotgym.control import PolicyConfig, PullPlannerConfig
 from knotgym.datasets import RECORDED
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
-from knotgym.generate.episodes.evaluate import as_text, report, sources_of
+from knotgym.generate.episodes.evaluate import as_text, report
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.suite_scores import read_scores, score_table
-from knotgym.runs import cluster_interval
+from knotgym.runs import cluster_interval, identity
 
 STARTS = 8
 
@@ -39,7 +39,7 @@ def told(
         "diverged": count > 0,
     }
     result = evaluation._result_of(policy, task, Table(RECORDED.only(*columns), columns))
-    path.write_text(as_text(report(config, [result], sources_of(config))), encoding="utf-8")
+    path.write_text(as_text(report(config, [result], identity(config))), encoding="utf-8")
     return path
 
 

@@ -23,6 +23,7 @@ from knotgym.generate import (
     make_images,
     make_states,
 )
+from knotgym.runs.identities import Identity
 from knotgym.runs.run_options import RunOptions, Shard
 from knotgym.runs.runner import Call, Recipe, run
 
@@ -44,7 +45,7 @@ def toy(place: Path) -> Recipe[str]:
 
 
 def made_toy(out: Path, options: RunOptions) -> Path:
-    identity = {"config": {"toy": 0}}
+    identity = Identity({"config": {"toy": 0}})
     return run(toy, out, identity, options, made_by=lambda at: identity if at.exists() else None)
 
 

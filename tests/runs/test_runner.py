@@ -14,14 +14,16 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from threading import Barrier
 
 import pytest
 
-from knotgym.common import Failed, InvalidInput, Occupied
+from knotgym.common import Failed, InvalidInput, MissingFile, Occupied, StatesName, sha256
+from knotgym.control import PolicyConfig
+from knotgym.runs.identities import Identity, identity
 from knotgym.runs.journal import Journal
 from knotgym.runs.run_options import RunOptions, Shard
 from knotgym.runs.runner import Call, Recipe, compute, run, staging_folder
@@ -117,7 +119,7 @@ def test_a_shard_computes_its_share_alone_and_names_the_others(
     made_toy(tmp_path / "a", replace(again, restart=True))
     assert content(path) == before
     with pytest.raises(InvalidInput, match="shard-2-of-3.journal belongs to a different run"):
-        run(toy, tmp_path / "a", {"config": {"toy": 1}}, QUIET)
+        run(toy, tmp_path / "a", Identity({"config": {"toy": 1}}), QUIET)
     assert [path.name for path in tmp_path.iterdir()] == ["a-shard-2-of-3.journal"]
 
 
@@ -156,8 +158,8 @@ def test_an_interrupted_run_is_continued_or_deleted_only_on_request(tmp_path: Pa
         with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
             made_toy(out, QUIET)
         with pytest.raises(InvalidInput, match="toy is 0 there and 1 here"):
-            run(toy, out, {"config": {"toy": 1}}, RESUMED)
-        run(toy, out, {"config": {"toy": 1}}, replace(QUIET, restart=True))
+            run(toy, out, Identity({"config": {"toy": 1}}), RESUMED)
+        run(toy, out, Identity({"config": {"toy": 1}}), replace(QUIET, restart=True))
     with pytest.raises(Occupied):
         made_toy(out, QUIET)
     assert made_toy(out, replace(QUIET, overwrite=True)) == out
@@ -188,14 +190,43 @@ def test_a_failure_before_any_result_leaves_nothing(tmp_path: Path) -> None:
         yield [Call("one 1", drawn, ("no number", 0, 1.0))]
 
     with pytest.raises(ValueError, match="unrecognized seed"):
-        run(recipe, tmp_path / "a", {}, QUIET)
+        run(recipe, tmp_path / "a", Identity(), QUIET)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_source_that_changes_stops_the_publication(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="source.states is 1 there and 2 here"):
-        run(toy, tmp_path / "a", {"source": {"states": 1}}, QUIET, sources=lambda: {"states": 2})
-    assert not (tmp_path / "a").exists()
+@dataclass(frozen=True)
+class Reading:
+    """A configuration that names files."""
+
+    states: StatesName
+    policies: tuple[PolicyConfig, ...] = ()
+
+
+def test_a_run_digests_what_its_fields_name_and_never_replaces_it(tmp_path: Path) -> None:
+    (tmp_path / "own.h5").write_text("1")
+    (tmp_path / "mine.py").write_text("1")
+    (tmp_path / "folder").mkdir()
+    source, more = tmp_path / "own.h5", {"also": [tmp_path / "mine.py"], "name": "mine"}
+    made = identity(Reading(str(source), (PolicyConfig(policy="expert"),)), more, fields={})
+    assert made["source"]["states"] == {"own": sha256(source)}
+    assert len(made["source"]["policies"]["expert"]) == 3
+    assert made["source"]["also"] == [sha256(tmp_path / "mine.py")]
+    assert made["source"]["name"] == "mine"
+    over = replace(QUIET, overwrite=True)
+    for out in (source, tmp_path / "mine.py", tmp_path, source / "below"):
+        with pytest.raises(Occupied, match="is, contains or is in its source"):
+            run(toy, out, made, over)
+
+    def recipe(place: Path) -> Recipe[None]:
+        yield [Call("one 1", drawn, (0, 0, 1.0))]
+        source.write_text("2")
+        place.mkdir()
+
+    with pytest.raises(InvalidInput, match="so nothing is written: source.states.own is"):
+        run(recipe, tmp_path / "out", made, QUIET)
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(MissingFile, match="no file at"):
+        identity(Reading(str(tmp_path / "none.h5")), fields={})
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
@@ -206,7 +237,7 @@ def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
         raise Failed("enough")
 
     with pytest.raises(Failed, match="enough"):
-        run(recipe, tmp_path / "a", {}, QUIET)
+        run(recipe, tmp_path / "a", Identity(), QUIET)
 
 
 @pytest.mark.parametrize("existing", [QUIET, RESUMED, replace(QUIET, restart=True)])
@@ -247,7 +278,7 @@ def test_no_other_user_can_plant_files_in_the_folder(tmp_path: Path) -> None:
         assert place.parents[1].stat().st_mode & 0o777 == 0o700
         place.mkdir()
 
-    assert run(recipe, tmp_path / "a", {}, QUIET).stat().st_mode & 0o500
+    assert run(recipe, tmp_path / "a", Identity(), QUIET).stat().st_mode & 0o500
 
 
 def _size(journal: Path) -> int:
@@ -273,7 +304,7 @@ def test_a_folder_removed_under_a_run_ends_it(tmp_path: Path) -> None:
         shutil.rmtree(place.parents[1])
 
     with pytest.raises(Occupied, match="was removed during the run"):
-        run(recipe, tmp_path / "a", {}, QUIET)
+        run(recipe, tmp_path / "a", Identity(), QUIET)
     assert list(tmp_path.iterdir()) == []
 
 

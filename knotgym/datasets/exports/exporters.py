@@ -9,7 +9,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from knotgym.common import InvalidInput, atomic_write, require_apart, require_output
+from knotgym.common import InvalidInput, atomic_write, require_output
 
 if TYPE_CHECKING:
     from knotgym.datasets.episode_verification import Replay
@@ -109,12 +109,11 @@ def export(named: str, out: Path, form: str, replay: "Replay", *, overwrite: boo
     if form not in EXPORTS:
         raise InvalidInput(f"no format {form!r}; formats are {', '.join(EXPORTS)}")
     chosen, given = EXPORTS[form], locate_own(named)
-    require_apart(out, [given.root])
     is_file = chosen.output == "file" and len(given.episodes) < 2
     if chosen.output == "file":
         refuse_minaris_folder(out)
     if chosen.output != "beside":
-        require_output(out, folder=not is_file, overwrite=overwrite)
+        require_output(out, folder=not is_file, overwrite=overwrite, reads=[given.root])
     if chosen.needs and not getattr(given, chosen.needs):
         raise InvalidInput(f"{given.title} contains no {chosen.needs}")
     write: Write = resolve_name(chosen.function)

@@ -55,7 +55,7 @@ def to_ogbench(source: Located, out: Path, _: Replay, overwrite: bool) -> str:
     names = {look: _LOOKS[look] + _name(dataset) for look in looks}
     files = [f"{name}{end}.npz" for name in names.values() for end in ("-train", "-val", "")]
     for wanted in files:
-        require_output(out / wanted, folder=False, overwrite=overwrite)
+        require_output(out / wanted, folder=False, overwrite=overwrite, reads=[source.root])
     validates = np.arange(count) % _TENTH == min(_TENTH, count) - 1
     with atomic_writes(out, files, overwrite=overwrite) as staged:
         for look, name in names.items():

@@ -42,7 +42,6 @@ from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.collect_config import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.episodes.recordings import RECORDINGS, replay
 from knotgym.generate.episodes.results import reference_scores
-from knotgym.generate.episodes.sources import sources
 from knotgym.rope import MUJOCO, RopeConfig
 from knotgym.runs import (
     FIELDS,
@@ -123,15 +122,13 @@ def collect(
     if not ships(config.task.states):
         read_states(states_file(config.task.states), images=False)
 
-    def read() -> dict[str, Any]:
-        files = {RECORDINGS.name: sha256(RECORDINGS)} if recorded else {}
-        return {**_sources_of(config), **files}
-
-    source = read()
+    advisers = [replace(config.policy, policy="expert")] if config.labels else []
+    files = {RECORDINGS.name: RECORDINGS} if recorded else {}
+    made_by = identity(config, files, also=advisers)
     return run(
-        lambda place: _episodes_of(config, source, place, replay if recorded else play),
+        lambda place: _episodes_of(config, made_by, place, replay if recorded else play),
         _dataset_folder(config, out),
-        identity(config, source),
+        made_by,
         options,
         progress,
         prepare=lambda shown, pool: compile_first(
@@ -141,7 +138,6 @@ def collect(
             plan=compile_planning if config.policy.plans else None,
         ),
         count=lambda result: {"reached the goal": int(result["episodes/success"].sum())},
-        sources=read,
         made_by=_identity_of,
     )
 
@@ -165,21 +161,15 @@ def require_collectable(config: CollectConfig, out: Path | None, options: RunOpt
     folder = _dataset_folder(config, out)
     if not options.resume and options.shard.is_whole:
         try:
-            require_output(folder, folder=True, overwrite=options.overwrite)
+            require_output(folder, folder=True, overwrite=options.overwrite, reads=[])
         except Occupied as error:
             raise Occupied(f"{error}, or another --id") from None
     require_no_interrupted_run(folder, options, options.shard)
 
 
-def _sources_of(config: CollectConfig) -> dict[str, Any]:
-    """Return the digests of a collection's policies, including a labelling expert, and states."""
-    adviser = [replace(config.policy, policy="expert")] if config.labels else []
-    return sources([config.policy, *adviser], [config.task])
-
-
 def _episodes_of(
     config: CollectConfig,
-    source: dict[str, Any],
+    made_by: Mapping[str, Any],
     place: Path,
     block: Callable[[CollectConfig, range], Result],
 ) -> Recipe[str]:
@@ -196,7 +186,7 @@ def _episodes_of(
         steps = sum(int(part.episodes["length"].sum()) for part in parts)
     if config.steps:
         parts = _first_steps(parts, config.steps)
-    return _publish(config, parts, source, place)
+    return _publish(config, parts, made_by, place)
 
 
 def _coming(config: CollectConfig, played: int, steps: int) -> int:
@@ -230,7 +220,7 @@ def play(config: CollectConfig, numbers: range) -> Result:
 
 
 def _publish(
-    config: CollectConfig, parts: list[Episodes], source: dict[str, Any], place: Path
+    config: CollectConfig, parts: list[Episodes], made_by: Mapping[str, Any], place: Path
 ) -> str:
     """Publish a collection's episodes as the folder `place`; return a summary.
 
@@ -245,10 +235,9 @@ def _publish(
         )
     if not config.keep_failed:
         parts = [part.select(part.episodes["success"]) for part in parts]
-    made_by = identity(config, source)
     facts = {**made_by, "machines": [machine()], "tally": total}
     carried = None if ships(config.task.states) else states_file(config.task.states)
-    digests = {**source, "versions": made_by["versions"], "rope": made_by["rope"]}
+    digests = {**made_by["source"], "versions": made_by["versions"], "rope": made_by["rope"]}
     metadata = replace(_metadata(config, total), digests=digests)
     root = place.with_name(f"{place.name}-root")
     made = publish(

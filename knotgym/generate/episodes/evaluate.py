@@ -6,7 +6,7 @@ splits, the results are a generalization matrix for policies trained on one of t
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, evaluation_in, show
-from knotgym.generate.episodes.sources import sources
 from knotgym.runs import (
     Call,
     Progress,
@@ -83,11 +82,6 @@ def _require_playable(config: EvaluateConfig) -> None:
         task_sides(task)
 
 
-def sources_of(config: EvaluateConfig) -> dict[str, Any]:
-    """Return the digests of the policies and states of an evaluation, see `sources`."""
-    return sources(config.policies, (task for _, task in config.setups()))
-
-
 def evaluate(
     config: EvaluateConfig,
     options: RunOptions,
@@ -124,18 +118,18 @@ def evaluate(
 
         require_film(video)
     _require_playable(config)
-    source, results, films = sources_of(config), list[Result](), list[Episodes]()
+    made_by, results, films = identity(config), list[Result](), list[Episodes]()
 
     def recipe(place: Path | None) -> Recipe[str]:
         nonlocal results, films
         if video is not None:
-            require_output(video, folder=False, overwrite=options.overwrite)
+            require_output(video, folder=False, overwrite=options.overwrite, reads=made_by.reads)
         filmed = 0 if video is None else config.filmed
         results, films = yield from _evaluation(config, filmed)
         if video is not None:  # before the output, which says that all is done
             _write_film(config, films, video, options.overwrite)
         if place is not None:
-            text = as_text(report(config, results, source))
+            text = as_text(report(config, results, made_by))
             place.write_text(text, encoding="utf-8")
         return f"{len(results)} results of {config.episodes} episodes each"
 
@@ -147,12 +141,11 @@ def evaluate(
         run_recipe(
             recipe,
             out,
-            identity(config, source),
+            made_by,
             options,
             progress,
             is_folder=False,
             prepare=lambda shown, pool: compile_first(shown, config.task.engine, pool=pool),
-            sources=lambda: sources_of(config),
         )
         if not options.shard.is_whole:
             return []
@@ -173,9 +166,9 @@ def evaluate(
 
 
 def report(
-    config: EvaluateConfig, results: Sequence[Result], source: dict[str, Any]
+    config: EvaluateConfig, results: Sequence[Result], made_by: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the content of the result file; `source` is `sources_of(config)` before playing."""
+    """Return the content of the result file; `made_by` is the run's identity."""
     learners = {
         one.policy: {name: card[name] for name in _TRAINING if name in card}
         for one in config.policies
@@ -183,7 +176,7 @@ def report(
     }
     return {
         **_totals(results),
-        **identity(config, source),
+        **made_by,
         "learners": learners,
         "results": [asdict(one) for one in results],
     }

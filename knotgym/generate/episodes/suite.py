@@ -128,7 +128,7 @@ def _require_own_card(folder: Path, options: RunOptions) -> None:
         own = False
     if not (own and options.resume):
         for name in _CARD:
-            require_output(folder / name, folder=False, overwrite=options.overwrite)
+            require_output(folder / name, folder=False, overwrite=options.overwrite, reads=[])
 
 
 def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, InvalidInput, Stream, generator, sha256
+from knotgym.common import Failed, InvalidInput, Stream, generator
 from knotgym.datasets import PictureRow, arrow, drawn, finish_images, shard_name
 from knotgym.generate.images.choice import Chooser, Quota
 from knotgym.generate.images.frames import PicturedRope, frames_of
@@ -49,10 +49,7 @@ def make_images(
     path = states_file(None if states is None else str(states))
     plan = _Plan.of(config, read_states(path, images=False))
 
-    def source() -> dict[str, str]:
-        return {"name": path.name, "sha256": sha256(path)}
-
-    made = identity(config, source())
+    made = identity(config, {"name": path.name, "sha256": path})
     return run(
         lambda place: _pictures(config, plan, made, place),
         out,
@@ -60,7 +57,6 @@ def make_images(
         options,
         progress,
         prepare=lambda shown, pool: compile_first(shown, config.engine, pool=pool),
-        sources=source,
     )
 
 

@@ -46,7 +46,7 @@ def make_states(
         Failed: states are missing, although `config.attempts` are used up.
     """
     asked = {name: value for name, value in as_json(config).items() if name not in _PATIENCE}
-    made_by = identity(asked)
+    made_by = identity(config, fields=asked)
 
     return run(
         lambda place: _state_recipe(config, place, made_by),
