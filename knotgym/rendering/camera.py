@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
 from knotgym.common import Int, InvalidInput, ListToo, Positive, Real, configuration
-from knotgym.topology import same_spot
 
 RGB = tuple[int, int, int]
 Level = Annotated[Int, Field(ge=0, le=255)]
@@ -209,6 +208,8 @@ def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> N
 
 def checked_points(points: ArrayLike, axes: int) -> NDArray[np.float64]:
     """Return one rope (axes 2) or many (axes 3) as float64, or raise InvalidInput."""
+    from knotgym.topology import same_spot  # here, since help needs the cameras and no numba
+
     points = np.asarray(points, dtype=np.float64)
     form = "(beads, 3)" if axes == 2 else "(m, beads, 3)"
     fits = points.ndim == axes and points.shape[-1] == 3 and points.shape[-2] >= 3
