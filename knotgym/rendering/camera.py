@@ -84,7 +84,6 @@ class PictureConfig:
         background: RGB.
         renderer: "opencv" (needs no GL), "mujoco" (the same picture by OpenGL, without depth), or
             "auto", the same as "opencv".
-        supersampling: samples along each side of a pixel, averaged; 1 to 8.
 
     Raises:
         InvalidInput: a value is out of range.
@@ -102,7 +101,6 @@ class PictureConfig:
     width: Positive = 1.0
     background: Colour = (0, 0, 0)
     renderer: Literal["auto", "opencv", "mujoco"] = "auto"
-    supersampling: Annotated[Int, Field(ge=1, le=8)] = 4
 
     def __post_init__(self) -> None:
         require_depth(self.depth, self.renderer)

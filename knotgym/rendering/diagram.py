@@ -4,10 +4,9 @@ Used by galleries, videos, the window of `render_mode="human"` and the line draw
 tables. Observations are drawn by `picture` and don't depend on this module. The same points always
 give the same bytes.
 
-The rope is painted as in `picture`, from the lowest piece to the highest. At each crossing a band
-in the background colour, wider than the rope, is painted along the over strand before the over
-strand itself. It makes the gap in the under strand. The band covers parts of the over strand too,
-which are therefore painted once more.
+The rope is painted as in `picture`. At each crossing a band, wider than the rope, runs along the
+over strand and cuts what is no higher than the under strand is near the crossing; the over strand
+itself is spared.
 
 After a change run `pytest tests/rendering/test_diagram.py`: gaps must be where strands go under,
 and smoothing must leave the code alone.
@@ -27,8 +26,8 @@ from knotgym.rendering.camera import (
     project,
     seen_from,
 )
-from knotgym.rendering.polygon_fill import SHIFT
-from knotgym.rendering.rasterizer import EDGE, average, polygons
+from knotgym.rendering.capsules import paint
+from knotgym.rendering.picture import depths_of, in_picture
 from knotgym.topology import Crossings, GaussCode, find_crossings
 
 Array = NDArray[np.float64]
@@ -74,9 +73,7 @@ def draw_diagram(
     config = PictureConfig(size=size, view=shown, rope_radius=max(_RADIUS, _THINNEST * shown))
     centre = 0.5 * (rope.min(axis=0) + rope.max(axis=0))
     colours = np.repeat(bead_colours(len(rope)), _PARTS, axis=0)
-    picture = _paint(
-        curve, crossings, project(curve, config, centre), config, colours, BACKGROUND, _GAP
-    )
+    picture = _paint(curve, crossings, centre, config, colours, BACKGROUND, _GAP)
     if pull is not None:
         bead, force = pull
         start = project(rope[bead][None], config, centre)[0]
@@ -100,8 +97,7 @@ def draw_lines(points: ArrayLike, config: PictureConfig) -> NDArray[np.uint8]:
     rope = checked_points(points, 2)
     curve, crossings = smooth_curve(rope, find_crossings(rope).code, _PARTS)
     colours = np.zeros((len(curve), 3), dtype=np.uint8)
-    pixels = project(curve, config, rope.mean(axis=0))
-    return _paint(curve, crossings, pixels, config, colours, _WHITE, _LINE_GAP)
+    return _paint(curve, crossings, rope.mean(axis=0), config, colours, _WHITE, _LINE_GAP)
 
 
 def side_of(points: ArrayLike) -> float:
@@ -152,42 +148,34 @@ def smooth_curve(
 def _paint(
     curve: Array,
     crossings: Crossings,
-    pixels: Array,
+    centre: Array,
     config: PictureConfig,
     colours: NDArray[np.uint8],
     background: RGB,
     gap: float,
 ) -> NDArray[np.uint8]:
-    """Paint the curve, whose points project to `pixels` (n, 2) and have `colours` (n, 3).
+    """Paint the curve (n, 3), whose pieces have `colours` (n, 3), with `centre` in the middle.
 
     `gap` is the width of the bands at crossings, in widths of the rope.
     """
-    factor, count = config.supersampling, len(curve)
-    side = factor * config.size
+    size, count = config.size, len(curve)
     # row by row: 60 times as fast as filling every pixel with three numbers
-    canvas = np.full((1, side, 3), background, dtype=np.uint8).repeat(side, axis=0)
-    radius = factor * config.drawn_radius * config.pixels_per_metre
-
-    def outlines(radius: float) -> tuple[NDArray[np.int32], NDArray[np.intp], Array]:
-        radii = np.full(count, max(radius - EDGE, EDGE))
-        return polygons(factor * pixels - 0.5, curve[:, 2], radii, side)
-
-    (core, owner, height), (band, band_owner, _) = outlines(radius), outlines(gap * radius)
-    drawn = colours[owner].tolist()
-    strokes = list(zip(height.tolist(), core, drawn, strict=True))
-    reaches = _reaches(curve, crossings, config.drawn_radius, gap)
+    picture = np.full((1, size, 3), background, dtype=np.uint8).repeat(size, axis=0)
+    pixels, height, radius = in_picture(curve[None], config, centre)
+    bands = []
     for over, under, reach in zip(
-        crossings.over_place, crossings.under_place, reaches, strict=True
+        crossings.over_place,
+        crossings.under_place,
+        _reaches(curve, crossings, config.drawn_radius, gap),
+        strict=True,
     ):
-        # The band goes right above the under strand near the crossing, the over strand again above
-        # the band: equal heights keep their order of insertion in the stable sort below.
-        level = float(height[_near(owner, under, reach + 2, count)].max())
-        cut, again = _near(band_owner, over, reach, count), _near(owner, over, reach + 1, count)
-        strokes += [(level, band[k], background) for k in cut]
-        strokes += [(level, core[k], drawn[k]) for k in again]
-    for _, outline, colour in sorted(strokes, key=lambda stroke: stroke[0]):
-        cv2.fillConvexPoly(canvas, outline, colour, cv2.LINE_8, SHIFT)
-    return average(canvas, factor)
+        off = np.abs(np.arange(count) - under)
+        near = np.minimum(off, count - off) <= reach + 3.0
+        level = height[0, near].max()
+        bands.append((over, reach, gap * radius[0, 0], level, 1.0))
+    table = np.array(bands, dtype=np.float64).reshape(-1, 5)
+    paint(pixels, height, radius, colours, depths_of(config), table, picture[None], size)
+    return picture
 
 
 def _reaches(curve: Array, crossings: Crossings, radius: float, gap: float) -> Array:
@@ -205,12 +193,6 @@ def _reaches(curve: Array, crossings: Crossings, radius: float, gap: float) -> A
     cosine = (step[over] * step[under]).sum(axis=1) / product
     along = radius * (1 + gap * np.abs(cosine)) / np.maximum(np.abs(sine), 1e-3)
     return np.minimum(along / length.mean() + 0.5, _REACH * _PARTS)
-
-
-def _near(owner: NDArray[np.intp], position: float, reach: float, count: int) -> NDArray[np.intp]:
-    """Return the pieces whose middle is within `reach` of a position along the closed curve."""
-    distance = np.abs(owner + 0.5 - position)
-    return np.flatnonzero(np.minimum(distance, count - distance) <= reach)
 
 
 def _arrow(picture: NDArray[np.uint8], start: Array, end: Array) -> None:

@@ -21,19 +21,20 @@ import platform
 import threading
 from typing import Any
 
+import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Failed
 from knotgym.rendering.camera import FOVY, PictureConfig
-from knotgym.rendering.rasterizer import average
 
 _NEAR = 0.01  # near plane of the camera, metres
 _MARGIN = 0.5  # free space above and below the rope, metres
+_SAMPLES = 4  # along each side of a pixel, averaged
 
-# Only ambient light, so that colours are flat; no multisampling (offsamples), because `average`
-# smooths the pictures of both renderers alike.
+# Only ambient light, so that colours are flat; no multisampling (offsamples), which
+# drivers do each in their own way.
 _STAGE = """
 <mujoco>
   <visual>
@@ -172,7 +173,7 @@ def draw(
     Raises:
         Failed: no OpenGL context can be created.
     """
-    side = config.size * config.supersampling
+    side = config.size * _SAMPLES
     process = os.getpid()
     key = (process, threading.get_ident(), side)
     if key not in _painters:
@@ -186,7 +187,11 @@ def draw(
         if not _processes:
             atexit.register(close)
         _processes.add(process)
-    return average(_painters[key].paint(points, colours, config), config.supersampling)
+    picture = _painters[key].paint(points, colours, config)
+    # halving twice is three times as fast as one reduction by four
+    for shrunk in (2 * config.size, config.size):
+        picture = np.asarray(cv2.resize(picture, (shrunk, shrunk), interpolation=cv2.INTER_AREA))
+    return picture
 
 
 def close() -> None:

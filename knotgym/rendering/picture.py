@@ -1,12 +1,8 @@
-"""Pictures of a rope, drawn as OpenCV would; for the camera and the colours see `camera`.
+"""Pictures of a rope, drawn by `capsules`; for the camera and the colours see `camera`.
 
 Bead i is a capsule from points[i] to points[(i + 1) % beads]. Colours are flat, without light or
-shadow.
-
-Depth is the depth of the rope's axis, accurate to 3.4 mm: beads are drawn in pieces that span at
-most 6.7 mm of depth, and each piece has the depth of its middle. A pixel takes the nearest of its
-samples instead of their average. Under the perspective camera, depth is distance along the line of
-sight.
+shadow. Depth is that of the rope's axis where it is seen; under the perspective camera it is
+distance along the line of sight.
 
 After a change run `pytest tests/rendering/test_picture.py` and `python benchmarks/truth.py`:
 pictures must be a ray tracer's but for edges, and the strand on top the one labelled over.
@@ -25,7 +21,7 @@ from knotgym.rendering.camera import (
     require,
     seen_from,
 )
-from knotgym.rendering.rasterizer import EDGE, paint
+from knotgym.rendering.capsules import Depths, paint
 from knotgym.topology import Crossings
 
 
@@ -113,38 +109,41 @@ def _draw_all(
             for square, view in zip(np.split(image, views), config.views, strict=True):
                 square[:] = mujoco_renderer.draw(seen_from(view, rope), colours, config)
         return out
-    shades = np.vstack([np.array(config.background, dtype=np.uint8), colours])
     # whole rows: NumPy assigns three channels at a time forty times more slowly
     row = np.tile(np.array((*config.background, 0)[: config.channels], dtype=np.uint8), size)
     out.reshape(*out.shape[:2], out.shape[2] * config.channels)[:, :, : row.size] = row
-    # height of the centre of mass, or its distance from the camera: the depth that becomes level
-    # 128
-    middle = 0.0 if config.camera == "orthographic" else -config.camera_height
-    for number, view in enumerate(config.views):
-        placed = _on_canvas(seen_from(view, points), config)
-        depths, top = (middle, config.view), number * size
-        paint(*placed, config.supersampling, shades, depths, out, top, size)
+    sides = [seen_from(view, points) for view in config.views]
+    ropes = np.stack(sides, axis=1).reshape(-1, beads, 3) if views > 1 else sides[0]
+    squares = out.reshape(-1, size, *out.shape[2:])
+    paint(*in_picture(ropes, config), colours, depths_of(config), np.empty((0, 5)), squares, size)
     return out
 
 
-def _on_canvas(
-    points: NDArray[np.float64], config: PictureConfig
+def in_picture(
+    points: NDArray[np.float64], config: PictureConfig, center: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Project ropes (m, beads, 3) onto the supersampled canvas.
+    """Project ropes (m, beads, 3) for `paint`.
+
+    Args:
+        points: metres.
+        config: settings of the picture.
+        center: see `project`; by default the mean of each rope.
 
     Returns:
-        pixels (m, beads, 2); heights (m, beads), metres, in perspective the negative distance to
-        the camera; radii (m, beads), pixels, less EDGE.
+        pixels (m, beads, 2); heights (m, beads), in perspective the negative distance to the camera
+        at the scale of the centre of mass; radii (m, beads). All in pixels.
     """
-    offset = points - points.mean(axis=1, keepdims=True)
-    # OpenCV has the centres of samples at whole numbers, `project` at halves
-    pixels = config.supersampling * project(points, config) - 0.5
-    if config.camera == "orthographic":
-        height = np.ascontiguousarray(offset[..., 2])
-    else:
+    offset = points - (points.mean(axis=1, keepdims=True) if center is None else center)
+    pixels, height = project(points, config, center), np.ascontiguousarray(offset[..., 2])
+    if config.camera == "perspective":
         # negative, so that nearer is higher under both cameras
         height = -np.linalg.norm(offset - np.array([0.0, 0.0, config.camera_height]), axis=-1)
-    # Each vertex has a radius of its own, as perspective widens what is near. OpenCV fills EDGE too
-    # wide, see `rasterizer`.
-    radius = config.supersampling * config.drawn_radius * pixels_per_metre_at(offset, config)
-    return pixels, height, np.maximum(radius - EDGE, EDGE)
+    # each vertex has a radius of its own, as perspective widens what is near
+    radius = config.drawn_radius * pixels_per_metre_at(offset, config)
+    return pixels, config.pixels_per_metre * height, radius
+
+
+def depths_of(config: PictureConfig) -> Depths:
+    """Return the levels of depth: half of them in front of the centre of mass."""
+    middle = 0.0 if config.camera == "orthographic" else -config.camera_height
+    return Depths(config.pixels_per_metre * middle, config.pixels_per_metre * config.view)
