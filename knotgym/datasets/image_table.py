@@ -33,7 +33,7 @@ from knotgym.quality import UNITS
 from knotgym.states import IMAGE_SPLITS
 
 FORMAT = "knotgym-images"
-_FORMAT_VERSION = 1
+_FORMAT_VERSION = 2  # 2: ropes are drawn by distance
 _DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `row_line`
 GRADES = ("easy", "medium", "hard", "extreme")
 _ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be read

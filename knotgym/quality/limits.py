@@ -132,8 +132,8 @@ UNTWISTED = Limits(
     }
 )
 # Nothing but the Gauss code is required to be certain. A quarter of a bead is 0.64 pixels and
-# rounding errors are 1e-12 of that; two strands less than 7 mm apart may be painted in the wrong
-# order (see `rendering.rasterizer`).
+# rounding errors are 1e-12 of that; axes less than 7 mm apart are those of ropes, 10 mm thick, that
+# lie in each other, so a picture of their surfaces shows no order.
 UNAMBIGUOUS = Limits(
     **{
         **_NO_LIMITS,

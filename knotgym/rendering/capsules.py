@@ -61,97 +61,87 @@ def paint(
     """
     ropes, n = height.shape
     # Strands are kept in lists: `first` has each pixel's newest strand or -1, `of` the strand
-    # before, the pixel, the first and the last piece that touched it, and the piece on top.
+    # before, the pixel, the first and the last piece that touched it, and the piece on top; `seen`
+    # its coverage, the rank of the piece on top, and the height of the axis there.
     first = np.full(size * size, -1, np.int32)
     of, seen = np.empty((4096, 5), np.int32), np.empty((4096, 3))
     order = np.empty(n, np.int64)
     for k in range(ropes):
-        image, count = out[k], 0
-        for i in range(n):
-            j = (i + 1) % n
-            x, y, z, r = pixels[k, i, 0], pixels[k, i, 1], height[k, i], radius[k, i]
-            dx, dy = pixels[k, j, 0] - x, pixels[k, j, 1] - y
-            dz, dr = height[k, j] - z, radius[k, j] - r
-            if not (dx * dx + dy * dy < np.inf):
-                continue
-            square = max(dx * dx + dy * dy, 1e-12)
-            inverse = 1.0 / square
-            # how much farther up the piece its highest point above a pixel is than its nearest, in
-            # pieces and for each pixel of the sphere's height there
-            lean = dz / np.sqrt(square * (square + dz * dz))
-            full, reach = min(1.0, 2.0 * max(r, r + dr)), max(r, r + dr) + 0.5
-            top, bottom = _range(y, dy, reach, size)
-            left, right = _range(x, dx, reach, size)
-            while count + (bottom - top) * (right - left) > len(of):
-                of, seen = _doubled(of), _doubled(seen)
-            # the part of a row that the piece reaches, however far it went on
-            slope, wide = (dx / dy, reach * np.sqrt(square) / abs(dy)) if dy != 0.0 else (0.0, np.inf)
-            for row in range(top, bottom):
-                py = row + 0.5 - y
-                start = max(left, int(max(x + py * slope - wide, 0.0)))
-                stop = min(right, int(min(x + py * slope + wide, size)) + 1)
-                for column in range(start, stop):
-                    px = column + 0.5 - x
-                    along = (px * dx + py * dy) * inverse
-                    t = min(max(along, 0.0), 1.0)
-                    ex, ey, here = px - t * dx, py - t * dy, r + t * dr
-                    away = ex * ex + ey * ey
-                    least = here + 0.5 - _LEAST_COVER
-                    if not away < least * least:
-                        continue
-                    distance = np.sqrt(away)
-                    cover = min(here + 0.5 - distance, full)
-                    rank = _OUTSIDE - distance
-                    if distance < here:
-                        # the upper surface of a capsule is that of the spheres along its axis
-                        ex, ey = px - along * dx, py - along * dy
-                        rise = np.sqrt(max(here * here - ex * ex - ey * ey, 0.0))
-                        t = min(max(along + rise * lean, 0.0), 1.0)
-                        ex, ey = px - t * dx, py - t * dy
-                        rank = z + t * dz + np.sqrt(max(here * here - ex * ex - ey * ey, 0.0))
-                    pixel = row * size + column
-                    strand = first[pixel]
-                    while strand >= 0 and of[strand, 3] < i - 1:
-                        strand = of[strand, 0]
-                    if strand < 0:
-                        strand = count
-                        count += 1
-                        of[strand, 0], of[strand, 1], of[strand, 2] = first[pixel], pixel, i
-                        seen[strand, 0], seen[strand, 1] = 0.0, -np.inf
-                        first[pixel] = strand
-                    of[strand, 3] = i
-                    seen[strand, 0] = max(seen[strand, 0], cover)
-                    if rank > seen[strand, 1]:
-                        of[strand, 4], seen[strand, 1], seen[strand, 2] = i, rank, z + t * dz
+        count, of, seen = _stamp(pixels[k], height[k], radius[k], first, of, seen, size)
         for b in range(len(bands)):
             _cut(pixels[k], bands[b], first, of, seen, size)
-        for newest in range(count):
-            pixel = of[newest, 1]
-            if first[pixel] == newest:
-                strands = 1
-                order[0] = newest
-                if of[newest, 0] >= 0:
-                    _close(newest, of, seen, n)
-                    strands = _falling(newest, of, seen, order)
-                row, column = pixel // size, pixel % size
-                # in place: a view of the pixel would take longer than what is done with it
-                red = green = blue = 0.0
-                left_over = 1.0
-                for at in range(strands):
-                    share, i = left_over * seen[order[at], 0], of[order[at], 4]
-                    red += share * colours[i, 0]
-                    green += share * colours[i, 1]
-                    blue += share * colours[i, 2]
-                    left_over -= share
-                image[row, column, 0] = np.uint8(red + left_over * image[row, column, 0] + 0.5)
-                image[row, column, 1] = np.uint8(green + left_over * image[row, column, 1] + 0.5)
-                image[row, column, 2] = np.uint8(blue + left_over * image[row, column, 2] + 0.5)
-                if image.shape[2] == 4 and left_over < 1.0:
-                    nearer = 0.5 + (seen[order[0], 2] - depths.middle) / depths.span
-                    nearer = min(max(nearer, 0.0), 1.0)
-                    image[row, column, 3] = np.uint8(1 + np.rint(254.0 * nearer))
+        _blend(count, first, of, seen, order, colours, depths, out[k], size)
         for strand in range(count):
             first[of[strand, 1]] = -1
+
+
+@inner
+def _stamp(
+    pixels: NDArray[np.float64],
+    height: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    first: NDArray[np.int32],
+    of: NDArray[np.int32],
+    seen: NDArray[np.float64],
+    size: int,
+) -> Any:
+    """Find the strands of a rope at all pixels; return their number, `of` and `seen`."""
+    count, n = 0, len(height)
+    for i in range(n):
+        j = (i + 1) % n
+        x, y, z, r = pixels[i, 0], pixels[i, 1], height[i], radius[i]
+        dx, dy, dz, dr = pixels[j, 0] - x, pixels[j, 1] - y, height[j] - z, radius[j] - r
+        if not dx * dx + dy * dy < np.inf:
+            continue
+        square = max(dx * dx + dy * dy, 1e-12)
+        inverse = 1.0 / square
+        # how much farther up the piece its highest point above a pixel is than its nearest, in
+        # pieces and for each pixel of the sphere's height there
+        lean = dz / np.sqrt(square * (square + dz * dz))
+        full, reach = min(1.0, 2.0 * max(r, r + dr)), max(r, r + dr) + 0.5
+        top, bottom = _range(y, dy, reach, size)
+        left, right = _range(x, dx, reach, size)
+        # here, as arrays that are replaced in the inner loop are slow
+        while count + (bottom - top) * (right - left) > len(of):
+            of, seen = _doubled(of), _doubled(seen)
+        # half of what a row cuts out of the piece, however far it went on; beside that all is free
+        slope, wide = (dx / dy, reach * np.sqrt(square) / abs(dy)) if dy != 0.0 else (0.0, np.inf)
+        for row in range(top, bottom):
+            py = row + 0.5 - y
+            start = max(left, int(max(x + py * slope - wide, 0.0)))
+            stop = min(right, int(min(x + py * slope + wide, size)) + 1)
+            for column in range(start, stop):
+                px = column + 0.5 - x
+                along = (px * dx + py * dy) * inverse
+                t = min(max(along, 0.0), 1.0)
+                ex, ey, here = px - t * dx, py - t * dy, r + t * dr
+                away, least = ex * ex + ey * ey, here + 0.5 - _LEAST_COVER
+                if not away < least * least:
+                    continue
+                distance = np.sqrt(away)
+                cover, rank = min(here + 0.5 - distance, full), _OUTSIDE - distance
+                if distance < here:
+                    # the upper surface of a capsule is that of the spheres along its axis
+                    ex, ey = px - along * dx, py - along * dy
+                    rise = np.sqrt(max(here * here - ex * ex - ey * ey, 0.0))
+                    t = min(max(along + rise * lean, 0.0), 1.0)
+                    ex, ey = px - t * dx, py - t * dy
+                    rank = z + t * dz + np.sqrt(max(here * here - ex * ex - ey * ey, 0.0))
+                pixel = row * size + column
+                strand = first[pixel]
+                while strand >= 0 and of[strand, 3] < i - 1:
+                    strand = of[strand, 0]
+                if strand < 0:
+                    strand = count
+                    count += 1
+                    of[strand, 0], of[strand, 1], of[strand, 2] = first[pixel], pixel, i
+                    seen[strand, 0], seen[strand, 1] = 0.0, -np.inf
+                    first[pixel] = strand
+                of[strand, 3] = i
+                seen[strand, 0] = max(seen[strand, 0], cover)
+                if rank > seen[strand, 1]:
+                    of[strand, 4], seen[strand, 1], seen[strand, 2] = i, rank, z + t * dz
+    return count, of, seen
 
 
 @inner
@@ -246,3 +236,41 @@ def _falling(
         count += 1
         strand = of[strand, 0]
     return count
+
+
+@inner
+def _blend(
+    count: int,
+    first: NDArray[np.int32],
+    of: NDArray[np.int32],
+    seen: NDArray[np.float64],
+    order: NDArray[np.int64],
+    colours: NDArray[np.uint8],
+    depths: Depths,
+    image: NDArray[np.uint8],
+    size: int,
+) -> None:
+    """Blend the strands of each pixel, the highest first, over its background."""
+    for newest in range(count):
+        if first[of[newest, 1]] != newest:
+            continue
+        strands, order[0] = 1, newest
+        if of[newest, 0] >= 0:
+            _close(newest, of, seen, len(order))
+            strands = _falling(newest, of, seen, order)
+        red = green = blue = 0.0
+        left = 1.0
+        for at in range(strands):
+            share, i = left * seen[order[at], 0], of[order[at], 4]
+            red += share * colours[i, 0]
+            green += share * colours[i, 1]
+            blue += share * colours[i, 2]
+            left -= share
+        # in place: a view of the pixel would take longer than what is done with it
+        row, column = of[newest, 1] // size, of[newest, 1] % size
+        image[row, column, 0] = np.uint8(red + left * image[row, column, 0] + 0.5)
+        image[row, column, 1] = np.uint8(green + left * image[row, column, 1] + 0.5)
+        image[row, column, 2] = np.uint8(blue + left * image[row, column, 2] + 0.5)
+        if image.shape[2] == 4 and left < 1.0:
+            nearer = min(max(0.5 + (seen[order[0], 2] - depths.middle) / depths.span, 0.0), 1.0)
+            image[row, column, 3] = np.uint8(1 + np.rint(254.0 * nearer))

@@ -77,8 +77,10 @@ class PhotoRope:
     """The smooth rope, centred, and its crossings; `parts` pieces for each bead."""
 
     def __init__(self, points: Array, size: int) -> None:
-        self.points, self.parts = points, min(-(-size // 128), 3)
-        self.crossings, flat = find_crossings(points), points - points.mean(axis=0)
+        # a copy: the photo's answers hold it, and callers may change theirs
+        self.points, self.parts = np.array(points, dtype=np.float64), min(-(-size // 128), 3)
+        self.crossings = find_crossings(self.points)
+        flat = self.points - self.points.mean(axis=0)
         self.curve, self.shown = smooth_curve(flat, self.crossings.code, self.parts, _EASES)
 
 
