@@ -217,20 +217,6 @@ def test_draw_many_is_draw_many_times() -> None:
     assert draw_many(np.empty((0, 100, 3))).shape == (0, 128, 128, 3)
 
 
-@pytest.mark.parametrize("vertices", [[0], [37], [37, 37, 38], [*range(100)]])
-def test_a_vertex_written_twice_is_drawn_once(vertices: list[int]) -> None:
-    points, colours = curves()[0], bead_colours(100)
-    config = PictureConfig(depth=True)
-    twice = np.sort([*range(100), *vertices])
-    image = draw(points[twice], config, colours=colours[twice]).astype(int)
-    if len(vertices) == 100:  # elsewhere the middle of the picture moved with the mean
-        assert np.abs(image - draw(points, config, colours=colours)).mean() < 0.01
-    # one strand, so no pixel is covered twice
-    assert image[..., 0].sum() == pytest.approx(
-        int(draw(points, colours=colours)[..., 0].sum()), rel=0.01
-    )
-
-
 def test_the_background_is_what_was_asked_for() -> None:
     image = draw(ring(), PictureConfig(background=(10, 20, 30)))
     assert image[0, 0].tolist() == [10, 20, 30] and image[64, 64].tolist() == [10, 20, 30]
