@@ -24,14 +24,13 @@ from knotgym.generate import Lives, PlayConfig, judge
 from knotgym.quality import Limits
 from knotgym.rope import CHAIN, Array, Rope
 from knotgym.states import (
-    DRAWING,
     STATE_SPLITS,
     VERTICES,
     States,
     nearest,
     pairs_within,
     read_states,
-    states_at,
+    resolve_states,
     write_vertices,
 )
 from knotgym.topology import GaussCode, label
@@ -60,7 +59,7 @@ def pulled(states: States) -> States:
     Drawings of a diagram and of its mirror image are alike; after random pulls, and pulls that
     spread the rope out again, their ropes lie differently. Longer lives make illegible ones.
     """
-    drawn = np.flatnonzero(states.source["policy"] == DRAWING)
+    drawn = np.flatnonzero(states.source["policy"] == "drawing")
     if not len(drawn):
         return states
     drawn = np.tile(drawn, LIVES)
@@ -129,11 +128,11 @@ def main() -> None:
     given = parser.parse_args()
     parts, points = list[dict[str, NDArray[Any]]](), list[Array]()
     for source in given.sources:
-        states = pulled(read_states(states_at(source), images=False))
+        states = pulled(read_states(resolve_states(source), images=False))
         as_laid, kept = laid(states)
         rows = distinct(as_laid, kept, points)
         print(f"{source}: {len(rows)} of {len(states)} pass again and differ")
-        drawn = states.source["policy"][rows] == DRAWING
+        drawn = states.source["policy"][rows] == "drawing"
         columns = {
             name: states.table[name][rows] for name in ("gauss_code_chiral", "knot", "split")
         }

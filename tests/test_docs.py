@@ -26,7 +26,7 @@ import knotgym
 from knotgym.datasets import MinariMetadata, open_episodes, publish, state_card_tables
 from knotgym.envs import TaskConfig
 from knotgym.quality import UNITS
-from knotgym.states import SHIPPED, read_states, shipped, write_states
+from knotgym.states import SETS, read_states, shipped, write_states
 
 from .scripts import ROOT
 from .small_job import knotgym as knotgym_command
@@ -373,7 +373,7 @@ def test_the_citation_has_the_version_of_the_package() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(one, marks=[pytest.mark.thorough] * (one == "bench")) for one in SHIPPED],
+    [pytest.param(one, marks=[pytest.mark.thorough] * (one == "bench")) for one in SETS],
 )
 def test_what_train_and_test_share_is_as_computed(name: str) -> None:
     said = [line for line in (DOCS / "sets.md").read_text().splitlines() if "| `" in line]

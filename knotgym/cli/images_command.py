@@ -37,13 +37,13 @@ def images(given: Given) -> None:
     """
     from knotgym.generate import make_images
     from knotgym.rendering import VARIED
-    from knotgym.states import ships
+    from knotgym.states import is_bundled
 
     states, vary = given["states"], given["vary"]
     vary = {("all",): VARIED, ("none",): ()}.get(vary, vary)
     usual = {"appearance.vary": vary} if "vary" in given.typed else {}
     config = given.config(ImagesConfig, usual=usual)
-    whence = states if ships(states) else Path(states).absolute().parent.name
+    whence = states if is_bundled(states) else Path(states).absolute().parent.name
     marks = [f"-from-{whence}" if states else ""]
     marks += ["-varied" if config.appearance.vary else ""]
     folder = given.folder(f"images-nx{as_typed(config.nx)}{''.join(marks)}")

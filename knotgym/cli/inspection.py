@@ -33,7 +33,7 @@ from knotgym.generate import film as film_of
 from knotgym.rendering import film_frames, require_film, write_film
 from knotgym.rope import rope_of, simulation_of
 from knotgym.runs import Progress, executor
-from knotgym.states import read_states, root_of
+from knotgym.states import read_states, resolve
 
 Image: TypeAlias = NDArray[np.uint8]
 _LARGE = 4_000_000  # bytes; larger tables are checked faster by several processes than by one
@@ -59,7 +59,7 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
     Raises:
         InvalidFile: the HDF5 library crashes on one of the files.
     """
-    root = root_of(named)
+    root = resolve(named)
     with executor(2) as pool:
         try_files([root, *sorted(root.glob("**/*.h*5"))], pool)
     tables = [file for file in (root, *root.glob("**/*.parquet")) if file.is_file()]

@@ -59,7 +59,7 @@ from knotgym.datasets.episodes import (
     merged,
 )
 from knotgym.envs import TaskConfig
-from knotgym.states import minari_root, root_of, ships, states_file
+from knotgym.states import is_bundled, minari_root, resolve, resolve_states
 
 FORMAT, VERSION = "knotgym-episodes", 2
 FORMS = {"columns": (EPISODES, STEPS), "recording": (RECORDED, PULLS)}
@@ -126,7 +126,9 @@ class EpisodeDataset:
     def found_task(self) -> TaskConfig:
         """The task with the path of its states, so that its environment can be made."""
         named = self.task.states
-        return self.task if ships(named) else replace(self.task, states=str(self.states_path()))
+        return (
+            self.task if is_bundled(named) else replace(self.task, states=str(self.states_path()))
+        )
 
     def states_path(self) -> Path:
         """Return the state file that the episodes were reset from, found by its digest.
@@ -139,8 +141,8 @@ class EpisodeDataset:
             InvalidFile: the file found there is another one, or the episodes name no digest.
         """
         named, digest = self.task.states, self.attributes.get(STATES_DIGEST)
-        if ships(named) or named is None:
-            return states_file(named)
+        if is_bundled(named) or named is None:
+            return resolve_states(named)
         root = minari_root().resolve()
         carried = (root / named / "data" / STATES_FILE).resolve()
         found = [self.path.with_name(STATES_FILE), *[carried] * carried.is_relative_to(root)]
@@ -295,8 +297,8 @@ def write_episodes(
         raise InvalidInput("episodes to write are a list of recordings, or of columns")
     same = fitted(parts)
     own = dict(facts or {})
-    if not ships(task.states) and STATES_DIGEST not in own:
-        own[STATES_DIGEST] = sha256(states_file(task.states))
+    if not is_bundled(task.states) and STATES_DIGEST not in own:
+        own[STATES_DIGEST] = sha256(resolve_states(task.states))
     attributes = {
         **own,
         "form": "recording" if parts[0].is_recording else "columns",
@@ -355,7 +357,7 @@ def episode_file(source: Any) -> Path:
         source = source.storage.data_path
     if not isinstance(source, (str, os.PathLike)):
         raise InvalidInput(f"a dataset is an id, a folder or a file, got {source!r}")
-    root = root_of(source)
+    root = resolve(source)
     for name in (FILE, MAIN):
         for inside in (root, root / name, root / "data" / name):
             if inside.is_file():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import Stream, generator
 from knotgym.datasets.image_table import encode, parquet, table_of
-from knotgym.quality import LEGIBLE, Quality, grade
+from knotgym.quality import LEGIBLE, ease, grade_of
 from knotgym.rendering import (
     Appearance,
     AppearanceConfig,
@@ -26,12 +26,12 @@ from knotgym.rendering import (
     take,
 )
 from knotgym.rope import Array
-from knotgym.states import derived_row
-from knotgym.topology import diagram_form, find_crossings
+from knotgym.states import STATES, RopeAtRest
+from knotgym.topology import diagram_form
 
 _RGB = ("first", "last", "background")
 _OF_PHOTOS = {one.name for one in fields(Photo)} - {one.name for one in fields(Appearance)}
-_QUALITY = "quality/"
+_CODES = STATES.only(*("gauss_code", "gauss_code_chiral", "pd_code", "dt_code", "nx", "knot"))
 
 
 class PictureRow(NamedTuple):
@@ -68,7 +68,7 @@ def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
     else:
         shot, look = None, appearance(row.points, config, rng)
     return {
-        **derived(row.points, look, shot),
+        **derived(RopeAtRest(row.points), look, shot),
         "points": row.points.ravel().tolist(),
         "appearance": {one.name: getattr(look, one.name) for one in fields(Appearance)},
         "source": source,
@@ -76,17 +76,15 @@ def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
     }
 
 
-def derived(points: Array, look: Appearance, shot: Shot | None = None) -> dict[str, Any]:
+def derived(rope: RopeAtRest, look: Appearance, shot: Shot | None = None) -> dict[str, Any]:
     """Return the columns that follow from a configuration and its appearance.
 
     Args:
+        rope: the configuration.
+        look: the appearance.
         shot: the photo, if it was taken already.
     """
-    row, crossings = derived_row(points), find_crossings(points)
-    quality = {
-        name.removeprefix(_QUALITY): row.pop(name) for name in [*row] if name.startswith(_QUALITY)
-    }
-    measured = Quality(**quality)
+    points, crossings = rope.points, rope.crossings
     if isinstance(look, Photo):
         shot = shot or take(points, look)
         pixels, image, more = shot.pixels, shot.image, _answers(shot)
@@ -97,11 +95,11 @@ def derived(points: Array, look: Appearance, shot: Shot | None = None) -> dict[s
     columns = [column.tolist() for column in (*positions, crossings.sign)]
     names = ("x", "y", "over_place", "under_place", "sign")
     return {
-        **row,
+        **_CODES.derive(rope),
         "crossings": [dict(zip(names, one, strict=True)) for one in zip(*columns, strict=True)],
-        "accepted": not LEGIBLE.faults(measured, crossings.nx),
-        "grade": grade(measured, LEGIBLE),
-        "quality": quality,
+        "accepted": not LEGIBLE.faults(rope.quality, crossings.nx),
+        "grade": grade_of(ease(rope.quality, LEGIBLE)),
+        "quality": asdict(rope.quality),
         "image": encode(image, 3 if more else 9),
         **more,
     }

@@ -73,6 +73,12 @@ def _schema(photos: bool) -> Any:
     return arrow().schema(types, metadata=shown("image", *["strands"] * photos))
 
 
+def marks_base(table: Any) -> bool:
+    """Whether all pictures of a table mark the base bead and the direction of the code."""
+    colours = {look["colours"] for look in table["appearance"].to_pylist()}
+    return colours <= {"published", "gradient"}
+
+
 def picture_column(pictures: Iterable[bytes]) -> Any:
     """Return PNG bytes as a pyarrow.Array in the layout of Hugging Face's Image feature."""
     rows = [{"bytes": one, "path": None} for one in pictures]

@@ -18,6 +18,7 @@ from knotgym.datasets.episode_verification import Count, uncounted
 from knotgym.datasets.image_rows import appearance_of, derived
 from knotgym.datasets.image_table import (
     arrow,
+    marks_base,
     points_of,
     read_rows,
     read_table,
@@ -27,11 +28,11 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.datasets.split_verification import shared_faults
+from knotgym.datasets.state_verification import row_faults as state_faults
 from knotgym.quality import UNAMBIGUOUS, Quality
 from knotgym.rendering import SIZES
 from knotgym.rope import Rope
-from knotgym.states import IMAGE_SPLITS
-from knotgym.states import row_faults as state_faults
+from knotgym.states import IMAGE_SPLITS, held_form
 
 _COLOURS = ("published", "single", "gradient", "lines", "photo")
 # what foreign numbers make the renderer and NumPy raise
@@ -60,7 +61,8 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
         count("files of pictures", done, len(files))
         yield from faults
     try:
-        table = read_table(path, columns=["gauss_code", "nx", "split", "points", "source"])
+        compared = ("gauss_code", "nx", "split", "points", "source", "appearance")
+        table = read_table(path, columns=compared)
     except InvalidFile:  # a fault already
         return
     if len(table):
@@ -116,9 +118,14 @@ def _split_faults(table: Any) -> Iterator[str]:
     ropes = [(source["seed"], source["rope"]) for source in sources]
     yield from shared_faults(points_of(table), split, ropes, numbers)
     # codes of test-nx have more crossings than any other split's, so they aren't compared
-    seen = set(codes[np.isin(split, ("train", "test"))].tolist())
-    for code in sorted(set(codes[split == "test-code"].tolist()) & seen):
-        yield f"code {code or 'loop'} is in test-code and in train or test"
+    marked = marks_base(table)
+    held, seen = (
+        {held_form(code, marked=marked) for code in set(codes[np.isin(split, names)].tolist())}
+        for names in (("test-code",), ("train", "test"))
+    )
+    for code in sorted(held & seen):
+        same = "" if marked else ", from another base or in another direction,"
+        yield f"code {code or 'loop'}{same} is in test-code and in train or test"
     harder, trained = nx[split == "test-nx"], nx[split == "train"]
     if len(harder) and len(trained) and harder.min() <= trained.max():
         yield "test-nx has pictures with no more crossings than train"

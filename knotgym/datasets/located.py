@@ -11,7 +11,7 @@ from knotgym.common import InvalidInput, format_of, require_no_links
 from knotgym.datasets.episode_dataset import FILE, FORMAT, episode_file, open_episodes
 from knotgym.datasets.image_table import is_images, shards
 from knotgym.datasets.minari_form import dataset_files
-from knotgym.states import minari_root, root_of, states_at
+from knotgym.states import minari_root, resolve, resolve_states
 
 
 class Located(NamedTuple):
@@ -78,7 +78,7 @@ def locate(named: str) -> Located:
         MissingFile: there is no such file, folder or id.
         InvalidInput: the folder holds no knotgym dataset.
     """
-    root = root_of(named)
+    root = resolve(named)
     if is_images(root):
         return Located(root, pictures=root)
     if root.is_file():
@@ -86,7 +86,7 @@ def locate(named: str) -> Located:
             return Located(root, episodes=(root,))
         return Located(root, states=root)
     if any((root / name).is_file() for name in ("states.h5", "manifest.json")):
-        return Located(root, states_at(root), _datasets_below(root / "minari"))
+        return Located(root, resolve_states(root), _datasets_below(root / "minari"))
     found = _datasets_below(root)
     if not found:
         raise InvalidInput(

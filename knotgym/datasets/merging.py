@@ -19,7 +19,7 @@ from knotgym.datasets.located import locate
 from knotgym.datasets.minari_form import MinariMetadata, metadata_of, publish
 from knotgym.datasets.selectable import EpisodeRows, StateRows, opened, require_file
 from knotgym.envs import TaskConfig, task_sides
-from knotgym.states import merge_states, minari_root, repeated, ships, write_states
+from knotgym.states import is_bundled, merge_states, minari_root, repeated, write_states
 
 
 def merge(
@@ -85,7 +85,7 @@ def merge(
 
 def _states(dataset: EpisodeDataset) -> Path | None:
     """Return the state file that a dataset of these episodes must include; None if bundled."""
-    return None if ships(dataset.task.states) else dataset.states_path()
+    return None if is_bundled(dataset.task.states) else dataset.states_path()
 
 
 def _joint_task(datasets: Sequence[EpisodeDataset]) -> TaskConfig:

@@ -38,7 +38,7 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.located import locate_own, refuse_minaris_folder
 from knotgym.rope import Array
-from knotgym.states import families, read_states, root_of, write_states
+from knotgym.states import families, read_states, resolve, write_states
 
 Rows = NDArray[np.int64]
 Selections = list[dict[str, Any]]
@@ -185,7 +185,7 @@ def write_rows(
     """Write some rows, at least one, as a new file; return its path."""
     if not len(rows):
         raise InvalidInput(f"none of the {given.count} rows of {source} is left")
-    require_file(out, [root_of(source)], overwrite)
+    require_file(out, [resolve(source)], overwrite)
     counts = {"sha256": sha256(given.digested), "rows": given.count, "kept": len(rows)}
     made = {"from": source, **counts, **how, "knotgym": knotgym.__version__}
     with atomic_write(out, overwrite=overwrite) as path:

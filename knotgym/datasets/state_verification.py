@@ -1,7 +1,7 @@
 """Verify state files and the folders that `knotgym generate` writes."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -39,29 +39,22 @@ from knotgym.rope import (
 )
 from knotgym.states import (
     BY_VERTICES,
-    DRAWING,
-    IMPORT,
-    PLAY,
-    RANDOM_WALK,
+    SOURCES,
     STATE_SPLITS,
     STATES,
+    RopeAtRest,
     States,
     read_states,
     repeated,
-    row_faults,
+    source_of,
 )
-from knotgym.topology import GaussCode
+from knotgym.topology import GaussCode, pyknotid_code
 
 # in your own files quality and source may be missing, but then rows can't be verified
 _NEEDED = {c.name for c in STATES.columns if not c.optional or "/" in c.name} - {"image"}
 _BATCH = 64  # rows replayed in one simulation
-# the streams that the seeds of rows are keys of, by the policy that led to them
-_STREAMS = {
-    DRAWING: Stream.DRAWING,
-    PLAY: Stream.PLAYED_ROPE,
-    RANDOM_WALK: Stream.RANDOM_WALK,
-    IMPORT: Stream.IMPORT,
-}
+# tolerance of a measure, relative to 1 + its modulus: other processors round differently
+_ROUNDING = 1e-9
 # metres; tolerance for a start that is drawn again from its seed: other processors round
 # differently and the relaxation amplifies that. Replays from the stored start must be exact.
 _REDRAWN = 1e-4
@@ -84,7 +77,8 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     rope, needed = Rope(rope_of(beads)), {*_NEEDED}
     if states.attributes.get("form") == BY_VERTICES:  # they have no measures
         needed = {name for name in needed if not name.startswith("quality/")}
-    if set(states.source.get("policy", ())) <= {RANDOM_WALK}:  # drawn from the seed
+    sources = {SOURCES.get(name) for name in states.source.get("policy", ())}
+    if all(one is not None and one.draws_actions for one in sources):
         needed.discard("source/actions")
     lacking = [f"{name} is missing" for name in sorted(needed - {*states.table})]
     if states.qpos.shape[1] != rope.nq:
@@ -156,6 +150,46 @@ def _demonstration_faults(
         yield f"states.h5 row {row}: episode {k} of {name} {fault}"
 
 
+def row_faults(
+    stored: Mapping[str, Any],
+    rope: Rope,
+    derive: Callable[[RopeAtRest], Mapping[str, Any]] = STATES.derive,
+) -> Iterator[str]:
+    """Yield how a row differs from what follows from its points, and from the second labeller.
+
+    Args:
+        stored: values by column name, `points` among them; columns that are missing aren't checked.
+        rope: the rope; what is wider than it is long can't be measured.
+        derive: computes the columns that follow from how a rope lies.
+    """
+    shown = RopeAtRest(stored["points"])
+    across = float(np.ptp(shown.points, axis=0).max())
+    if not across <= rope.config.length:
+        yield f"points are {across:.3g} m apart, the rope is {rope.config.length:g} m long"
+        return
+    for name, right in derive(shown).items():
+        yield from _unlike(name, stored.get(name, right), right)
+    second = pyknotid_code(shown.points)
+    if second != shown.code:
+        yield f"pyknotid reads {second.chiral}, our labeller reads {shown.code.chiral}"
+
+
+def _unlike(name: str, found: Any, right: Any) -> Iterator[str]:
+    """Yield how a value differs from the right one; numbers may differ by rounding."""
+    if isinstance(right, dict):
+        for inner, one in right.items():
+            yield from _unlike(f"{name}.{inner}", found[inner], one)
+    elif isinstance(right, (bytes, np.ndarray)):
+        same = found == right if isinstance(right, bytes) else np.array_equal(found, right)
+        if not same:
+            yield f"{name} is not the picture of points"
+    elif isinstance(right, float):
+        if found != right and not abs(found - right) <= _ROUNDING * (1 + abs(right)):
+            yield f"{name} is {found}, recomputed {right}"
+    elif found != right:
+        yield f"{name} is {found}, recomputed {right}"
+
+
 def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:
     """Yield the faults of one row; its replay ended at qpos `end`, None if it failed."""
     stored = {name: values[row] for name, values in states.table.items()}
@@ -167,9 +201,10 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
         yield f"split is {str(stored['split'])!r}"
     try:
         _actions_of(states, row)
-        stream = _STREAMS.get(str(stored["source/policy"]))
-        seed = stored["source/seed"] if stream is None else _key(stored["source/seed"], stream)
-        if stream == Stream.RANDOM_WALK and not stored["source/dataset"]:
+        source, seed = source_of(str(stored["source/policy"])), stored["source/seed"]
+        if source.stream is not None:
+            seed = _key(seed, source.stream)
+        if source.draws_actions and not stored["source/dataset"]:
             walk = seed[2], stored["source/steps"]
             if walk != (stored["source/trajectory"], stored["source/step"]):
                 yield f"it isn't step {walk[1]} of rope {walk[0]}, as its seed says"

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidInput
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope import RopeConfig
-from knotgym.states import CODE_SPLITS, States, read_states, shipped, ships, states_file
+from knotgym.states import CODE_SPLITS, States, is_bundled, read_states, resolve_states, shipped
 from knotgym.topology import UNKNOT
 
-OWN, SHIPPED = "own", "shipped"  # origin of states: the user's file, or a set that ships
+OWN, SHIPPED = "own", "shipped"  # origin of states: the user's file, or a set that is_bundled
 
 
 class TaskSide(NamedTuple):
@@ -53,7 +53,7 @@ def task_sides(task: TaskConfig) -> list[tuple[TaskSide, TaskSide]]:
     sides = [_sides(one) for one in task.singles]
     if any(len({side.origin for side in same}) > 1 for same in zip(*sides, strict=True)):
         raise InvalidInput(
-            f"{states_file(task.states)} has no plain loops, which several tasks at once need:"
+            f"{resolve_states(task.states)} has no plain loops, which several tasks at once need:"
             " generate some beside the others, as with knotgym-generate --nx 0-4"
         )
     return sides
@@ -61,7 +61,7 @@ def task_sides(task: TaskConfig) -> list[tuple[TaskSide, TaskSide]]:
 
 def _sides(task: TaskConfig) -> tuple[TaskSide, TaskSide]:
     """Return the states of a task with one nx."""
-    path = states_file(task.states)
+    path = resolve_states(task.states)
     own = _of_our_rope(path, task)
     starts, goals = (_side(task, path, own, nx) for nx in (start_nx(task, own), task.goal_nx))
     goals = goals._replace(rows=goals.rows[: task.max_goals])
@@ -93,7 +93,7 @@ def start_nx(task: TaskConfig, states: States) -> int:
 
 def _side(task: TaskConfig, path: Path, states: States, nx: int) -> TaskSide:
     """Return the states with nx crossings from which a side of the task is sampled."""
-    origin = SHIPPED if ships(task.states) else OWN
+    origin = SHIPPED if is_bundled(task.states) else OWN
     if nx == 0 and not (states.nx == 0).any() and task.beads == RopeConfig().beads:
         path, origin = shipped(), SHIPPED
         states = _of_our_rope(path, task)

@@ -28,7 +28,7 @@ from knotgym.datasets import EpisodeDataset, MinariMetadata, open_episodes, publ
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.play.session import HandPull
 from knotgym.runs import Existing, identity, staged
-from knotgym.states import minari_root, ships, states_file
+from knotgym.states import is_bundled, minari_root, resolve_states
 
 HUMAN = "human"  # name of the policy, which who played may follow
 _LONGEST_NAME = 80  # characters of a player's name
@@ -154,7 +154,7 @@ class Recorder:
             self._task,
             self._metadata,
             self._root,
-            states=None if ships(self._task.states) else states_file(self._task.states),
+            states=None if is_bundled(self._task.states) else resolve_states(self._task.states),
             overwrite=bool(there),
         )
         self._seeds.add(self._seed_of(number))

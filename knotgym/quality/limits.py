@@ -4,13 +4,19 @@ Lengths are in pixels of the 128 x 128 picture, 5.2 mm each; the rope is two pix
 `knotgym.quality.measures` computes the measures.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any
 
 from knotgym.common import NonNegative, Real, Share, configuration
 
 # Scale of the reset noise, radians per joint and metres: the environment's default, and the scale
 # at which `Quality.noise_survival` is measured.
 RESET_NOISE = 0.015
+
+
+def _measure(unit: str, doc: str, default: Any = MISSING) -> Any:
+    """Return a field of Quality; every field is a column of state files, named and described so."""
+    return field(default=default, metadata={"unit": unit, "doc": doc})
 
 
 @dataclass(frozen=True)
@@ -46,18 +52,30 @@ class Quality:
             code; NaN until measured.
     """
 
-    crossing_angle: float = field(metadata={"unit": "degrees"})
-    crossing_spacing: float = field(metadata={"unit": "pixels"})
-    base_spacing: float = field(metadata={"unit": "pixels"})
-    strand_spacing: float = field(metadata={"unit": "pixels"})
-    smallest_region: float = field(metadata={"unit": "square pixels"})
-    smallest_face: float = field(metadata={"unit": "square pixels"})
-    margin: float = field(metadata={"unit": "pixels"})
-    clearance: float = field(metadata={"unit": "millimetres"})
-    excess_crossing_number: float = field(metadata={"unit": "crossings"})
-    total_curvature: float = field(metadata={"unit": "turns"})
-    writhe: float = field(metadata={"unit": "crossings"})
-    noise_survival: float = field(default=float("nan"), metadata={"unit": "share"})
+    crossing_angle: float = _measure("degrees", "smallest angle between two crossing strands")
+    crossing_spacing: float = _measure("pixels", "smallest distance between two crossings")
+    base_spacing: float = _measure(
+        "pixels", "distance along the rope from the base bead to the nearest crossing"
+    )
+    strand_spacing: float = _measure("pixels", "smallest distance between different strands")
+    smallest_region: float = _measure(
+        "square pixels", "area of the smallest enclosed region of background"
+    )
+    smallest_face: float = _measure(
+        "square pixels", "area of the smallest region that the rope's axis encloses"
+    )
+    margin: float = _measure("pixels", "distance from the rope's edge to the picture's edge")
+    clearance: float = _measure(
+        "millimetres", "smallest height of an over strand above its under strand"
+    )
+    excess_crossing_number: float = _measure(
+        "crossings", "average crossing number minus the crossings in the picture"
+    )
+    total_curvature: float = _measure("turns", "total turning of the rope's direction")
+    writhe: float = _measure("crossings", "sum of the crossing signs")
+    noise_survival: float = _measure(
+        "share", "share of 64 draws of reset noise that keep the code", float("nan")
+    )
 
 
 UNITS = {measure.name: str(measure.metadata["unit"]) for measure in fields(Quality)}
@@ -143,3 +161,25 @@ UNAMBIGUOUS = Limits(
         "clearance": 7.0,
     }
 )
+
+# Difficulty of reading a picture, in four grades. A single crossing that can't be made out spoils
+# the whole code, so the worst of five measures, in units of its limit, decides. The other limits
+# (margin, clearance, twist, survival of noise) concern the rope rather than the reading.
+_READING = (
+    "crossing_angle",
+    "crossing_spacing",
+    "base_spacing",
+    "strand_spacing",
+    "smallest_region",
+)
+_GRADES = {"easy": 1.5, "medium": 1.0, "hard": 0.5, "extreme": 0.0}  # grade -> smallest ease
+
+
+def ease(quality: Quality, limits: Limits) -> float:
+    """Return the smallest of the _READING measures, each divided by its limit; 1 is acceptable."""
+    return min(getattr(quality, measure) / getattr(limits, measure) for measure in _READING)
+
+
+def grade_of(ease: float) -> str:
+    """Return the grade of an ease, one of `datasets.image_table.GRADES`."""
+    return next((grade for grade, least in _GRADES.items() if ease >= least), "extreme")

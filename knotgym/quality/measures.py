@@ -16,21 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from knotgym.common import Stream, generator, inner
-from knotgym.quality.limits import RESET_NOISE, UNITS, Limits, Quality
+from knotgym.quality.limits import RESET_NOISE, Quality
 from knotgym.rendering import DEFAULT, PictureConfig, picture_of, project, strand_spacing
 from knotgym.rope import Array, noised
 from knotgym.topology import Crossings, GaussCode, faces, find_crossings, label_many
-
-__all__ = [
-    "NOISE_DRAWS",
-    "UNITS",
-    "WALK",
-    "Limits",
-    "Quality",
-    "base_spacing",
-    "measure",
-    "noise_survival",
-]
 
 # Two points of the drawn rope belong to different strands if the shortest path between them along
 # the drawing is longer than this many pixels; a path may turn at crossings.

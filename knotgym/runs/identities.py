@@ -28,7 +28,7 @@ from knotgym.common import (
 )
 from knotgym.control import policy_files
 from knotgym.rope import RopeConfig
-from knotgym.states import ships, states_file
+from knotgym.states import is_bundled, resolve_states
 
 FIELDS = ("config", "source", "versions", "rope")
 
@@ -79,8 +79,8 @@ def identity(
     found: Any = {}
     for one in (config, *also):
         for _, _, named in marked(type(one), one, "states"):
-            origin = "shipped" if ships(named) else "own"
-            found = merged(found, {"states": {origin: states_file(named)}})
+            origin = "shipped" if is_bundled(named) else "own"
+            found = merged(found, {"states": {origin: resolve_states(named)}})
         for _, owner, named in marked(type(one), one, "policy"):
             found = merged(found, {"policies": {named: policy_files(owner)}})
     found = merged(found, files or {})

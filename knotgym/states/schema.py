@@ -1,15 +1,26 @@
-"""The columns of the state file, `states.h5`: names, types, shapes and units.
+"""The columns of the state file, `states.h5`: names, types, shapes, units, and how they follow.
 
-Reading, writing, merging, verification and the documentation use this schema. The file's attributes
-are ATTRIBUTES and DIGEST.
+A row is made, read, merged, verified, selected and shown by this schema alone. A column is derived
+if it follows from how the rope lies: whoever makes a row computes it, a reader computes the
+required ones that a file lacks, and `verify` computes all of them again. The file's attributes are
+ATTRIBUTES and DIGEST.
+
+After a change run `python docs/schemas.py` and `pytest tests/states`.
 """
 
-from collections.abc import Iterable
+from dataclasses import fields, replace
+from functools import cached_property
+from operator import attrgetter
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Column, Schema
-from knotgym.quality import UNITS
+from knotgym.quality import Quality
+from knotgym.topology import Crossings, GaussCode, dt_text, find_crossings, knot_type, pd_text
 
 FORMAT = "knotgym-states"
+VERTICES_FORMAT = "knotgym-vertices"
 
 ATTRIBUTES = {
     "knotgym": "version of this package",
@@ -20,42 +31,128 @@ ATTRIBUTES = {
 }
 DIGEST = "content_sha256"  # attribute: `common.tables.digest` of the file's table
 
-# values of source/policy; files of curated states have "demonstrations"
-RANDOM_WALK, DRAWING, PLAY, IMPORT = "random-walk", "drawing", "play", "import"
+STATE_SPLITS = ("train", "test")
+# parts of "train" and "test" without a common diagram, see `States.rows`
+CODE_SPLITS = ("train-code", "test-code")
 
-_MEASURES = {
-    "crossing_angle": "smallest angle between two crossing strands",
-    "crossing_spacing": "smallest distance between two crossings",
-    "base_spacing": "distance along the rope from the base bead to the nearest crossing",
-    "strand_spacing": "smallest distance between different strands",
-    "smallest_region": "area of the smallest enclosed region of background",
-    "smallest_face": "area of the smallest region that the rope's axis encloses",
-    "margin": "distance from the rope's edge to the picture's edge",
-    "clearance": "smallest height of an over strand above its under strand",
-    "excess_crossing_number": "average crossing number minus the crossings in the picture",
-    "total_curvature": "total turning of the rope's direction",
-    "writhe": "sum of the crossing signs",
-    "noise_survival": "share of 64 draws of reset noise that keep the code",
-}
+
+class RopeAtRest:
+    """How a rope lies, and what follows from it, computed when it is first asked for.
+
+    Attributes:
+        points: float64 (beads, 3), metres.
+    """
+
+    def __init__(
+        self, points: ArrayLike, *, code: GaussCode | None = None, quality: Quality | None = None
+    ) -> None:
+        """Look at a rope.
+
+        Args:
+            points: float64 (beads, 3), metres; not copied.
+            code: its Gauss code, if it is known already.
+            quality: all of its measures, if they are known already.
+        """
+        self.points: NDArray[np.float64] = np.asarray(points, dtype=np.float64)
+        # what is given takes the place of the property of that name
+        self.__dict__ |= {} if code is None else {"code": code}
+        self.__dict__ |= {} if quality is None else {"quality": quality}
+
+    @cached_property
+    def crossings(self) -> Crossings:
+        """The crossings in the picture."""
+        return find_crossings(self.points)
+
+    @cached_property
+    def code(self) -> GaussCode:
+        """The Gauss code, with chirality."""
+        return self.crossings.code
+
+    @cached_property
+    def quality(self) -> Quality:
+        """All measures."""
+        # here, so that reading states needs neither renderer nor compiled measures
+        from knotgym.quality import measure, noise_survival
+
+        measured = measure(self.points, self.crossings)
+        return replace(measured, noise_survival=noise_survival(self.points))
+
+    @cached_property
+    def image(self) -> NDArray[np.uint8]:
+        """The picture, as the environment shows it: uint8 (pixels, pixels, 3)."""
+        from knotgym.rendering import draw, picture_of
+
+        return draw(self.points, picture_of(len(self.points)))
+
 
 _ROOT = (
     Column("qpos", "float64", ("nq",), "m, quaternions", "generalized positions, at rest"),
     Column("points", "float64", ("beads", 3), "m", "vertices of the rope, z up"),
-    Column("image", "uint8", ("pixels", "pixels", 3), "levels", "RGB, as the environment shows it"),
-    Column("gauss_code", "text", (), "", "Gauss code, such as `1+,1-,2+,2-`"),
-    Column("gauss_code_chiral", "text", (), "", "the same with chirality: `1+a,1-a,2+c,2-c`"),
-    Column("pd_code", "text", (), "", "PD code, such as `[[1,1,2,2]]`"),
-    Column("dt_code", "text", (), "", "DT code, such as `[4, 6, 2]`"),
-    Column("knot", "text", (), "", "knot type, `0_1` for the unknot"),
-    Column("nx", "int64", (), "crossings", "crossings in the picture", least=0),
-    Column("split", "text", (), "", "`train` or `test`"),
+    Column(
+        "image",
+        "uint8",
+        ("pixels", "pixels", 3),
+        "levels",
+        "RGB, as the environment shows it",
+        derived=lambda rope: rope.image,
+    ),
+    Column(
+        "gauss_code",
+        "text",
+        doc="Gauss code, such as `1+,1-,2+,2-`",
+        derived=lambda rope: str(rope.code),
+    ),
+    Column(
+        "gauss_code_chiral",
+        "text",
+        doc="Gauss code with chirality, such as `1+a,1-a,2+c,2-c`",
+        derived=lambda rope: rope.code.chiral,
+    ),
+    Column(
+        "pd_code",
+        "text",
+        doc="PD code, such as `[[1,1,2,2]]`",
+        derived=lambda rope: pd_text(rope.code),
+    ),
+    Column(
+        "dt_code",
+        "text",
+        doc="DT code, such as `[4, 6, 2]`",
+        derived=lambda rope: dt_text(rope.code),
+    ),
+    Column(
+        "knot",
+        "text",
+        doc="knot type, `0_1` for the unknot",
+        derived=lambda rope: knot_type(rope.code),
+    ),
+    Column(
+        "nx",
+        "int64",
+        unit="crossings",
+        doc="crossings in the picture",
+        least=0,
+        derived=lambda rope: rope.code.nx,
+    ),
+    Column("split", "text", doc="`train` or `test`"),
+)
+_MEASURES = tuple(
+    Column(
+        f"quality/{one.name}",
+        "float64",
+        unit=one.metadata["unit"],
+        doc=one.metadata["doc"],
+        optional=True,
+        derived=attrgetter(f"quality.{one.name}"),
+    )
+    for one in fields(Quality)
 )
 _SOURCE = (
     Column("start_qpos", "float64", ("nq",), "m, quaternions", "where the rope was laid at rest"),
-    Column("actions", "float32", ("actions", 6), "[-1, 1]", "actions from there"),
+    Column("actions", "float32", ("actions", 6), "[-1, 1]", "actions from there", padded=True),
     Column("steps", "int64", (), "actions", "number of actions", least=0),
     Column("seed", "int64", (5,), "", "key of the row's random stream; each rope has its own"),
-    Column("policy", "text", (), "", "`drawing`, `play`, `random-walk`, `import`"),
+    Column("policy", "text", (), "", "where it comes from: `drawing`, `play`, `random-walk`, ..."),
     Column("dataset", "text", (), "", "dataset below `minari/` with the demonstration, or empty"),
     Column("trajectory", "int64", (), "", "episode of that dataset, or -1; the rope of a walk"),
     Column("step", "int64", (), "actions", "last state of that episode"),
@@ -63,42 +160,29 @@ _SOURCE = (
 )
 
 
-def _columns(prefix: str, columns: Iterable[Column]) -> tuple[Column, ...]:
-    """Name columns by their group. Positions and actions are finite; groups may be incomplete."""
-    return tuple(
-        column._replace(
-            name=prefix + column.name,
-            optional=column.optional or bool(prefix),
-            finite=column.dtype[:5] == "float" and prefix != "quality/",
-        )
-        for column in columns
-    )
+def _finite(column: Column) -> Column:
+    """Refuse infinity and NaN in what a rope is laid from."""
+    return column._replace(finite=column.dtype[:5] == "float")
 
 
 STATES = Schema(
     "",
     (
-        *_columns("", _ROOT),
-        *_columns(
-            "quality/",
-            (Column(name, "float64", (), UNITS[name], doc) for name, doc in _MEASURES.items()),
-        ),
-        *_columns("source/", _SOURCE),
+        *map(_finite, _ROOT),
+        *_MEASURES,
+        *(_finite(one)._replace(name=f"source/{one.name}", optional=True) for one in _SOURCE),
     ),
     "a rope at rest",
 )
-# the form of large sets: the rope is laid from its vertices, and all else is computed from it
-VERTICES_FORMAT = "knotgym-vertices"
+# The form of large sets: the rope is laid from its vertices, rounded, and all else is computed.
+_KEPT = ("points", "gauss_code_chiral", "knot", "split", "source/policy", "source/trajectory")
 VERTICES = Schema(
     "",
-    (
-        Column("points", "float32", ("beads", 3), "m", "vertices, z up", finite=True),
-        Column("gauss_code_chiral", "text", (), "", "Gauss code with chirality"),
-        Column("knot", "text", (), "", "knot type, `0_1` for the unknot"),
-        Column("split", "text", (), "", "`train` or `test`"),
-        Column("source/policy", "text", (), "", "where it was met: `bench-play`, `bench-drawing`"),
-        Column("source/trajectory", "int64", (), "", "the rope, or the drawing"),
+    tuple(
+        column._replace(
+            optional=False, dtype="float32" if column.name == "points" else column.dtype
+        )
+        for column in STATES.only(*_KEPT).columns
     ),
     "a rope at rest, by its vertices",
 )
-WITHOUT_IMAGES = STATES.only(*(column.name for column in STATES.columns if column.name != "image"))

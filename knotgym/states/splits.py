@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.states.near_duplicates import families, nearest
-from knotgym.states.split_names import STATE_SPLITS
+from knotgym.states.schema import STATE_SPLITS
 from knotgym.topology import GaussCode, diagram_form
 
 if TYPE_CHECKING:
@@ -24,6 +24,18 @@ if TYPE_CHECKING:
 
 # splits of pictures: test-code has held-out codes, test-nx a held-out crossing number
 IMAGE_SPLITS = (*STATE_SPLITS, "test-code", "test-nx")
+
+
+def held_form(code: str, *, marked: bool) -> str:
+    """Return what a split of pictures by code compares, in place of a Gauss code.
+
+    Args:
+        code: without chirality.
+        marked: whether all pictures mark base and direction. If not, a picture fits every code of
+            its diagram, so these are one: `topology.diagram_form`, which also takes mirror images
+            and switched crossings for the same.
+    """
+    return code if marked else str(diagram_form(GaussCode.parse(code)))
 
 
 def split(

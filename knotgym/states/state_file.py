@@ -10,8 +10,6 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,31 +19,32 @@ import knotgym
 from knotgym.common import (
     InvalidFile,
     InvalidInput,
-    MissingFile,
+    Schema,
     Table,
+    filled,
     format_of,
     joined,
     read_tables,
-    require_no_links,
     table_digest,
     write_tables,
 )
 from knotgym.rope import MUJOCO
 from knotgym.states.near_duplicates import repeated
+from knotgym.states.resolving import resolve_states
 from knotgym.states.schema import (
     ATTRIBUTES,
     DIGEST,
     FORMAT,
+    STATE_SPLITS,
     STATES,
     VERTICES,
     VERTICES_FORMAT,
-    WITHOUT_IMAGES,
+    RopeAtRest,
 )
-from knotgym.states.split_names import STATE_SPLITS
-from knotgym.topology import UNKNOWN, GaussCode, diagram_form, dt_text, pd_text, same_spot
+from knotgym.topology import UNKNOWN, GaussCode, diagram_form, same_spot
 
-_ACTIONS = "source/actions"
 BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
+_OF_EPISODES = ("dataset", "trajectory", "drawing")  # of `source`; most rows have none of them
 _OVERLAP = 0.003  # metres; strands that push against each other in the simulator overlap less
 
 
@@ -90,23 +89,17 @@ class States:
     ) -> States:
         """Make states of columns by their names in the file.
 
-        If they are missing, `pd_code` and `dt_code` are computed, and rows get no demonstration
-        (`source/dataset`, `trajectory`, `step`) and no drawing.
+        Required columns that are missing are computed from the points, but for the pictures; rows
+        with a provenance get the columns that say there is no demonstration and no drawing.
         """
-        full = dict(columns)
-        if "source/steps" in full:
-            steps = full["source/steps"]
-            full.setdefault("source/dataset", np.full(len(steps), ""))
-            full.setdefault("source/trajectory", np.full(len(steps), -1))
-            full.setdefault("source/step", steps)
-            full.setdefault("source/drawing", np.full(len(steps), ""))
-        for name, text_of in (("pd_code", pd_text), ("dt_code", dt_text)):
-            if name not in full:
-                codes, rows = np.unique(full["gauss_code_chiral"], return_inverse=True)
-                texts = [text_of(GaussCode.parse(code)) for code in codes.tolist()]
-                full[name] = np.array(texts, dtype=np.str_)[rows]
-        schema = STATES if "image" in full else WITHOUT_IMAGES
-        return cls(Table(schema, full), attributes or {})
+        wanted = STATES if "image" in columns else STATES.without("image")
+        missing = [c.name for c in wanted.columns if not c.optional and c.name not in columns]
+        table = Table(wanted, {**columns, **_derived(columns, missing)})
+        if "source/steps" in table:
+            step = {"source/step": table.get("source/step", table["source/steps"])}
+            names = *table, *step, *(f"source/{name}" for name in _OF_EPISODES)
+            table = filled(Table(wanted, {**table, **step}), wanted.only(*names))
+        return cls(table, attributes or {})
 
     @classmethod
     def from_points(cls, points: ArrayLike, split: ArrayLike = "train") -> States:
@@ -124,7 +117,6 @@ class States:
         import mujoco  # here, so that reading states needs no simulator
 
         from knotgym.rope import Rope, rope_of
-        from knotgym.states.derivation import derived_row
 
         curves, splits = np.asarray(points, dtype=np.float64), np.asarray(split, dtype=np.str_)
         if curves.ndim != 3 or curves.shape[2] != 3 or not len(curves):
@@ -144,7 +136,7 @@ class States:
             except InvalidInput as error:
                 raise InvalidInput(f"rope {number}: {error}") from None
             laid = rope.points(qpos)
-            rows.append({"qpos": qpos, "points": laid, **derived_row(laid)})
+            rows.append({"qpos": qpos, "points": laid, **STATES.derive(RopeAtRest(laid))})
             if rows[-1]["knot"] == UNKNOWN:
                 raise InvalidInput(f"rope {number}: its knot can't be certified")
         columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
@@ -163,8 +155,17 @@ class States:
 
     @property
     def quality(self) -> dict[str, NDArray[np.float64]]:
-        """Quality measures, name -> float64 (n,); `quality.limits.UNITS` has their units."""
+        """Quality measures, name -> float64 (n,); `measures` has their units."""
         return self._group("quality/")
+
+    @property
+    def measures(self) -> dict[str, tuple[str, NDArray[np.float64]]]:
+        """Unit and values, float64 (n,), of the quality and of what else describes the ropes."""
+        return {
+            c.name.removeprefix("quality/"): (c.unit, self.table[c.name])
+            for c in self.table.schema.columns
+            if (c.dtype, c.shape) == ("float64", ()) and not c.name.startswith("source/")
+        }
 
     @property
     def source(self) -> dict[str, NDArray[Any]]:
@@ -216,109 +217,6 @@ class States:
         return States(self.table.replaced(**columns), {**self.attributes, **attributes})
 
 
-SHIPPED = {  # name -> file
-    "readable": "states.h5",
-    "random-walk": "random-walk.h5",
-    "hard-unknots": "hard-unknots.h5",
-    "bench": "bench.h5",
-}
-
-
-def shipped(name: str = "readable") -> Path:
-    """Return the path of a set of states that ships with the package.
-
-    Args:
-        name: "readable", curated so that the code can be read off the picture, or "random-walk", as
-            random play reaches them without over-twisted ones, each with 17 loops and 40 states for
-            each nx from 1 to 4; or "hard-unknots", unknots with 7, 10 and 11 crossings, of which
-            those with 10 and 11 have neither kinks nor bigons; or "bench", 256 train and 256 test
-            states of each nx from 0 to 5, legible as the readable ones, of ropes that the splits
-            don't share.
-
-    Raises:
-        InvalidFile: there is no set of that name.
-    """
-    if name not in SHIPPED:
-        raise InvalidFile(f"no shipped set of states {name!r}; there are {', '.join(SHIPPED)}")
-    return Path(str(files("knotgym.states") / "curated" / SHIPPED[name]))
-
-
-def ships(named: str | None) -> bool:
-    """Whether a task's `states` names a shipped set; None means "readable"."""
-    return named is None or named in SHIPPED
-
-
-def minari_root() -> Path:
-    """Return the root folder of Minari datasets: MINARI_DATASETS_PATH, else Minari's default."""
-    return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
-
-
-def states_file(named: str | None) -> Path:
-    """Resolve a task's `states` to a file.
-
-    Args:
-        named: the name of a shipped set (None for "readable"), the id of a Minari dataset that
-            includes a state file, or the path of a state file or of the folder with `states.h5`.
-    """
-    if named is None or named in SHIPPED:
-        return shipped(named or "readable")
-    carried = minari_root() / named / "data" / "states.h5"
-    is_id = not leads_out(named) and carried.is_file()
-    return carried if is_id and not Path(named).is_file() else states_at(Path(named))
-
-
-def root_of(named: str | os.PathLike[str]) -> Path:
-    """Return the file or folder that a path, the name of an included set or a Minari id names.
-
-    Raises:
-        MissingFile: there is no such file, folder or id.
-    """
-    if Path(named).exists():
-        return Path(named)
-    if named in SHIPPED:
-        return shipped(str(named))
-    if not leads_out(named) and (minari_root() / named).is_dir():
-        return minari_root() / named
-    raise MissingFile(
-        f"no such file: {named}, nor a Minari dataset of this id under {minari_root()},"
-        f" nor an included set ({', '.join(SHIPPED)})"
-    )
-
-
-def states_at(path: Path) -> Path:
-    """Return a path itself, or `states.h5` in it if it is a folder.
-
-    Raises:
-        InvalidFile: the folder's file is a link, which could lead to a private file of the user.
-    """
-    if not path.is_dir():
-        return path
-    require_no_links(path, [path / "states.h5"])
-    return path / "states.h5"
-
-
-def leads_out(named: str | os.PathLike[str]) -> bool:
-    """Whether a path is absolute or contains "..", and so may lead out of a folder."""
-    return Path(named).is_absolute() or ".." in Path(named).parts
-
-
-def demonstrations_id(nx: int, split: str = "train", knot: str = "0_1") -> str:
-    """Return the id of the Minari dataset that demonstrates the states of an nx, split and knot.
-
-    Demonstrations of loops (nx 0) are episodes of an unknot task, because nothing is tied.
-
-    >>> demonstrations_id(3)
-    'knotgym/tie-nx3/demonstrations-v0'
-    >>> demonstrations_id(0, "test")
-    'knotgym/unknot-nx0/demonstrations-test-v0'
-    >>> demonstrations_id(3, knot="3_1")
-    'knotgym/tie-nx3-3_1/demonstrations-v0'
-    """
-    name = "demonstrations" if split == "train" else f"demonstrations-{split}"
-    knotted = "" if knot == "0_1" else f"-{knot}"
-    return f"knotgym/{'tie' if nx else 'unknot'}-nx{nx}{knotted}/{name}-v0"
-
-
 def write_states(path: str | os.PathLike[str], states: States) -> None:
     """Write a state file atomically."""
     if states.image is None:
@@ -327,21 +225,25 @@ def write_states(path: str | os.PathLike[str], states: States) -> None:
     write_tables(path, [states.table], attributes, format=FORMAT, pack=True)
 
 
-def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
+def read_states(path: str | os.PathLike[str] | None = None, *, images: bool = True) -> States:
     """Read a state file.
 
     Args:
-        path: path of the file.
+        path: what `resolve_states` takes: the path of a file or of a run's folder, the name of an
+            included set, such as "bench", or the id of a Minari dataset; None for "readable".
         images: whether to read the pictures, which are most of the bytes.
 
     Raises:
-        MissingFile: there is no such file.
+        MissingFile: there is no such file, set or dataset.
         InvalidFile: the file is foreign, truncated or of an unknown format version.
     """
+    path = resolve_states(path)
     if format_of(path) == VERTICES_FORMAT:
         (table,), attributes = read_tables(path, VERTICES, format=VERTICES_FORMAT)
         return _laid(table, attributes, images=images)
-    (table,), attributes = read_tables(path, STATES if images else WITHOUT_IMAGES, format=FORMAT)
+    (table,), attributes = read_tables(
+        path, STATES if images else STATES.without("image"), format=FORMAT
+    )
     attributes.pop("form", None)  # the reader's word for a file by vertices, not a file's own
     for name in (*ATTRIBUTES, DIGEST):
         kinds = (dict, list) if name == "config" else str
@@ -368,33 +270,46 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
 
     rope = Rope(rope_of(table["points"].shape[1]))
     try:
-        codes = [GaussCode.parse(text) for text in table["gauss_code_chiral"].tolist()]
         qpos = rope.qpos(table["points"].astype(np.float64))
+        points, count = rope.points(qpos), table.rows
+        columns = {
+            **table,
+            "qpos": qpos,
+            "points": points,
+            "source/start_qpos": qpos,
+            "source/actions": np.zeros((count, 0, 6), dtype=np.float32),
+            "source/steps": np.zeros(count, dtype=np.int64),
+            "source/seed": table["source/trajectory"][:, None] * np.array([1, 0, 0, 0, 0]),
+        }
+        more = _derived(columns, ["image"]) if images else {}
+        return States.of({**columns, **more}, {**attributes, "form": BY_VERTICES})
     except ValueError as error:
         raise InvalidFile(f"a state can't be laid from its vertices: {error}") from error
-    count, points = table.rows, rope.points(qpos)
-    columns = {name: values for name, values in table.items()} | {
-        "qpos": qpos,
-        "points": points,
-        "gauss_code": np.array([str(code) for code in codes], dtype=np.str_),
-        "nx": np.array([code.nx for code in codes], dtype=np.int64),
-        "source/start_qpos": qpos,
-        "source/actions": np.zeros((count, 0, 6), dtype=np.float32),
-        "source/steps": np.zeros(count, dtype=np.int64),
-        "source/seed": table["source/trajectory"][:, None] * np.array([1, 0, 0, 0, 0]),
-    }
-    if images:
-        from knotgym.rendering import draw
 
-        columns["image"] = np.stack([draw(one) for one in points])
-    return States.of(columns, {**attributes, "form": BY_VERTICES})
+
+def _derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Compute columns of rows that have points, and perhaps a code with chirality."""
+    wanted = [c for c in STATES.columns if c.name in names and c.derived]
+    codes = columns.get("gauss_code_chiral", np.full(len(columns["points"]), None))
+    ropes = [
+        RopeAtRest(points, code=None if code is None else GaussCode.parse(str(code)))
+        for points, code in zip(columns["points"] if wanted else (), codes, strict=False)
+    ]
+    return {
+        c.name: np.array(
+            [c.derived(rope) for rope in ropes], np.str_ if c.dtype == "text" else c.dtype
+        )
+        for c in wanted
+        if c.derived
+    }
 
 
 def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     """Merge the rows of several state files, stably sorted by nx.
 
     Args:
-        parts: states of the same rope and engine with the same columns.
+        parts: states of the same rope and engine. What some lack is computed if it follows from
+            the points, and unknown ("", -1, NaN) otherwise, but for what led to a state.
         distinct: refuse states that are equal bit for bit.
 
     Raises:
@@ -404,10 +319,11 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
         raise InvalidFile("nothing to merge: give at least one state file")
     _require_equal("rope model", [str(part.attributes.get("rope")) for part in parts])
     _require_equal("engine", [part.engine for part in parts])
-    _require_equal("quality and source", [", ".join(sorted(part.table)) for part in parts])
-    longest = max(part.table[_ACTIONS].shape[1] if _ACTIONS in part.table else 0 for part in parts)
+    names = dict.fromkeys(name for part in parts for name in part.table)
+    schema = STATES.only(*names)
+    tables = [_widened(part.table, schema, number) for number, part in enumerate(parts, 1)]
     order = np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
-    merged = joined([_padded(part.table, longest) for part in parts]).take(order)
+    merged = joined(tables).take(order)
     twice = repeated(one.tobytes() for one in merged["points"]) if distinct else []
     if twice:
         raise InvalidFile(
@@ -426,13 +342,13 @@ def _require_equal(what: str, found: Sequence[str]) -> None:
         raise InvalidFile(f"states to merge must have one {what}, got {found[0]} and {others[0]}")
 
 
-def _padded(table: Table, longest: int) -> Table:
-    """Pad the actions with zeros."""
-    if _ACTIONS not in table:
-        return table
-    actions = table[_ACTIONS]
-    padded = np.pad(actions, ((0, 0), (0, longest - actions.shape[1]), (0, 0)))
-    return Table(table.schema._replace(sizes=()), {**table, _ACTIONS: padded})
+def _widened(table: Table, schema: Schema, number: int) -> Table:
+    """Add the columns of a schema that a table, the part of this number, lacks."""
+    added = _derived(table, [c.name for c in schema.columns if c.name not in table])
+    try:
+        return filled(Table(schema, {**table, **added}), schema)
+    except InvalidInput as error:
+        raise InvalidFile(f"state file {number} can't be merged with the others: {error}") from None
 
 
 def _configs(part: States) -> list[Any]:

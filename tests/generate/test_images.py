@@ -31,12 +31,12 @@ from knotgym.datasets import (
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
 from knotgym.loaders import images as load
-from knotgym.quality import Limits, grade, measure
+from knotgym.quality import Limits, ease, grade_of, measure
 from knotgym.rendering import VARIED, AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs import RunOptions
 from knotgym.states import IMAGE_SPLITS, NEAR, distances
-from knotgym.topology import Symmetry, label
+from knotgym.topology import GaussCode, Symmetry, diagram_form, label
 
 from ..small_job import knotgym
 
@@ -199,6 +199,31 @@ def test_held_out_codes_are_in_test_code_alone(tmp_path: Path) -> None:
     assert not shown["test-code"] & (shown["train"] | shown["test"])
 
 
+@pytest.mark.parametrize(
+    "appearance", [AppearanceConfig(style="knotbench"), AppearanceConfig(vary=("colours",))]
+)
+def test_pictures_without_marks_hold_out_diagrams(
+    appearance: AppearanceConfig, tmp_path: Path
+) -> None:
+    config = ImagesConfig(
+        nx=(3,), test_nx=None, count=24, code_share=0.25, engine="chain", appearance=appearance
+    )
+    folder = made(tmp_path / "table", config)
+    shown: dict[str, set[GaussCode]] = {}
+    for row in read_rows(folder):
+        code = diagram_form(GaussCode.parse(row["gauss_code"]))
+        shown.setdefault(row["split"], set()).add(code)
+    assert shown["test-code"] and not shown["test-code"] & (shown["train"] | shown["test"])
+    assert "up to base, direction" in (folder / "README.md").read_text()
+    # the same pictures, held out by a code with a base, are a fault
+    table = read_table(folder)
+    splits = np.array(table["split"].to_pylist())
+    splits[: len(splits) // 2] = "test-code"
+    spoilt = table.set_column(table.column_names.index("split"), "split", [splits])
+    (tmp_path / "spoilt.parquet").write_bytes(parquet(spoilt))
+    assert any("another base" in fault for fault in image_faults(tmp_path / "spoilt.parquet"))
+
+
 def test_codes_are_balanced(tmp_path: Path) -> None:
     config = ImagesConfig(nx=(1,), count=20, test_share=0, code_share=0, engine="chain")
     codes = [row["gauss_code"] for row in read_rows(made(tmp_path / "table", config))]
@@ -234,7 +259,7 @@ def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
         worse = type(quality)(
             **{**vars(quality), "crossing_angle": factor * (limits.crossing_angle or 0)}
         )
-        assert grade(worse, limits) == name
+        assert grade_of(ease(worse, limits)) == name
 
 
 def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(

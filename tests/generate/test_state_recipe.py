@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.common import Failed
+from knotgym.common import Failed, InvalidInput, Stream
 from knotgym.control import replay
 from knotgym.datasets import folder_faults, merged, open_episodes
 from knotgym.generate.states import demonstrations, drawing_source, generate_config
@@ -22,12 +22,11 @@ from knotgym.generate.states.rope_lives import coil
 from knotgym.generate.states.selection import Selection
 from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_recipe import make_states
-from knotgym.generate.states.state_rows import Rows, taken
 from knotgym.generate.states.wanted_codes import WantedCodes
 from knotgym.quality import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope import Rope
-from knotgym.runs import RunOptions, Shard, compute
-from knotgym.states import States, pairs_within, read_states
+from knotgym.runs import Result, RunOptions, Shard, compute
+from knotgym.states import SOURCES, Source, States, pairs_within, read_states
 from knotgym.topology import GaussCode, label
 
 ALONE = RunOptions(workers=1, quiet=True)
@@ -60,7 +59,43 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder_of(WALKED, tmp_path_factory)
 
 
-def same(one: Rows, other: Rows) -> bool:
+def shaken_rows(config: GenerateConfig, report: dict[str, Any], apart_from: Any) -> Any:
+    """Make the rows of a source of a stranger's: drawn ones, under another name."""
+    rows = yield from drawn_rows(config, report, apart_from=apart_from)
+    return rows.replaced(**{"source/policy": np.full(rows.rows, "shaken")})
+
+
+def test_a_source_is_a_record(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    shaken = Source(
+        "drawn and shaken.",
+        Stream.DRAWING,
+        shaken_rows,
+        lambda config, rows: np.full(rows.rows, "train"),
+        engine="chain",
+    )
+    monkeypatch.setitem(SOURCES, "shaken", shaken)
+    config = GenerateConfig(nx=(1,), count=2, source="shaken", demonstrations=False)
+    assert config.engine_used == "chain"
+    folder = make_states(config, tmp_path / "out", ALONE)
+    states = states_in(folder)
+    assert states.engine == "chain" and set(states.split.tolist()) == {"train"}
+    assert "- `shaken`: drawn and shaken.\n" in (folder / "README.md").read_text()
+    assert list(folder_faults(folder, replay)) == []
+    # seeds of another stream, and rows of a source that nobody knows, are faults
+    monkeypatch.setitem(SOURCES, "shaken", shaken._replace(stream=Stream.IMPORT))
+    assert "is not a key of the stream IMPORT" in next(folder_faults(folder, replay))
+    monkeypatch.delitem(SOURCES, "shaken")
+    fault = next(folder_faults(folder, replay))
+    assert "source must be one of drawing, play, random-walk, import" in fault
+
+
+def test_an_unknown_source_is_refused_with_those_that_can_be_made() -> None:
+    for name in ("import", "shaken"):
+        with pytest.raises(InvalidInput, match="one of auto, drawing, play, random-walk, got"):
+            GenerateConfig(source=name)
+
+
+def same(one: Result, other: Result) -> bool:
     return one.keys() == other.keys() and all(np.array_equal(one[k], other[k]) for k in one)
 
 
@@ -103,7 +138,7 @@ def test_every_row_is_recomputed_and_replays_bit_for_bit(
 @pytest.mark.parametrize("source", ["played", "walked"])
 def test_the_splits_share_no_rope(source: str, request: pytest.FixtureRequest) -> None:
     states = states_in(request.getfixturevalue(source))
-    ropes = np.array(ropes_of(dict(states.table)))
+    ropes = np.array(ropes_of(states.table))
     train, test = (set(ropes[states.split == split].tolist()) for split in ("train", "test"))
     assert train and test and not train & test
     found = Counter(zip(states.nx.tolist(), states.split.tolist(), strict=True))
@@ -126,7 +161,7 @@ def test_random_walks_need_no_actions_and_no_readability(walked: Path) -> None:
 @pytest.mark.parametrize("config", [DRAWN, WALKED])
 def test_shards_are_merged_to_the_rows_of_the_whole_run(config: GenerateConfig) -> None:
     source = drawn_rows if config is DRAWN else rows_of_ropes
-    memory = dict[str, Rows]()
+    memory = dict[str, Result]()
     for number in (1, 2):
         with contextlib.suppress(Failed):  # results of the other are missing
             compute(source(config, {}), memory, shard=Shard(number, 2))
@@ -179,7 +214,7 @@ def test_several_calls_draw_the_last_codes_and_more_attempts_give_what_they_woul
         refused = order.which == stubborn and number < 100
         return None if refused else real(config, order, code, number, *rest)
 
-    memory = dict[str, Rows]()
+    memory = dict[str, Result]()
     monkeypatch.setattr(drawing_source, "_drawn", picky)
     with pytest.raises(Failed, match="missing states: 1 with nx = 1"):
         compute(drawn_rows(config, {}), memory)
@@ -199,7 +234,7 @@ def test_the_last_goals_get_several_attempts_at_once_and_the_first_success_count
     states, tried = states_in(drawn), list[tuple[int, list[int]]]()
     whole = merged([open_episodes(path).episodes for path in drawn.glob("minari/**/episodes.h5")])
 
-    def stub(task: Any, seed: int, goals: list[int], attempt: int) -> Rows:
+    def stub(task: Any, seed: int, goals: list[int], attempt: int) -> Result:
         tried.append((attempt, goals))
         reached = [goal for goal in goals if goal != 1 or attempt >= 3]
         found = whole.select(np.isin(whole.episodes["goal"], reached))
@@ -212,6 +247,18 @@ def test_the_last_goals_get_several_attempts_at_once_and_the_first_success_count
     seeds = {int(row["goal"][k]): row["seed"][k] for row in rows for k in range(row.rows)}
     assert seeds == {0: 0, 1: 3, 2: 0}
     assert [attempt for attempt, goals in tried if 1 in goals] == [0, 1, 2, 3, 4, 5]
+
+
+def test_starts_of_demonstrations_are_apart_from_the_set_and_from_the_other_split(
+    drawn: Path,
+) -> None:
+    states = read_states(drawn / "states.h5")
+    train = states.replaced({"split": np.full(len(states), "train")})
+    starts, split = compute(demonstrations.start_rows(DRAWN, train))
+    assert set(split.tolist()) == {"train", "test"}
+    assert pairs_within(starts["points"], train.points) == []
+    sides = [starts["points"][split == name] for name in ("train", "test")]
+    assert pairs_within(*sides) == []
 
 
 def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,9 +274,9 @@ def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_selection_refuses_near_duplicates_up_to_symmetry(played: Path) -> None:
-    table = dict(states_in(played).table)
-    rows = taken(table, table["nx"] == 1)
-    mirrored = {**rows, "points": rows["points"] * (1, 1, -1)}
+    states = states_in(played)
+    rows = states.table.take(states.nx == 1)
+    mirrored = rows.replaced(points=rows["points"] * (1, 1, -1))
     selection = Selection()
     assert selection.offer(rows, 0)
     assert not selection.offer(mirrored, 0)

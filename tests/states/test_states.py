@@ -14,15 +14,9 @@ from knotgym.common import InvalidFile, InvalidInput, table_digest
 from knotgym.datasets import state_faults
 from knotgym.generate import judge
 from knotgym.quality import Limits
+from knotgym.states.resolving import SETS, shipped
 from knotgym.states.schema import ATTRIBUTES, DIGEST, STATES
-from knotgym.states.state_file import (
-    SHIPPED,
-    States,
-    merge_states,
-    read_states,
-    shipped,
-    write_states,
-)
+from knotgym.states.state_file import States, merge_states, read_states, write_states
 from knotgym.topology import GaussCode, diagram_form
 
 
@@ -89,7 +83,7 @@ def test_actions_are_padded_to_the_longest() -> None:
 
 
 def test_states_with_other_columns_or_the_same_rows_are_not_merged(states: States) -> None:
-    with pytest.raises(InvalidFile, match="must have one quality and source"):
+    with pytest.raises(InvalidFile, match="file 1 can't be merged with the others: column source/"):
         merge_states([states, read_states(shipped())])
     with pytest.raises(InvalidFile, match="must have one engine"):
         merge_states([states, states.replaced({}, engine="chain")])
@@ -97,7 +91,7 @@ def test_states_with_other_columns_or_the_same_rows_are_not_merged(states: State
         merge_states([states, states], distinct=True)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", SETS)
 def test_shipped_states_have_every_column_and_attribute(name: str) -> None:
     states = read_states(shipped(name), images=name != "bench")
     assert DIGEST not in states.attributes
@@ -118,8 +112,8 @@ def test_bench_has_as_many_states_of_each_kind_and_keeps_the_limits_of_readable(
 
 def test_vertices_are_laid_the_same_on_processors_with_other_instructions() -> None:
     script = (
-        "from knotgym.states.state_file import *; import hashlib\n"
-        "states = read_states(shipped('bench'), images=False)\n"
+        "from knotgym.states import read_states; import hashlib\n"
+        "states = read_states('bench', images=False)\n"
         "print(hashlib.sha256(states.qpos.tobytes() + states.points.tobytes()).hexdigest())"
     )
     narrow = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR"}  # AVX2 is left
@@ -130,7 +124,7 @@ def test_vertices_are_laid_the_same_on_processors_with_other_instructions() -> N
     assert told[0].stdout == told[1].stdout != b""
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", SETS)
 def test_shipped_states_are_without_fault_in_some_rows(name: str) -> None:
     states = read_states(shipped(name), images=name != "bench")
     shortest = np.argsort(states.source["steps"], kind="stable")[:2]
@@ -138,13 +132,13 @@ def test_shipped_states_are_without_fault_in_some_rows(name: str) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", SETS)
 def test_shipped_states_are_without_fault(name: str) -> None:
     states = read_states(shipped(name), images=name != "bench")
     assert list(state_faults(states)) == []
 
 
-@pytest.mark.parametrize(("name", "nx"), [(s, nx) for s in SHIPPED for nx in (2, 3, 4, 7)])
+@pytest.mark.parametrize(("name", "nx"), [(s, nx) for s in SETS for nx in (2, 3, 4, 7)])
 def test_splits_by_code_share_no_diagram_and_are_parts_of_the_splits(name: str, nx: int) -> None:
     states = read_states(shipped(name), images=False)
     train, test = states.rows(nx, "train-code"), states.rows(nx, "test-code")

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.cards.citation import plain
-from knotgym.quality import UNITS
 
 
 class CardTable(NamedTuple):
@@ -62,11 +61,11 @@ def counted(
     )
 
 
-def measured(quality: Mapping[str, NDArray[Any]]) -> CardTable:
-    """Return the least, median and largest value of each measure, name -> (n,)."""
+def measured(measures: Mapping[str, tuple[str, NDArray[Any]]]) -> CardTable:
+    """Return the least, median and largest value of each measure, name -> unit and values (n,)."""
     rows = [
-        (name, UNITS[name], *(f"{value:.3g}" for value in np.quantile(own, [0, 0.5, 1])))
-        for name, own in quality.items()
+        (name, unit, *(f"{value:.3g}" for value in np.quantile(own, [0, 0.5, 1])))
+        for name, (unit, own) in measures.items()
         if len(own)
     ]
     head = ("measure", "unit", "min", "median", "max")

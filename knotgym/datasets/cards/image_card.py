@@ -12,8 +12,9 @@ import knotgym
 from knotgym.datasets.cards.citation import filled, plain, write_text
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.cards.fact_tables import CardTable, counted, measured
-from knotgym.datasets.image_table import GRADES, file_stem, read_table, shards
+from knotgym.datasets.image_table import GRADES, file_stem, marks_base, read_table, shards
 from knotgym.datasets.manifest import write_manifest
+from knotgym.quality import UNITS
 from knotgym.states import IMAGE_SPLITS
 
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")
@@ -21,11 +22,22 @@ _SPLITS = {name: ("split", name) for name in IMAGE_SPLITS}
 _GRADES = {name: ("grade", name) for name in GRADES} | {"accepted": ("accepted", True)}
 
 
+# what test-code holds out
+_MARKED = "Codes are compared as they are read from the base bead; another base is another code."
+_UNMARKED = (
+    "Some pictures mark neither base nor direction and fit every code of their diagram. So codes"
+    " are compared up to base, direction, mirror images and switched crossings (`canonical_code`)."
+)
+
+
 def image_card_tables(path: Path) -> dict[str, CardTable]:
     """Return the tables of facts about a perception table by name."""
     rows = read_table(path, columns=[*_COUNTED, "quality"])
     quality = rows["quality"].combine_chunks()
-    measures = {field.name: quality.field(field.name).to_numpy() for field in quality.type}
+    measures = {
+        field.name: (UNITS.get(field.name, ""), quality.field(field.name).to_numpy())
+        for field in quality.type
+    }
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}
     counts = [counted("splits", columns, _SPLITS), counted("grades", columns, _GRADES)]
     return {one.title: one for one in (*counts, measured(measures))}
@@ -54,7 +66,7 @@ def finish_images(folder: Path, report: Mapping[str, Any], request: Mapping[str,
 
 def _card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
-    rows, files = read_table(folder, columns=["nx", "split"]), shards(folder)
+    rows, files = read_table(folder, columns=["nx", "split", "appearance"]), shards(folder)
     splits = [name for name in IMAGE_SPLITS if name in set(rows["split"].to_pylist())]
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in splits]
     return filled(
@@ -70,6 +82,7 @@ def _card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) ->
         pulls=config["pulls"],
         policies=" and ".join(config["policies"]),
         code_share=f"{config['code_share']:g}",
+        held=_MARKED if marks_base(rows) else _UNMARKED,
         test_nx=", ".join(map(str, config["test_nx"] or ())) or "none",
         **{name: one.markdown() for name, one in image_card_tables(folder).items()},
         ropes=report["ropes"],

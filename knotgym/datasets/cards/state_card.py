@@ -5,11 +5,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from knotgym.datasets.cards.citation import code_span, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import CardTable, counted, measured
 from knotgym.datasets.gallery import state_tiles, write_gallery
 from knotgym.datasets.manifest import write_manifest
-from knotgym.states import STATE_SPLITS, States, overlap, spread_of
+from knotgym.states import STATE_SPLITS, States, overlap, source_of, spread_of
 from knotgym.topology import GaussCode
 
 
@@ -56,7 +58,7 @@ def state_card_tables(states: States, report: Mapping[str, Any]) -> dict[str, Ca
             " crossings of two states, 25 for random positions; bare: beads, longest stretch where"
             " no state has a crossing",
         ),
-        measured(states.quality),
+        measured(states.measures),
         CardTable(
             "rejected",
             ("nx", "reason", "rejected"),
@@ -95,6 +97,10 @@ def _card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) 
         engine=states.engine,
         seed=config["seed"],
         source=plain(report["source"]),
+        sources="\n".join(
+            f"- `{name}`: {source_of(name).doc}"
+            for name in np.unique(states.source["policy"]).tolist()
+        ),
         passed=sum(map(len, report.get("passed_over", {}).values())),
         demonstrations=report.get("demonstrations", 0),
         lacking=_lacking(report),

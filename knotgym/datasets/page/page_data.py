@@ -113,8 +113,12 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
     report = read_manifest(file.parent)[0].get("report", {})
     rows = _sampled(len(states), MOST_STATES)
     _notice(notices, rows, len(states), "states")
-    known = {name: own for name, own in states.quality.items() if np.isfinite(own).any()}
-    found = _shapes(rows, states.taken(rows).table, {name: known[name][rows] for name in known})
+    measures = {
+        name: (unit, own[rows])
+        for name, (unit, own) in states.measures.items()
+        if np.isfinite(own).any()
+    }
+    found = _shapes(rows, states.taken(rows).table, measures)
     made = {"steps": "steps", "set": "dataset", "trajectory": "trajectory"}
     for name, column in made.items() if "dataset" in states.source else ():
         for shown, value in zip(found["states"], states.source[column][rows].tolist(), strict=True):
@@ -137,7 +141,10 @@ def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[s
     taken = table.take(rows)
     columns = {name: taken[name].to_pylist() for name in (*_SHOWN, "grade", "image")}
     measured = taken["quality"].to_pylist()
-    quality = {name: [one[name] for one in measured] for name in (measured or [{}])[0]}
+    quality = {
+        name: (UNITS.get(name, ""), [one[name] for one in measured])
+        for name in (measured or [{}])[0]
+    }
     found = _shapes(rows, {**columns, "points": points_of(taken)}, quality)
     for shown, grade, image in zip(
         found["states"], columns["grade"], columns["image"], strict=True
@@ -149,12 +156,12 @@ def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[s
 
 
 def _shapes(
-    rows: Sequence[int], columns: Mapping[str, Any], quality: Mapping[str, Any]
+    rows: Sequence[int], columns: Mapping[str, Any], measures: Mapping[str, tuple[str, Any]]
 ) -> dict[str, Any]:
     """Return what states and pictures have in common, of the rows with these numbers."""
     points = columns["points"]
     return {
-        "measures": [{"name": name, "unit": UNITS.get(name, "")} for name in quality],
+        "measures": [{"name": name, "unit": unit} for name, (unit, _) in measures.items()],
         "points": _encoded(points),
         "states": [
             {
@@ -164,7 +171,7 @@ def _shapes(
                 "plain": str(columns["gauss_code"][k]),
                 "split": str(columns["split"][k]),
                 "knot": str(columns["knot"][k]),
-                "q": [_number(values[k]) for values in quality.values()],
+                "q": [_number(values[k]) for _, values in measures.values()],
                 "x": _crossings(points[k]),
             }
             for k, number in enumerate(rows)

@@ -55,7 +55,7 @@ from knotgym.runs import (
     require_no_interrupted_run,
     run,
 )
-from knotgym.states import minari_root, read_states, ships, states_file
+from knotgym.states import is_bundled, minari_root, read_states, resolve_states
 
 
 def distinct_id(config: CollectConfig) -> str:
@@ -71,8 +71,8 @@ def distinct_id(config: CollectConfig) -> str:
     """
     task, policy, seed = config.task, config.policy, config.seed
     states = "" if task.states in (None, "readable") else str(task.states)
-    if not ships(task.states):
-        file = states_file(task.states)
+    if not is_bundled(task.states):
+        file = resolve_states(task.states)
         states = f"states{sha256(file)[:8]}" if file.is_file() else ""
     marked = ("task", "nx", "split", "states", "engine", "observation")
     plain = TaskConfig(**{name: getattr(task, name) for name in marked})
@@ -119,8 +119,8 @@ def collect(
         config.policy_task
     )  # refused before any work is done
     _metadata(config, Counter())  # refuses a bad id
-    if not ships(config.task.states):
-        read_states(states_file(config.task.states), images=False)
+    if not is_bundled(config.task.states):
+        read_states(resolve_states(config.task.states), images=False)
 
     advisers = [replace(config.policy, policy="expert")] if config.labels else []
     files = {RECORDINGS.name: RECORDINGS} if recorded else {}
@@ -236,7 +236,7 @@ def _publish(
     if not config.keep_failed:
         parts = [part.select(part.episodes["success"]) for part in parts]
     facts = {**made_by, "machines": [machine()], "tally": total}
-    carried = None if ships(config.task.states) else states_file(config.task.states)
+    carried = None if is_bundled(config.task.states) else resolve_states(config.task.states)
     digests = {**made_by["source"], "versions": made_by["versions"], "rope": made_by["rope"]}
     metadata = replace(_metadata(config, total), digests=digests)
     root = place.with_name(f"{place.name}-root")

@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from knotgym.generate.images.frames import symmetry_of
+from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.quality import grade_of
 from knotgym.rope import Array
 from knotgym.runs import Result
-from knotgym.states import NEAR, Spectra
+from knotgym.states import NEAR, Spectra, held_form
 
 Quota = tuple[str, int]  # split and nx
 
@@ -44,17 +45,19 @@ class Chooser:
     """
 
     def __init__(
-        self, quota: Mapping[Quota, int], held_out: frozenset[str], extreme: float
+        self, quota: Mapping[Quota, int], held_out: frozenset[str], config: ImagesConfig
     ) -> None:
         """Begin without any frame.
 
         Args:
             quota: (split, nx) -> number of pictures.
-            held_out: codes, without chirality, that only splits test-code and test-nx may show.
-            extreme: largest share of a quota with grade extreme.
+            held_out: codes, as `held_form` gives them, that only splits test-code and test-nx may
+                show.
+            config: of the pictures.
         """
         self.chosen, self.refused = list[Chosen](), Counter[str]()
-        self._quota, self._held_out, self._extreme = quota, held_out, extreme
+        self._quota, self._held_out, self._config = quota, held_out, config
+        self._forms = dict[str, str]()  # code -> its `held_form`
         self._have, self._hardest = Counter[Quota](), Counter[Quota]()
         self._codes = Counter[tuple[str, str]]()
         self._known: Spectra | None = None  # of the chosen, in arrays with room for more
@@ -73,7 +76,7 @@ class Chooser:
         if self._quota.get(key, 0) <= self._have[key]:
             return self._refuse("quota full")
         is_extreme = grade_of(float(frames["ease"][row])) == "extreme"
-        if is_extreme and self._hardest[key] >= self._extreme * self._quota[key]:
+        if is_extreme and self._hardest[key] >= self._config.extreme * self._quota[key]:
             return self._refuse("extreme enough")
         able = [
             (self._codes[split, code], index, code)
@@ -106,7 +109,11 @@ class Chooser:
         return False
 
     def _may_show(self, code: str, split: str) -> bool:
-        return split == "test-nx" or (code in self._held_out) == (split == "test-code")
+        if split == "test-nx":
+            return True
+        if code not in self._forms:
+            self._forms[code] = held_form(code, marked=self._config.marked)
+        return (self._forms[code] in self._held_out) == (split == "test-code")
 
     def _is_new(self, points: Array, split: str) -> bool:
         """Whether no chosen configuration is a near-duplicate; if so, remember the points.

@@ -19,7 +19,7 @@ from knotgym.generate.images.frames import PicturedRope, frames_of
 from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
 from knotgym.rope import RopeConfig
 from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compile_first, identity, run
-from knotgym.states import IMAGE_SPLITS, States, families, read_states, states_file
+from knotgym.states import IMAGE_SPLITS, States, families, held_form, read_states, resolve_states
 from knotgym.topology import codes_of
 
 
@@ -37,7 +37,7 @@ def make_images(
         config: which pictures.
         out: the folder.
         options: how the run is executed.
-        states: that ropes start from, as `states_file` takes them.
+        states: that ropes start from, as `resolve_states` takes them.
         progress: shows what is done.
 
     Raises:
@@ -46,7 +46,7 @@ def make_images(
         MissingExtra: pyarrow isn't installed.
     """
     arrow()
-    path = states_file(None if states is None else str(states))
+    path = resolve_states(None if states is None else str(states))
     plan = _Plan.of(config, read_states(path, images=False))
 
     made = identity(config, {"name": path.name, "sha256": path})
@@ -65,7 +65,7 @@ class _Plan(NamedTuple):
 
     Attributes:
         quota: (split, nx) -> number of pictures.
-        held_out: codes, without chirality, held out for split test-code.
+        held_out: codes, as `held_form` gives them, held out for split test-code.
         states: with at most as many crossings as are asked for.
         split: str (n,), the split of the ropes that start in each; "" for any, at plain loops.
     """
@@ -87,7 +87,13 @@ class _Plan(NamedTuple):
             raise InvalidInput(f"there is no state with at most {max(config.nx)} crossings")
         knots = sorted(set(states.knot.tolist()))
         codes = {
-            nx: sorted({str(code) for knot in knots for code in codes_of(knot, nx)})
+            nx: sorted(
+                {
+                    held_form(str(code), marked=config.marked)
+                    for knot in knots
+                    for code in codes_of(knot, nx)
+                }
+            )
             for nx in config.nx
         }
         for nx in config.nx:
@@ -146,7 +152,7 @@ class _Waves:
     def __init__(self, config: ImagesConfig, plan: _Plan) -> None:
         self.ropes, self.chooser = (
             list[PicturedRope](),
-            Chooser(plan.quota, plan.held_out, config.extreme),
+            Chooser(plan.quota, plan.held_out, config),
         )
         self._config, self._plan = config, plan
         self._quota_of = list[Quota]()  # that each rope is for

@@ -32,8 +32,9 @@ class ImagesConfig:
         test_nx: crossing numbers held out for split "test-nx", larger than all others; empty for
             the largest if there are several, none to hold none out.
         test_share: share of pictures in split test. Held-out crossing numbers don't count.
-        code_share: share of pictures in split test-code, and of Gauss codes held out for it. None
-            are held out for nx with fewer than 4 codes.
+        code_share: share of pictures in split test-code, and of Gauss codes held out for it; of
+            diagrams, where pictures don't mark where and in which direction the code is read. None
+            are held out for nx with fewer than 4.
         seed: random seed; the same seed gives the same bytes.
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
         policies: policies of the rollouts, in turn; each gives equally many.
@@ -91,6 +92,11 @@ class ImagesConfig:
             )
 
     @property
+    def marked(self) -> bool:
+        """Whether every picture marks the base bead and the direction; see `states.held_form`."""
+        return self.appearance.style == "published" and "colours" not in self.appearance.vary
+
+    @property
     def held_nx(self) -> tuple[int, ...]:
         """The crossing numbers of split "test-nx"."""
         return self.test_nx or ()
@@ -102,7 +108,12 @@ class ImagesConfig:
 
 
 def quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int], int]:
-    """Return (split, nx) -> number of pictures; `codes` is the number of codes of each nx."""
+    """Return (split, nx) -> number of pictures.
+
+    Args:
+        config: of the pictures.
+        codes: nx -> number of codes that can be held out.
+    """
     out: dict[tuple[str, int], int] = {}
     for index, nx in enumerate(config.nx):
         here = config.count // len(config.nx) + (index < config.count % len(config.nx))
@@ -116,7 +127,7 @@ def quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int],
 
 
 def held_out(config: ImagesConfig, codes: Mapping[int, Sequence[str]]) -> frozenset[str]:
-    """Return the codes, without chirality, held out for split "test-code"."""
+    """Return the codes, as `states.held_form` gives them, held out for split "test-code"."""
     out: list[str] = []
     for nx in config.trained:
         if len(codes[nx]) >= 4 and config.code_share > 0:

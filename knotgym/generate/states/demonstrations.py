@@ -17,13 +17,13 @@ from knotgym.common import Stream, Table, derived_seed
 from knotgym.control import PassPlanner, PassPlannerConfig, Policy, PullPlanner, rollouts
 from knotgym.datasets import STARTS, Episodes, MinariMetadata, episodes_of, merged, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.generate.states.drawing_source import CALLS, drawn_rows
+from knotgym.generate.states.drawing_source import CALLS, drawn_rows, splits_of
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.state_rows import Rows, joined
+from knotgym.generate.states.state_rows import joined
 from knotgym.rope import CHAIN, MUJOCO
-from knotgym.runs import Call, Recipe
-from knotgym.states import STATE_SPLITS, States, demonstrations_id
-from knotgym.topology import diagram_of, type_of
+from knotgym.runs import Call, Recipe, Result
+from knotgym.states import STATE_SPLITS, States
+from knotgym.topology import UNKNOT, diagram_of, type_of
 
 HORIZON = 200  # actions, more than any demonstration needs
 _STARTS = 8  # drawn states that episodes start from, in both splits together
@@ -46,41 +46,41 @@ class Demonstrated(NamedTuple):
     episodes: Episodes
 
 
-def start_rows(
-    config: GenerateConfig, rows: Rows, split: NDArray[np.str_]
-) -> Recipe[tuple[Rows, NDArray[np.str_]]]:
+def start_rows(config: GenerateConfig, states: States) -> Recipe[tuple[Table, NDArray[np.str_]]]:
     """Draw the states that demonstrations start from, where the set itself has none.
 
     The set that ships has plain loops, so ties of the unknot need none.
 
     Args:
         config: of the run.
-        rows: the set.
-        split: str (n,), of the rows.
+        states: the set.
 
     Returns:
-        The rows of the set and those to start from, with the splits of all.
+        The rows to start from, none near a state of the set, and their splits.
     """
-    least, parts, splits = diagram_of(config.knot).nx, [rows], [split]
+    least, parts, splits = diagram_of(config.knot).nx, list[Table](), [states.split[:0]]
     needed = {least} if max(config.nx) > least else set()
     if 0 in config.nx:
         needed.add(1)
-    for nx in sorted(needed):
-        there = set(split[rows["nx"] == nx].tolist())
-        if there == set(STATE_SPLITS) or (not nx and not there):
+    for crossings in sorted(needed):
+        there = set(states.split[states.nx == crossings].tolist())
+        if there == set(STATE_SPLITS) or (not crossings and not there):
             continue
         starts = replace(
             config,
-            nx=(nx,),
+            nx=(crossings,),
             count=_STARTS,
             source="drawing",
             engine=config.engine_used,
+            train_share=0.5,
             every_code=0,
             codes=(),
             demonstrations=False,
         )
-        parts.append((yield from drawn_rows(starts, {}, f"drawing starts, {nx}")))
-        splits.append(np.resize(np.array(STATE_SPLITS), _STARTS))
+        others = [states.points, *(part["points"] for part in parts)]
+        rows = yield from drawn_rows(starts, {}, others, f"drawing starts, {crossings}")
+        parts.append(rows)
+        splits.append(splits_of(starts, rows))
     return joined(parts), np.concatenate(splits)
 
 
@@ -138,7 +138,7 @@ def demonstrated(
     ]
 
 
-def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int) -> Rows:
+def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int) -> Result:
     """Roll out a policy towards some goals; return the successful episodes as flat columns.
 
     Args:
@@ -175,19 +175,35 @@ def _task_of(config: GenerateConfig, nx: int, split: str) -> TaskConfig:
     )
 
 
+def _dataset_id(nx: int, split: str, knot: str) -> str:
+    """Return the id of the Minari dataset that demonstrates the states of an nx, split and knot.
+
+    Demonstrations of loops (nx 0) are episodes of an unknot task, because nothing is tied.
+
+    >>> _dataset_id(3, "train", "0_1")
+    'knotgym/tie-nx3/demonstrations-v0'
+    >>> _dataset_id(0, "test", "0_1")
+    'knotgym/unknot-nx0/demonstrations-test-v0'
+    >>> _dataset_id(3, "train", "3_1")
+    'knotgym/tie-nx3-3_1/demonstrations-v0'
+    """
+    name = "demonstrations" if split == "train" else f"demonstrations-{split}"
+    knotted = "" if knot == UNKNOT else f"-{knot}"
+    return f"knotgym/{'tie' if nx else 'unknot'}-nx{nx}{knotted}/{name}-v0"
+
+
 def where_demonstrated(
-    config: GenerateConfig, rows: Rows, sets: Sequence[Demonstrated]
+    config: GenerateConfig, states: States, sets: Sequence[Demonstrated]
 ) -> dict[str, NDArray[Any]]:
-    """Return the columns of provenance that locate the rows' demonstrations."""
-    count = len(rows["nx"])
-    dataset = [""] * count
-    trajectory = rows.get("source/trajectory", np.full(count, -1)).copy()
-    step = rows["source/steps"].copy()
+    """Return the columns of provenance that locate the states' demonstrations."""
+    dataset = [""] * len(states)
+    trajectory, step = (states.source[name].copy() for name in ("trajectory", "step"))
     for nx, split, episodes in sets:
         for number, goal in enumerate(episodes.episodes["goal"].tolist()):
-            dataset[goal] = demonstrations_id(nx, split, type_of(config.knot))
+            dataset[goal] = _dataset_id(nx, split, type_of(config.knot))
             trajectory[goal], step[goal] = number, episodes.episodes["length"][number]
-    return {"dataset": np.array(dataset), "trajectory": trajectory, "step": step}
+    columns = {"dataset": np.array(dataset), "trajectory": trajectory, "step": step}
+    return {f"source/{name}": values for name, values in columns.items()}
 
 
 def publish_demonstrations(
@@ -197,7 +213,7 @@ def publish_demonstrations(
     knot = type_of(config.knot)
     for nx, split, episodes in sets:
         metadata = MinariMetadata(
-            dataset_id=demonstrations_id(nx, split, knot),
+            dataset_id=_dataset_id(nx, split, knot),
             algorithm_name="expert",
             description=(
                 f"Episodes of the expert that end in the Gauss codes of {episodes.episodes.rows}"

@@ -16,24 +16,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, Stream, as_json, generator_of, key
+from knotgym.common import Failed, Stream, Table, as_json, generator, generator_of, key
 from knotgym.drawing import drawn_curve
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.selection import Selection
 from knotgym.generate.states.state_filter import judge
-from knotgym.generate.states.state_rows import (
-    Rows,
-    row_of,
-    stacked,
-    taken,
-    with_report,
-    without_report,
-)
+from knotgym.generate.states.state_rows import row_of, stacked, with_report, without_report
 from knotgym.generate.states.wanted_codes import WantedCodes
 from knotgym.quality import measure
-from knotgym.rope import Simulation, simulation_of
-from knotgym.runs import Call, Recipe
-from knotgym.states import DRAWING
+from knotgym.rope import Array, Simulation, simulation_of
+from knotgym.runs import Call, Recipe, Result
+from knotgym.states import STATE_SPLITS, kept_together, split
 from knotgym.topology import UNKNOT, GaussCode, chiralities, shows, type_of
 
 # The first drawings of a code must differ from all other states under every symmetry. Codes that a
@@ -79,16 +72,16 @@ class _Order(NamedTuple):
 def drawn_rows(
     config: GenerateConfig,
     report: dict[str, Any],
+    apart_from: Sequence[Array] = (),
     stage: str = "drawing",
-    apart_from: Sequence[Rows] = (),
-) -> Recipe[Rows]:
+) -> Recipe[Table]:
     """Draw the states that a configuration asks for.
 
     Args:
         config: of source drawing.
         report: gets the run's counts.
+        apart_from: points of other states, (n, beads, 3) each, which none may be near.
         stage: first words of the keys of the calls.
-        apart_from: other states, which none may be near.
 
     Raises:
         Failed: states are missing, although all drawings have been made.
@@ -129,7 +122,7 @@ def drawn_rows(
             for nx, index, drawings, reasons in drawn:
                 made[nx, index] += drawings
                 selection.rejected[nx].update(reasons)
-            for row, seed in enumerate(rows.get("source/seed", ())):
+            for row, seed in enumerate(rows["source/seed"]):
                 nx, index, drawing = seed[2:].tolist()
                 if not needed[nx, index]:
                     continue
@@ -156,14 +149,25 @@ def drawn_rows(
     rows = selection.rows()
     nx, which = rows["nx"].tolist(), rows["source/seed"][:, 3].tolist()
     order = sorted(range(len(nx)), key=lambda row: (config.nx.index(nx[row]), which[row]))
-    return taken(rows, np.array(order))
+    return rows.take(np.array(order))
+
+
+def splits_of(config: GenerateConfig, rows: Table) -> NDArray[np.str_]:
+    """Assign rows to train and test; near duplicates stay together."""
+    codes = [GaussCode.parse(text) for text in rows["gauss_code_chiral"].tolist()]
+    assigned = np.full(len(codes), STATE_SPLITS[0], dtype="<U5")
+    for nx in config.nx:
+        own = np.flatnonzero(rows["nx"] == nx)
+        rng = generator(Stream.SPLIT, config.seed, nx)
+        assigned[own] = split([codes[row] for row in own], config.train_share, rng)
+    return kept_together(assigned, rows["points"], codes)
 
 
 def _named(order: _Order) -> str:
     return f"{order.code.nx}:{order.which}:{order.first}"
 
 
-def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Rows:
+def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Result:
     """Draw codes until enough states of each are accepted.
 
     Returns:
@@ -173,7 +177,7 @@ def _draw(config: GenerateConfig, orders: Sequence[_Order]) -> Rows:
     simulation = simulation_of(1, config.rope, config.engine_used)
     rows, drawn = list[dict[str, Any]](), []
     for order in orders:
-        selection, number = Selection([{"points": order.kept}]), order.first
+        selection, number = Selection([order.kept]), order.first
         rejected = selection.rejected[order.code.nx]
         letters = _letters(order.code, config.knot)
         while number < order.first + order.drawings and len(selection) < order.wanted:
@@ -243,7 +247,7 @@ def _drawn(
         actions=actions,
         steps=len(actions),
         seed=np.array(seed),
-        policy=DRAWING,
+        policy="drawing",
         drawing=json.dumps(as_json(config.drawing)),
     )
 

@@ -6,14 +6,16 @@ The command line reads it first, so nothing here imports the simulator.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from knotgym.common import Count, Crossings, InvalidInput, Seed, Share, Whole, configuration
+from knotgym.common import Count, Crossings, InvalidInput, Seed, Share, Whole, choice, configuration
 from knotgym.drawing import DrawingConfig
 from knotgym.envs import MAX_BEADS, MIN_BEADS, max_nx
 from knotgym.quality import LEGIBLE, UNTWISTED, Limits
+from knotgym.rope import CHAIN, ENGINES, MUJOCO
+from knotgym.states import SOURCES
 from knotgym.topology import (
     LISTED_NX,
     UNKNOT,
@@ -120,7 +122,7 @@ class GenerateConfig:
 
     nx: Crossings = (3,)
     count: Count = 40
-    source: Literal["auto", "drawing", "play", "random-walk"] = "auto"
+    source: str = "auto"
     every_code: Whole = 0
     train_share: Share = 0.5
     knot: str = UNKNOT
@@ -129,7 +131,7 @@ class GenerateConfig:
     attempts: Count = 100
     demonstration_attempts: Count = 8
     seed: Seed = 0
-    engine: Literal["auto", "mujoco", "chain"] = "auto"
+    engine: Annotated[str, choice("auto", *ENGINES)] = "auto"
     beads: Annotated[int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = _BEADS
     drawing: DrawingConfig = DrawingConfig()
     play: PlayConfig = PlayConfig()
@@ -138,6 +140,11 @@ class GenerateConfig:
     twist: Limits = UNTWISTED
 
     def __post_init__(self) -> None:
+        known = "auto", *(name for name, source in SOURCES.items() if source.rows)
+        if self.source not in known:
+            raise InvalidInput(f"source must be one of {', '.join(known)}, got {self.source!r}")
+        if self.source != "auto" and SOURCES[self.source].from_ropes:
+            self._require_ropes()
         if max(self.nx) > (most := max_nx(self.beads)):
             raise InvalidInput(f"nx takes numbers of crossings from 0 to {most}, got {self.nx}")
         if self.beads != _BEADS and self.demonstrations:
@@ -145,8 +152,6 @@ class GenerateConfig:
                 f"demonstrations are for a rope of {_BEADS} beads, got {self.beads};"
                 " leave them out: --no-demonstrations"
             )
-        if self.source in ("play", "random-walk"):
-            self._require_ropes()
         if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
             raise InvalidInput(
                 f"there are too many codes with {max(self.nx)} crossings to list, so every_code"
@@ -201,39 +206,35 @@ class GenerateConfig:
         return rope_of(self.beads)
 
     @property
-    def engine_used(self) -> Literal["mujoco", "chain"]:
-        """The engine that `engine` stands for."""
+    def engine_used(self) -> str:
+        """The engine that `engine` stands for: that of the sources, chain if one has it."""
         if self.engine != "auto":
             return self.engine
-        return "chain" if self._played and self.source != "random-walk" else "mujoco"
+        engines = {SOURCES[name].engine for name, _ in self._sources}
+        return CHAIN if CHAIN in engines else MUJOCO
 
     @property
-    def _played(self) -> tuple[int, ...]:
-        """The numbers of crossings whose states are taken from ropes; the others are drawn."""
+    def _sources(self) -> list[tuple[str, tuple[int, ...]]]:
+        """The sources that are used, and for which numbers of crossings."""
         if self.source != "auto":
-            return () if self.source == "drawing" else self.nx
+            return [(self.source, self.nx)]
         special = any(getattr(self, name) != value for name, value in _OF_ROPES.items())
-        if special or self.count <= _DRAWN:
-            return ()
-        few = (nx for nx in self.nx if nx <= LISTED_NX)
-        return tuple(nx for nx in few if self.count > _DRAWN * len(codes_of(UNKNOT, nx)))
+        played = tuple(
+            nx
+            for nx in self.nx
+            if not special and nx <= LISTED_NX and self.count > _DRAWN * len(codes_of(UNKNOT, nx))
+        )
+        drawn = tuple(nx for nx in self.nx if nx not in played)
+        return [(name, nx) for name, nx in (("play", played), ("drawing", drawn)) if nx]
 
     @property
     def parts(self) -> list[GenerateConfig]:
-        """The configuration of each source: itself, or for auto those of play and drawing."""
+        """The configuration of each source; itself, unless the source is auto."""
         if self.source != "auto":
             return [self]
-        drawn = tuple(nx for nx in self.nx if nx not in self._played)
-        sources: tuple[tuple[Literal["play", "drawing"], tuple[int, ...]], ...]
-        sources = ("play", self._played), ("drawing", drawn)
         return [
-            replace(self, source=one, nx=nx, engine=self.engine_used) for one, nx in sources if nx
+            replace(self, source=name, nx=nx, engine=self.engine_used) for name, nx in self._sources
         ]
-
-    @property
-    def lives(self) -> PlayConfig:
-        """The lives of the ropes of source play or random-walk."""
-        return self.play if self.source == "play" else self.walk
 
     @property
     def parsed(self) -> list[GaussCode]:

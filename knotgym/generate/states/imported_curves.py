@@ -27,7 +27,7 @@ from knotgym.rope import (
     require_embedded,
     simulation_of,
 )
-from knotgym.states import IMPORT, States
+from knotgym.states import States
 from knotgym.topology import UNKNOWN, GaussCode, count_crossings, knot_type, label, possible_types
 
 # Heights are scaled, which changes no code, and the curve is relaxed; the first to pass is kept.
@@ -99,7 +99,7 @@ def _laid(curve: Array, number: int, simulation: Simulation) -> dict[str, Any]:
                 actions=rest,
                 steps=_REST,
                 seed=np.array(stream),
-                policy=IMPORT,
+                policy="import",
             )
         why = ", ".join(_missed(fault, judgement.quality, limits) for fault in judgement.faults)
     raise InvalidInput(f"refused, relaxed and flattened too: {why}")

@@ -6,45 +6,50 @@ published pulls, uniform random actions, and without limits on readability.
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from knotgym.common import Failed, Stream, key
-from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.common import Failed, Table, key
+from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.states.rope_lives import live
 from knotgym.generate.states.selection import Selection
 from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_rows import (
-    Rows,
     joined,
     row_of,
     stacked,
-    taken,
     with_report,
     without_report,
 )
-from knotgym.runs import Call, Recipe
-from knotgym.states import PLAY, STATE_SPLITS
+from knotgym.rope import Array
+from knotgym.runs import Call, Recipe, Result
+from knotgym.states import STATE_SPLITS, source_of
 from knotgym.topology import UNKNOT, GaussCode, codes_of, label_many
 
 _CALLS = 4  # between two looks at what is still missing
 # A code may have this many times its even share of the states of an nx and split, and at least
 # _LEAST: common codes would crowd out the others.
 _UNEVEN, _LEAST = 1.6, 2
+_READABLE = "play"  # the source whose states are readable, and of many codes
 
 
-def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows]:
+def rows_of_ropes(
+    config: GenerateConfig, report: dict[str, Any], apart_from: Sequence[Array] = ()
+) -> Recipe[Table]:
     """Take the states that a configuration asks for from the lives of ropes.
 
     Args:
         config: of source play or random-walk.
         report: gets the run's counts.
+        apart_from: points of other states, (n, beads, 3) each, which none may be near.
 
     Raises:
         Failed: states are missing, although `config.attempts` are used up.
     """
-    ropes, selection = config.lives.ropes, Selection()
+    ropes, selection = _pulls_of(config).ropes, Selection(apart_from)
     have, of_code = Counter[tuple[int, str]](), Counter[tuple[str, GaussCode]]()
     lived = 0
     while lacking := [
@@ -74,7 +79,9 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
                 even = _wanted(config, code.nx, split) / len(codes_of(UNKNOT, code.nx))
                 if have[code.nx, split] >= _wanted(config, code.nx, split):
                     continue
-                if config.source == PLAY and of_code[split, code] >= max(_LEAST, _UNEVEN * even):
+                if _READABLE == config.source and of_code[split, code] >= max(
+                    _LEAST, _UNEVEN * even
+                ):
                     continue
                 if selection.offer(rows, row):
                     have[code.nx, split] += 1
@@ -85,7 +92,7 @@ def rows_of_ropes(config: GenerateConfig, report: dict[str, Any]) -> Recipe[Rows
         rejected=selection.reasons(config.nx),
     )
     rows = selection.rows()
-    return joined([taken(rows, rows["nx"] == nx) for nx in config.nx])
+    return joined([rows.take(rows["nx"] == nx) for nx in config.nx])
 
 
 def _wanted(config: GenerateConfig, nx: int, split: str) -> int:
@@ -100,19 +107,30 @@ def split_of(config: GenerateConfig, rope: int) -> str:
     return STATE_SPLITS[0] if after > before else STATE_SPLITS[1]
 
 
-def ropes_of(rows: Rows) -> list[int]:
+def splits_of(config: GenerateConfig, rows: Table) -> NDArray[np.str_]:
+    """Return the split of each row, that of its rope."""
+    return np.array([split_of(config, rope) for rope in ropes_of(rows)])
+
+
+def ropes_of(rows: Table) -> list[int]:
     """Return the ropes that rows come from, by their numbers in the run."""
-    return [int(seed[2]) for seed in rows.get("source/seed", ())]
+    return [int(seed[2]) for seed in rows["source/seed"]]
 
 
 def _key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
     """Return the key of a rope's random stream."""
-    stream = Stream.PLAYED_ROPE if config.source == PLAY else Stream.RANDOM_WALK
+    stream = source_of(config.source).stream
+    assert stream is not None
     return key(stream, config.seed, rope)
 
 
-def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ...]) -> Rows:
-    """Take states from the lives of ropes `first` to `first + config.lives.ropes - 1`.
+def _pulls_of(config: GenerateConfig) -> PlayConfig:
+    """Return the pulls of the ropes."""
+    return config.play if config.source == _READABLE else config.walk
+
+
+def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ...]) -> Result:
+    """Take states from the lives of ropes `first` to `first + ropes - 1`.
 
     Args:
         lacking: nx and split of the states that are still needed.
@@ -121,10 +139,11 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
         The rows, rope by rope, and as report for each nx the reasons of rejected frames with their
         numbers.
     """
-    ropes = range(first, first + config.lives.ropes)
+    pulls = _pulls_of(config)
+    ropes = range(first, first + pulls.ropes)
     keys = [_key_of(config, rope) for rope in ropes]
-    lives = live(config.lives, config.engine_used, keys)
-    played = config.source == PLAY
+    lives = live(pulls, config.engine_used, keys)
+    played = config.source == _READABLE
     limits = [config.limits, config.twist] if played else [config.twist]
     rejected = {nx: Counter[str]() for nx in config.nx}
     kept, rows = Counter[tuple[int, int]](), list[dict[str, Any]]()
@@ -133,7 +152,7 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
         rope = ropes[frame.rope]
         if (code.nx, split_of(config, rope)) not in lacking:
             continue
-        if kept[rope, code.nx] == config.lives.per_rope:
+        if kept[rope, code.nx] == pulls.per_rope:
             continue
         judgement = judge(frame.points, limits)
         rejected[code.nx].update(judgement.faults)

@@ -4,24 +4,26 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from knotgym.generate.states.state_rows import Rows, joined, taken
+from knotgym.common import Table
+from knotgym.generate.states.state_rows import joined
 from knotgym.rope import Array
 from knotgym.states import NEAR, Spectra, distances, pairs_within
 from knotgym.topology import GaussCode
 
 
 class Selection:
-    """States kept so far, none near another or one of `apart_from`.
+    """States kept so far, none near another or one of `apart_from`, points (n, beads, 3) each.
 
     Attributes:
         rejected: nx -> reason -> number of rejected candidates; `offer` counts near duplicates.
     """
 
-    def __init__(self, apart_from: Sequence[Rows] = ()) -> None:
-        others = [points for rows in apart_from for points in rows["points"]]
+    def __init__(self, apart_from: Sequence[NDArray[np.float64]] = ()) -> None:
+        others = [points for part in apart_from for points in part]
         self.rejected = defaultdict[int, Counter[str]](Counter)
-        self._parts: list[Rows] = []
+        self._parts: list[Table] = []
         # those of others have no code: none may be near them
         self._known: list[tuple[GaussCode | None, Array]] = [(None, one) for one in others]
         self._invariants = list(Spectra.of(np.stack(others)).invariants) if others else []
@@ -29,7 +31,7 @@ class Selection:
     def __len__(self) -> int:
         return len(self._parts)
 
-    def offer(self, rows: Rows, row: int, *, lenient: bool = False) -> bool:
+    def offer(self, rows: Table, row: int, *, lenient: bool = False) -> bool:
         """Keep a row if it is new; return whether it is kept.
 
         By default it must differ from all kept rows under every symmetry, see
@@ -54,13 +56,13 @@ class Selection:
             return False
         self._known.append((code, points))
         self._invariants.append(own)
-        self._parts.append(taken(rows, slice(row, row + 1)))
+        self._parts.append(rows.take(slice(row, row + 1)))
         return True
 
     def reasons(self, numbers: Sequence[int]) -> dict[str, dict[str, int]]:
         """Return `rejected` for some numbers of crossings, as JSON."""
         return {str(nx): dict(sorted(self.rejected[nx].items())) for nx in numbers}
 
-    def rows(self) -> Rows:
+    def rows(self) -> Table:
         """Return the kept rows, in the order in which they were offered."""
         return joined(self._parts)

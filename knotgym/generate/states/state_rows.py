@@ -1,7 +1,6 @@
-"""Rows of a state file while a run makes them: columns by their name in the file.
+"""Rows of a state file while a run makes them: tables without pictures and splits.
 
-Units of work return such columns, so a journal keeps them as they are. Pictures, PD and DT codes
-follow from the others, and are added at the end.
+Units of work return their columns, so a journal keeps them as they are.
 """
 
 import json
@@ -13,70 +12,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
+from knotgym.common import Table
+from knotgym.common import joined as appended
 from knotgym.generate.states.state_filter import Judgement
-from knotgym.quality import UNITS
 from knotgym.rendering import draw_many, picture_of
 from knotgym.rope import Array, rope_of
-from knotgym.states import States
-from knotgym.topology import knot_type
+from knotgym.runs import Result
+from knotgym.states import STATES, RopeAtRest, States
 
-Rows = Mapping[str, NDArray[Any]]  # all of one length; empty without rows
-ACTIONS = "source/actions"  # (n, T, 6), padded with zeros to the longest
+ROWS = STATES.without("image", "split")
+_NO_SIZES = ROWS.sized(nq=0, beads=0, actions=0)
+_NO_ROWS = Table(_NO_SIZES, _NO_SIZES.empty(0))
 _REPORT = "report"
 
 
 def row_of(judgement: Judgement, points: Array, qpos: Array, **source: Any) -> dict[str, Any]:
-    """Return one row: a configuration at rest, its judgement, and the columns of its provenance."""
-    return {
-        "qpos": qpos,
-        "points": points,
-        "gauss_code": str(judgement.code),
-        "gauss_code_chiral": judgement.code.chiral,
-        "knot": knot_type(judgement.code),
-        "nx": judgement.code.nx,
-        **{f"quality/{name}": getattr(judgement.quality, name) for name in UNITS},
-        **{f"source/{name}": value for name, value in source.items()},
-    }
+    """Return one row: a configuration at rest, what follows from it, and its provenance.
+
+    Args:
+        judgement: of the configuration.
+        points: float64 (beads, 3), metres.
+        qpos: float64 (nq,).
+        source: columns of provenance, by their names in `source`.
+    """
+    rope = RopeAtRest(points, code=judgement.code, quality=judgement.quality)
+    given = {f"source/{name}": value for name, value in source.items()}
+    return {"qpos": qpos, "points": points, **ROWS.derive(rope), **given}
 
 
-def stacked(rows: Sequence[Mapping[str, Any]]) -> Rows:
-    """Return single rows as columns."""
-    return joined([{name: np.array([one]) for name, one in row.items()} for row in rows])
+def stacked(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return single rows as a table; their actions may differ in number."""
+    made = [Table(ROWS, {name: np.array([one]) for name, one in row.items()}) for row in rows]
+    return joined(made)
 
 
-def with_report(rows: Rows, report: Any) -> Rows:
-    """Return the result of a unit of work: rows, and a report as JSON beside them."""
+def with_report(rows: Table, report: Any) -> Result:
+    """Return the result of a unit of work: columns, and a report as JSON beside them."""
     return {**rows, _REPORT: np.array(json.dumps(report))}
 
 
-def without_report(result: Rows) -> tuple[Rows, Any]:
+def without_report(result: Result) -> tuple[Table, Any]:
     """Return the rows and the report of a result."""
-    rows = {name: column for name, column in result.items() if name != _REPORT}
-    return rows, json.loads(str(result[_REPORT]))
+    columns = {name: column for name, column in result.items() if name != _REPORT}
+    return Table(ROWS, columns), json.loads(str(result[_REPORT]))
 
 
-def joined(parts: Iterable[Rows]) -> Rows:
-    """Append the rows of all parts, with the columns that all of them have."""
-    some = [part for part in parts if len(part.get("nx", ()))]
-    if not some:
-        return {}
-    longest = max((part[ACTIONS].shape[1] for part in some if ACTIONS in part), default=0)
-    return {
-        name: np.concatenate(
-            [_padded(part[name], longest) if name == ACTIONS else part[name] for part in some]
-        )
-        for name in some[0]
-        if all(name in part for part in some)
-    }
-
-
-def taken(rows: Rows, which: Any) -> Rows:
-    """Select rows by numbers or by a mask, in that order."""
-    return {name: column[which] for name, column in rows.items()}
+def joined(parts: Iterable[Table]) -> Table:
+    """Append the rows of all parts, with the optional columns that all of them have."""
+    return appended([part for part in parts if part.rows] or [_NO_ROWS])
 
 
 def states_of(
-    rows: Rows, split: NDArray[np.str_], engine: str, config: Mapping[str, Any], **source: Any
+    rows: Table, split: NDArray[np.str_], engine: str, config: Mapping[str, Any]
 ) -> States:
     """Return rows as states of a file, with their pictures.
 
@@ -85,15 +72,9 @@ def states_of(
         split: str (n,).
         engine: that their provenance is replayed with.
         config: the generating configuration, as JSON.
-        source: further columns of provenance, or other values for them.
     """
     points = rows["points"]
-    columns = {
-        **rows,
-        "split": split,
-        "image": draw_many(points, picture_of(points.shape[1])),
-        **{f"source/{name}": values for name, values in source.items()},
-    }
+    columns = {**rows, "split": split, "image": draw_many(points, picture_of(points.shape[1]))}
     attributes = {
         "knotgym": knotgym.__version__,
         "mujoco": mujoco.__version__,
@@ -102,7 +83,3 @@ def states_of(
         "config": config,
     }
     return States.of(columns, attributes)
-
-
-def _padded(actions: NDArray[Any], length: int) -> NDArray[Any]:
-    return np.pad(actions, ((0, 0), (0, length - actions.shape[1]), (0, 0)))

@@ -1,0 +1,92 @@
+"""What a name stands for: a path, a Minari dataset by its id, or an included set of states.
+
+Users give names in commands, keywords and settings, and files hold them. All are resolved here.
+"""
+
+import os
+from importlib.resources import files
+from pathlib import Path
+
+from knotgym.common import InvalidFile, MissingFile, require_no_links
+
+SETS = {  # name -> file
+    "readable": "states.h5",
+    "random-walk": "random-walk.h5",
+    "hard-unknots": "hard-unknots.h5",
+    "bench": "bench.h5",
+}
+
+
+def shipped(name: str = "readable") -> Path:
+    """Return the path of a set of states that the package includes.
+
+    Args:
+        name: "readable", curated so that the code can be read off the picture, or "random-walk", as
+            random play reaches them without over-twisted ones, each with 17 loops and 40 states for
+            each nx from 1 to 4; or "hard-unknots", unknots with 7, 10 and 11 crossings, of which
+            those with 10 and 11 have neither kinks nor bigons; or "bench", 256 train and 256 test
+            states of each nx from 0 to 5, legible as the readable ones, of ropes that the splits
+            don't share.
+
+    Raises:
+        InvalidFile: there is no set of that name.
+    """
+    if name not in SETS:
+        raise InvalidFile(f"no shipped set of states {name!r}; there are {', '.join(SETS)}")
+    return Path(str(files("knotgym.states") / "curated" / SETS[name]))
+
+
+def is_bundled(named: str | os.PathLike[str] | None) -> bool:
+    """Whether a task's `states` names an included set; None means "readable"."""
+    return named is None or named in SETS
+
+
+def minari_root() -> Path:
+    """Return the root folder of Minari datasets: MINARI_DATASETS_PATH, else Minari's default."""
+    return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
+
+
+def resolve(named: str | os.PathLike[str] | None) -> Path:
+    """Return the file or folder that a name stands for.
+
+    Args:
+        named: the name of an included set (None for "readable"), which a file of that name doesn't
+            hide, because stored tasks name sets, too; else a path that exists; else the id of a
+            Minari dataset. A `Path` is a path, whether there is a file or not.
+
+    Raises:
+        MissingFile: there is no such file, folder, id or set.
+    """
+    if named is None or named in SETS:
+        return shipped(str(named or "readable"))
+    path = Path(named)
+    if isinstance(named, Path) or path.exists():
+        return path
+    if not leads_out(path) and (minari_root() / path).is_dir():
+        return minari_root() / path
+    raise MissingFile(
+        f"no such file: {path}, nor a Minari dataset of this id under {minari_root()},"
+        f" nor an included set ({', '.join(SETS)})"
+    )
+
+
+def resolve_states(named: str | os.PathLike[str] | None) -> Path:
+    """Return the state file that a name stands for, as `resolve` takes it.
+
+    A run's folder has it as `states.h5`, a Minari dataset as `data/states.h5`.
+
+    Raises:
+        MissingFile: there is no such file, folder, id or set, or the folder has no state file.
+        InvalidFile: the folder's file is a link, which could lead to a private file of the user.
+    """
+    path = resolve(named)
+    if not path.is_dir():
+        return path
+    found = next((one for one in (path, path / "data") if (one / "states.h5").exists()), path)
+    require_no_links(path, [found / "states.h5"])
+    return found / "states.h5"
+
+
+def leads_out(named: str | os.PathLike[str]) -> bool:
+    """Whether a path is absolute or contains "..", and so may lead out of a folder."""
+    return Path(named).is_absolute() or ".." in Path(named).parts
