@@ -16,7 +16,7 @@ from knotgym.rope import RopeConfig
 from knotgym.states import CODE_SPLITS, States, is_bundled, read_states, resolve_states, shipped
 from knotgym.topology import UNKNOT
 
-OWN, SHIPPED = "own", "shipped"  # origin of states: the user's file, or a set that is_bundled
+OWN, SHIPPED = "own", "shipped"  # origin of states: the user's file, or a set that ships
 
 
 class TaskSide(NamedTuple):
