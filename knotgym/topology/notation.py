@@ -30,7 +30,7 @@ come back, and spherogram and SnapPy read the same knot.
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from knotgym.common import InvalidInput
 from knotgym.topology.diagrams import is_planar
@@ -38,16 +38,12 @@ from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, invalid_code
 
 MOST_CROSSINGS = 1000  # of a code that is read
 _MOST_CHARACTERS = 30 * MOST_CROSSINGS
-_LOOPS = ("[]", "PD[]", "PD[Loop[1]]", "DT[]", "DT:[]", "DTCode[]")
-_CROSSING = re.compile(r"[\[(](\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})[\])]")
-_PD = re.compile(rf"(?:PD)?[\[(](?:,?X?{_CROSSING.pattern})+,?[\])]|(?:,?X{_CROSSING.pattern})+")
-_DT = re.compile(r"(?:DT(?:Code)?:?)?[\[(]*-?\d{1,9}(?:,-?\d{1,9})*,?[\])]*")
-_DIGITS = r"\d{1,9}"
-# a crossing of a PD code on a line of its own, with or without brackets
-_ROW = re.compile(rf"X?[\[(]?\s*{_DIGITS}(?:\s*[,\s]\s*{_DIGITS}){{3}}\s*[\])]?,?")
+_TEXT_OF_LOOPS = ("[]", "PD[]", "PD[Loop[1]]", "DT[]", "DT:[]", "DTCode[]", "GaussCode[]")
+_NUMBER = r"-?\d{1,9}"
+_LIST = rf"{_NUMBER}(?:,{_NUMBER})*"
+_CROSSING = r"X?[\[(]\d{1,9}(?:,\d{1,9}){3}[\])]"
+_BARE = r"X(?:\d{4}|\d{1,9}(?:,\d{1,9}){3})"  # the Knot Atlas: X1425 or X1,10,2,11
 _OVER_UNDER = re.compile(r"([OoUu])(\d{1,9})([+-]?)")
-_SIGNED = re.compile(r"(-?\d{1,9}(?:,-?\d{1,9})+),([+-]+)")  # with the signs of the crossings
-_KNOTINFO = re.compile(r"KnotInfo:?\[?((?:-?\d{1,9},?)+)\]?", re.IGNORECASE)
 
 
 def pd_code(code: GaussCode) -> list[list[int]]:
@@ -196,59 +192,24 @@ def from_dt(partners: Sequence[int]) -> GaussCode:
 
 
 def parse_code(text: str) -> GaussCode:
-    """Read a Gauss, PD or DT code, whichever the text is.
-
-    Gauss codes may also be written with signed numbers, + over, as by Regina and Knoto-ID
-    (1 -2 3 -1 2 -3), perhaps with the signs of crossings 1, 2, 3, ... at the end (---); with O and
-    U, and each crossing's sign after every visit or none (O1-U2-O3-U1-O2-U3-, O1U2O3U1O2U3); or, by
-    the name KnotInfo:{-1,2,-3,1,-2,3}, as KnotInfo's table, where + is under. PD codes as by
-    KnotInfo, KnotTheory (PD[X[1,5,2,4],...]), Knoto-ID (one crossing a line, or by ;) or Python
-    (tuples); DT codes as by KnotInfo (bare numbers too), KnotTheory (DTCode[4,6,2]) or SnapPy
-    (DT:[(4,6,2)]).
+    """Read a Gauss, PD or DT code in any of the notations of `_READERS`.
 
     Raises:
         InvalidInput: the text is none of them, or has more than `MOST_CROSSINGS` crossings.
 
-    >>> {str(parse_code(text)) for text in ("1+,1-", "1 -1", "[2]", "PD[X[2,2,1,1]]")}
+    >>> {str(parse_code(text)) for text in ("1+,1-", "1 -1", "[2]", "PD[X[2,2,1,1]]", "X2211")}
     {'1+,1-'}
     """
     if len(text) > _MOST_CHARACTERS:
         raise _invalid(f"{len(text)} characters are too long", text, "Gauss, PD or DT", _SIZE)
     text = text.strip().rstrip(";")
     tight = text.translate({ord("{"): "[", ord("}"): "]"})  # as KnotInfo writes lists
-    rows = [row.strip() for row in re.split(r"[;\n]", tight) if row.strip()]
-    if len(rows) > 1 and all(_ROW.fullmatch(row) for row in rows):  # as Knoto-ID writes PD codes
-        tight = ",".join(f"[{','.join(re.findall(_DIGITS, row))}]" for row in rows)
-        return from_pd([[*map(int, corners)] for corners in _CROSSING.findall(tight)])
     # Spaces beside punctuation mean nothing; those that are left part numbers, as commas do.
     tight = re.sub(r"\s*([\[\](),:])\s*", r"\1", tight)
     tight = re.sub(r"\s+", ",", tight)
-    if tight in _LOOPS:
-        return GaussCode()
-    if theirs := _KNOTINFO.fullmatch(tight):
-        return _from_signed([-int(number) for number in re.findall(r"-?\d+", theirs[1])])
-    if signed := _SIGNED.fullmatch(tight):
-        return _from_signed([int(number) for number in signed[1].split(",")], signed[2])
-    if tight[:1].upper() in ("O", "U"):
-        return _from_over_under(text)
-    if _PD.fullmatch(tight):
-        crossings = [[*map(int, corners)] for corners in _CROSSING.findall(tight)]
-        # four different numbers are a DT code as SnapPy writes it: [(4,6,8,2)]
-        if len(crossings) > 1 or len(set(crossings[0])) < 4:
-            return from_pd(crossings)
-    if _DT.fullmatch(tight):
-        numbers = [int(number) for number in re.findall(r"-?\d+", tight)]
-        # each label occurs with both signs in a Gauss code, with one in a DT code
-        if len(numbers) > 1 and sorted(numbers) == sorted(-number for number in numbers):
-            if "{" in text:
-                raise _invalid(
-                    "whose signs they are isn't said",
-                    text,
-                    "Gauss",
-                    "write KnotInfo:{...} for KnotInfo's, where + is under, or [...] for + over",
-                )
-            return _from_signed(numbers)
-        return from_dt(numbers)
+    for pattern, read in _READERS:
+        if pattern.fullmatch(tight) and (code := read(tight, text)) is not None:
+            return code
     if tight[:1] in ("[", "(", "P", "D", "X"):
         raise _invalid("it can't be read", text, "PD or DT", "expected [[1,5,2,4],...] or [4,6,2]")
     code = GaussCode.parse(text)
@@ -259,30 +220,94 @@ def parse_code(text: str) -> GaussCode:
 def split_codes(lines: Iterable[str]) -> Iterator[str]:
     """Yield the codes of a list, one a line; "#" begins a comment.
 
-    Brackets may be closed in a later line, and consecutive lines with one crossing of a PD code
-    each make one code; Knoto-ID writes both.
+    Brackets may be closed in a later line.
 
-    >>> [*split_codes(["1+,1-", "4 6 2 # DT", "2 2 3 1", "3 4 4 1", "", "PD[", "X[1,1,2,2]", "];"])]
-    ['1+,1-', '4 6 2', '2 2 3 1\\n3 4 4 1', 'PD[\\nX[1,1,2,2]\\n];']
+    >>> [*split_codes(["1+,1-", "4 6 2 # DT", "", "PD[", "X[1,1,2,2]", "];"])]
+    ['1+,1-', '4 6 2', 'PD[\\nX[1,1,2,2]\\n];']
     """
     held: list[str] = []
     opened = 0
     for line in lines:
         text = line.partition("#")[0].strip()
-        # all numbers of a DT code are even
-        is_row = _ROW.fullmatch(text) and any(int(one) % 2 for one in re.findall(_DIGITS, text))
-        if held and not opened and not is_row:
-            yield "\n".join(held)
-            held = []
         if text:
             held.append(text)
             # brackets that are closed too often open nothing in the next line
             opened = max(0, opened + text.count("[") - text.count("]"))
-        if held and not opened and not is_row or len(held) > MOST_CROSSINGS + 2:
+        if held and not opened or len(held) > MOST_CROSSINGS + 2:
             yield "\n".join(held)
             held, opened = [], 0
     if held:
         yield "\n".join(held)
+
+
+def _numbers(text: str) -> list[int]:
+    return [int(number) for number in re.findall(_NUMBER, text)]
+
+
+def _read_crossings(tight: str, _: str) -> GaussCode | None:
+    numbers = _numbers(tight)
+    # four different numbers are a DT code as SnapPy writes it: [(4,6,8,2)]
+    if len(numbers) == 4 and "X" not in tight and len(set(numbers)) == 4:
+        return None
+    return from_pd([numbers[k : k + 4] for k in range(0, len(numbers), 4)])
+
+
+def _read_bare(tight: str, _: str) -> GaussCode:
+    words = re.findall(_BARE, tight)
+    return from_pd([[*map(int, word[1:])] if word[1:].isdigit() else _numbers(word)
+                    for word in words])  # fmt: skip
+
+
+def _read_numbers(tight: str, text: str) -> GaussCode:
+    numbers = _numbers(tight)
+    # each label occurs with both signs in a Gauss code, with one in a DT code
+    if len(numbers) < 2 or sorted(numbers) != sorted(-number for number in numbers):
+        return from_dt(numbers)
+    if "{" in text:
+        raise _invalid(
+            "whose signs they are isn't said",
+            text,
+            "Gauss",
+            "write KnotInfo:{...} for KnotInfo's, where + is under, or [...] for + over",
+        )
+    return _from_signed(numbers)
+
+
+def _read_letters(tight: str, text: str) -> GaussCode:
+    letters = re.sub(r"DT:?|[\[\]]", "", tight).partition(".")[0]
+    # crossings, components and the crossings of each, then the partners; a is 1 or 2, A is -2
+    head = [ord(letter) - 96 for letter in letters[:3].lower()]
+    if head != [len(letters) - 3, 1, len(letters) - 3]:
+        expected = "expected such as DT[cacbca]"
+        raise _invalid("it isn't that of one component", text, "DT", expected)
+    return from_dt([
+        (ord(one.lower()) - 96) * (2 if one.islower() else -2) for one in letters[3:]
+    ])  # fmt: skip
+
+
+# Each row: a notation without spaces, and its reader, which may say None to leave it to later rows.
+_READERS: tuple[tuple[re.Pattern[str], Callable[[str, str], GaussCode | None]], ...] = tuple(
+    (re.compile(pattern, flags), read)
+    for pattern, flags, read in (
+        ("|".join(map(re.escape, _TEXT_OF_LOOPS)), 0, lambda *_: GaussCode()),
+        # KnotInfo's Gauss code by its name, as there + is under
+        (rf"KnotInfo:?\[?{_LIST},?\]?", re.IGNORECASE,
+         lambda tight, _: _from_signed([-number for number in _numbers(tight)])),
+        # KnotTheory's, where + is over
+        (rf"GaussCode\[{_LIST}\]", 0, lambda tight, _: _from_signed(_numbers(tight))),
+        # signed numbers with the signs of crossings 1, 2, 3, ..., as of Regina: 1 -2 3 -1 2 -3 ---
+        (rf"{_LIST},[+-]+", 0, lambda tight, _: _from_signed(
+            _numbers(tight), re.sub(r".*,", "", tight))),
+        # O1-U2-O3-U1-O2-U3- or O1U2O3U1O2U3
+        (r"[OoUu].*", re.DOTALL, lambda _, text: _from_over_under(text)),
+        # PD codes of KnotInfo, with outer brackets or without, of KnotTheory and of Python
+        (rf"(?:PD)?[\[(](?:,?{_CROSSING})+,?[\])]|(?:,?{_CROSSING})+", 0, _read_crossings),
+        (rf"{_BARE}(?:,{_BARE})*", 0, _read_bare),
+        # DT codes of KnotInfo, also bare numbers, of KnotTheory and of SnapPy; signed numbers
+        (rf"(?:DT(?:Code)?:?)?[\[(]*{_LIST}[\])]*", 0, _read_numbers),
+        (r"DT(?:\[[A-Za-z]{4,}(?:\.[01]*)?\]|:[A-Za-z]{4,}(?:\.[01]*)?)", 0, _read_letters),
+    )
+)  # fmt: skip
 
 
 def _from_signed(numbers: list[int], signs: str = "") -> GaussCode:

@@ -89,10 +89,15 @@ LEFT = TREFOIL.mirrored().plain  # a DT code has one sign for each number, and n
                 "PD[X[1, 5, 2, 4], X[3, 1, 4, 6], X[5, 3, 6, 2]]",
                 " [(0, 4, 1, 3), (2, 0, 3, 5), (4, 2, 5, 1)] ",
                 "X[1,5,2,4] X[3,1,4,6] X[5,3,6,2]",
+                "[1,5,2,4],[3,1,4,6],[5,3,6,2]",
+                "{1,5,2,4}, {3,1,4,6}, {5,3,6,2}",
+                "X1524 X3146 X5362",
+                "X1,5,2,4 X3,1,4,6 X5,3,6,2",
             )
         ),
         *((text, LEFT) for text in ("[4, 6, 2]", "4 6 2", "4,6,2", "DT: [(4,6,2)]")),
         ("DTCode[4, 6, 2]", LEFT),
+        *((text, LEFT) for text in ("DT[cacbca]", "DT: cacbca", "DT[cacbca.000]")),
         *((text, GaussCode()) for text in ("", "[]", "PD[]", "PD[Loop[1]]", "DT: []")),
         # four numbers are a DT code unless an edge repeats
         ("[(4,6,8,2)]", from_dt([4, 6, 8, 2])),
@@ -114,7 +119,12 @@ def test_codes_are_read_as_others_write_them(text: str, code: GaussCode) -> None
         ("[4, 6, 3]", "doesn't pair 3 odd visits"),
         ("[4, 4, 2]", "doesn't pair 3 odd visits"),
         ("DT:[(4,6),(2,8)]", "it can't be read"),
-        ("DT[cacbca]", "it can't be read"),
+        ("DT[cacbc]", "isn't that of one component"),
+        ("DT:eabcCaDeb", "isn't that of one component"),
+        ("DT[cacbcB]", "doesn't pair 3 odd visits"),
+        ("X142 X3641", "it can't be read"),
+        ("GaussCode[1,2]", "crossing 1 is visited only once"),
+        ("1,5,2,4;5,3,6,2;3,1,4,6", "cannot read the visit"),
         ("[[1,5,2,4],[3,1,4,6],[5,3,6,2]", "it can't be read"),
         ("[" * 20_000, "it can't be read"),
         ("9" * 40_000, "too long"),
@@ -297,23 +307,39 @@ def test_snappy_certifies_every_hard_unknot() -> None:
         "o1- u2- o3- u1- o2- u3-",
         "-1 2 -3 1 -2 3 ---",
         "PD[\nX[0,3,1,4],\nX[4,1,5,2],\nX[2,5,3,0]\n];",
-        "1,5,2,4;5,3,6,2;3,1,4,6",
         "X[1,5,2,4]\nX[5,3,6,2]\nX[3,1,4,6]\n",
-        "1 5 2 4\n5 3 6 2\n3 1 4 6",
     ],
 )
 def test_other_programs_write_the_left_handed_trefoil(text: str) -> None:
     assert knot_type(parse_code(text)) == "3_1" and parse_code(text).chirality is not None
 
 
-def test_a_list_has_a_code_a_line_or_a_crossing_a_line() -> None:
-    trefoil = ["1 5 2 4", "5 3 6 2", "3 1 4 6"]
-    lines = ["# two", *trefoil, "", *(f"X[{row.replace(' ', ',')}]" for row in trefoil), "O1U1"]
-    lines += ["4 6 8 2", "4 6 8 2 # twice the figure-eight knot", "[[1,1,2,2]]"]
+def test_a_list_has_a_code_a_line() -> None:
+    lines = ["# five", "O1U1", "4 6 8 2", "4 6 8 2 # twice the figure-eight knot", "[[1,1,2,2]]"]
     lines += ["PD[", "X[1,5,2,4],", "", "X[5,3,6,2],X[3,1,4,6]", "];"]
     codes = [parse_code(text) for text in split_codes(lines)]
-    assert [code.nx for code in codes] == [3, 3, 1, 4, 4, 1, 3]
-    assert codes[0] == codes[1] == codes[6] == TREFOIL
+    assert [code.nx for code in codes] == [1, 4, 4, 1, 3] and codes[4] == TREFOIL
+
+
+@pytest.mark.parametrize(
+    ("gauss", "pd"),
+    [
+        ("-1, 3, -2, 1, -3, 2", "X1425 X3641 X5263"),
+        ("1, -4, 3, -1, 2, -3, 4, -2", "X4251 X8615 X6374 X2738"),
+    ],
+)
+def test_the_knot_atlas_says_one_knot_in_both_notations(gauss: str, pd: str) -> None:
+    assert parse_code(f"GaussCode[{gauss}]") == parse_code(pd).plain
+
+
+@pytest.mark.clients
+def test_spherogram_writes_alphabetical_dt_codes_as_they_are_read() -> None:
+    spherogram = pytest.importorskip("spherogram")
+    for name in ("3_1", "4_1", "8_20", "9_49", "10_161"):
+        link = spherogram.Link(name)
+        numbers, letters = link.DT_code()[0], link.DT_code(DT_alpha=True)
+        assert parse_code(letters) == from_dt(numbers)
+        assert knot_type(parse_code(letters)) == name
 
 
 def test_signs_between_visits_may_part_them_or_be_the_crossings() -> None:
