@@ -41,7 +41,7 @@ def columns(config: CollectConfig, place: Path) -> Recipe[None]:
     """Collect as `collect` does, without Minari's form."""
     parts = yield [
         Call(f"episodes {few.start}-{few.stop - 1}", play, (config, few))
-        for few in blocks(config.episodes, config.task)
+        for few in blocks(config.episodes, config.task, config.policy.plans)
     ]
     write_episodes(place, [episodes_of(part) for part in parts], config.task)
 

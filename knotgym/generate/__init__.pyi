@@ -1,4 +1,4 @@
-from .episodes.blocks import blocks as blocks
+from .episodes.collect import blocks as blocks
 from .episodes.collect import collect as collect
 from .episodes.collect import named as named
 from .episodes.collect import play as play

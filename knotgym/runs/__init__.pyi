@@ -20,5 +20,6 @@ from .runner import checkpoint_of as checkpoint_of
 from .runner import compute as compute
 from .runner import require_no_interrupted_run as require_no_interrupted_run
 from .runner import run as run
+from .runner import shown_on as shown_on
 from .runner import staged as staged
 from .runner import staging_folder as staging_folder

@@ -5,6 +5,7 @@ and tables of results.
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import timedelta
@@ -23,8 +24,9 @@ _ESTIMATED = 600.0  # seconds of the past by which the time left is estimated
 class Progress:
     """Shows the progress of a run; a context manager that removes the live line at its end.
 
-    If there is no terminal, plain lines are printed on standard error from time to time: with
-    `lines` from the first moment, else after ten seconds. `clock` returns seconds.
+    If there is no terminal, plain lines are printed on standard error: with `lines` from the first
+    moment, else after ten seconds. Whatever takes longer than that is named every ten seconds, even
+    if nothing is done meanwhile. `clock` returns seconds.
     """
 
     def __init__(
@@ -58,16 +60,36 @@ class Progress:
         self._task = self._bars.tasks[0]
         self._clock, self._began = clock, clock()
         self._shown: float | None = None  # when a count was printed last
+        self._told = self._began  # when anything was printed last
+        self._over = threading.Event()
         plain = not quiet and not live
         self._lines, self._waits, self._quiet = plain and lines, plain and not lines, quiet
         self._printed = console or Console(file=sys.stderr)
 
     def __enter__(self) -> Progress:
         self._bars.start()
+        if self._lines or self._waits:
+            threading.Thread(target=self._repeat, daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._over.set()
         self._bars.stop()
+
+    def _repeat(self) -> None:
+        """Print the stage whenever nothing was printed for ten seconds."""
+        while not self._over.wait(max(0.1, self._told + _LINE_EVERY - self._clock())):
+            if self._clock() - self._told >= _LINE_EVERY:
+                self._tell(self._line())
+
+    def _line(self) -> str:
+        """Return the stage, how far it is, and the time left."""
+        task, facts = self._task, self._task.fields["facts"]
+        if not facts:
+            return task.description
+        left = task.time_remaining
+        more = f"; time left {timedelta(seconds=round(left))}" if left else ""
+        return f"{task.description}: {facts}{more}"
 
     def say(self, text: str) -> None:
         """Print a permanent line."""
@@ -75,6 +97,7 @@ class Progress:
             self.console.print(text, soft_wrap=True, highlight=False, markup=False)
 
     def _tell(self, line: str) -> None:
+        self._told = self._clock()
         line = f"{self._clock() - self._began:5.0f} s  {line}"
         self._printed.print(line, soft_wrap=True, highlight=False, markup=False)
 
@@ -104,9 +127,8 @@ class Progress:
         self._bars.update(self._task.id, completed=done, total=total, facts=shown)
         due = self._shown is None or now - self._shown >= _LINE_EVERY or done == total
         if due and (self._lines or (self._waits and now - self._began >= _LINE_EVERY)):
-            self._shown, left = now, self._task.time_remaining
-            more = f"; time left {timedelta(seconds=round(left))}" if left else ""
-            self._tell(f"{name}: {shown}{more}")
+            self._shown = now
+            self._tell(self._line())
 
 
 def narrow_table(

@@ -57,11 +57,13 @@ class Call(NamedTuple):
             as "episodes 0-63".
         function: a function at the top level of a module; it returns arrays by name.
         arguments: what it is called with; they travel to other processes.
+        items: how many things it makes, such as episodes; progress counts these.
     """
 
     key: str
     function: Callable[..., Result]
     arguments: tuple[Any, ...] = ()
+    items: int = 1
 
 
 Recipe = Generator[Sequence[Call], list[Result], Output]
@@ -83,7 +85,7 @@ def compute(
             forgotten at the end.
         pool: executes the calls; by default they are executed in this process.
         shard: which share of the calls of each batch is computed.
-        on_progress: called with the stage, how many of its calls are done and to be done, and the
+        on_progress: called with the stage, how many of its items are done and to be done, and the
             result that was added, or None.
 
     Raises:
@@ -165,7 +167,7 @@ def run(
             free()  # another may have made it before this one had the lock
             if options.resume and journal.is_empty:
                 shown.say(f"{out}: there is nothing to resume, starting from the beginning")
-            place, show = folder / "made" / out.name, _shown_on(shown, count)
+            place, show = folder / "made" / out.name, shown_on(shown, count)
             with (pool or partial(executor, options.workers, options.scheduler))() as workers:
                 if prepare is not None:
                     prepare(shown, workers)
@@ -173,6 +175,10 @@ def run(
                     summary = compute(recipe(place), journal, workers, shard, show)
                 except _Missing as missing:
                     summary = f"{shard} is done as far as it can be; {missing}"
+                    if journal.is_empty:
+                        summary = (
+                            f"shard {shard} has nothing to do: the run has fewer parts than shards"
+                        )
             if not journal.is_held:
                 raise Occupied(f"{journal.path} was removed during the run; start the run again")
             if shard.is_whole:
@@ -290,17 +296,17 @@ def _complete(
 ) -> None:
     """Compute the calls whose results aren't in the journal; keep each as soon as it is there."""
     tell = on_progress or (lambda *_: None)
-    left, done = [], 0
+    left, done, total = [], 0, sum(call.items for call in calls)
     for call in calls:
         if call.key in memo:
-            done += 1
-            tell(_stage(call), done, len(calls), memo[call.key])
+            done += call.items
+            tell(_stage(call), done, total, memo[call.key])
         else:
             left.append(call)
     waiting, running = iter(left), dict[Future[Result], Call]()
     ahead = _AHEAD * int(getattr(pool, "workers", 4)) if not isinstance(pool, InProcess) else 1
     if left:
-        tell(_stage(left[0]), done, len(calls), None)
+        tell(_stage(left[0]), done, total, None)
     while True:
         for call in islice(waiting, ahead - len(running)):
             running[pool.submit(call.function, *call.arguments)] = call
@@ -309,8 +315,8 @@ def _complete(
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             call, result = running.pop(future), future.result()
             memo[call.key] = result
-            done += 1
-            tell(_stage(call), done, len(calls), result)
+            done += call.items
+            tell(_stage(call), done, total, result)
 
 
 def _stage(call: Call) -> str:
@@ -322,9 +328,10 @@ def _stage(call: Call) -> str:
     return call.key.rpartition(" ")[0] or call.key
 
 
-def _shown_on(
-    progress: Progress, count: Callable[[Result], Mapping[str, int]] | None
+def shown_on(
+    progress: Progress, count: Callable[[Result], Mapping[str, int]] | None = None
 ) -> OnProgress:
+    """Return what shows the progress of `compute`, with the sums of what `count` returns."""
     totals: Counter[str] = Counter()
 
     def show(stage: str, done: int, total: int, result: Result | None) -> None:

@@ -11,6 +11,7 @@ import pytest
 from knotgym.common import InvalidInput, sha256
 from knotgym.control import PolicyConfig, PullPlannerConfig, episode_seed, verify
 from knotgym.datasets import (
+    FILE,
     columns_of,
     content_digest,
     differences,
@@ -18,11 +19,12 @@ from knotgym.datasets import (
     metadata_of,
     open_episodes,
     select,
+    write_episodes,
 )
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import collect as collecting
-from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.collect import (
+    blocks,
     collect,
     distinct_id,
     run_facts,
@@ -91,12 +93,32 @@ def test_a_set_of_more_steps_begins_with_that_of_fewer(tmp_path: Path) -> None:
     assert pulls.is_recording and content_digest(pulls) == content_digest(many)
 
 
+def test_a_set_of_steps_is_verified_by_the_episodes_that_they_took(tmp_path: Path) -> None:
+    asked = config(steps=90, episodes=2, form="columns")  # `steps` takes the place of `episodes`
+    assert verify(made := collect(asked, tmp_path, QUIET)) == []
+    found = open_episodes(made)
+    seeds = found.episodes.episodes["seed"].copy()
+    assert len(seeds) > asked.episodes
+    seeds[-1] = episode_seed(0, len(seeds))
+    spoilt = found.episodes._replace(episodes=found.episodes.episodes.replaced(seed=seeds))
+    write_episodes(made / "data" / FILE, [spoilt], found.task, found.facts)
+    faults = verify(made)
+    assert any("its seed is none of the run's" in fault for fault in faults), faults
+
+
+def test_progress_counts_episodes_not_blocks(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    collect(config(episodes=70), tmp_path, replace(QUIET, quiet=False))
+    assert "episodes: 70 of 70; reached the goal " in capfd.readouterr().err
+
+
 @pytest.mark.parametrize("episodes", [1, 63, 200, 5000, 100_000])
 def test_blocks_are_about_equal_and_hold_every_episode(episodes: int) -> None:
-    for engine in ("chain", "mujoco"):
-        made = blocks(episodes, TaskConfig(task="tie", engine=engine))
+    for engine, plans, most in (("chain", False, 1024), ("chain", True, 64), ("mujoco", True, 8)):
+        made = blocks(episodes, TaskConfig(task="tie", engine=engine), plans)
         assert [k for few in made for k in few] == list(range(episodes))
-        assert max(map(len, made)) - min(map(len, made)) <= 1 and max(map(len, made)) <= 1024
+        assert max(map(len, made)) - min(map(len, made)) <= 1 and max(map(len, made)) <= most
 
 
 def test_bytes_do_not_depend_on_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

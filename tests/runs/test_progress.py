@@ -2,6 +2,7 @@
 
 import io
 import sys
+import time
 from contextlib import redirect_stdout
 from pathlib import Path
 from types import SimpleNamespace
@@ -65,6 +66,17 @@ def test_a_plain_run_says_nothing_before_its_first_stage(
 ) -> None:
     with Progress():
         assert capsys.readouterr() == ("", "")  # a mistake may follow, which is one line
+
+
+def test_work_without_a_count_is_named_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("knotgym.runs.progress._LINE_EVERY", 0.05)
+    written = io.StringIO()
+    with Progress(console=Console(file=written, width=200)) as progress:
+        progress.stage("playing", 4, 4)
+        progress.stage("writing")
+        time.sleep(0.5)
+    lines = written.getvalue().splitlines()
+    assert [line[9:] for line in lines[:4]] == ["playing", "playing: 4 of 4", "writing", "writing"]
 
 
 def test_the_time_left_leaves_out_what_came_before_the_first_item() -> None:

@@ -105,6 +105,11 @@ def test_three_shards_merge_to_the_same_bytes(
     assert content(make(out, QUIET)) == unbroken(name)
 
 
+def test_a_shard_without_work_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made_toy(tmp_path / "a", RunOptions(workers=1, shard=Shard(31, 31)))
+    assert "shard 31/31 has nothing to do" in capsys.readouterr().out
+
+
 def test_a_shard_computes_its_share_alone_and_names_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

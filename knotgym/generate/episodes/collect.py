@@ -38,11 +38,10 @@ from knotgym.datasets import (
     publish,
 )
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes.blocks import blocks
 from knotgym.generate.episodes.collect_config import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.episodes.recordings import RECORDINGS, replay
 from knotgym.generate.episodes.results import reference_scores
-from knotgym.rope import MUJOCO, RopeConfig
+from knotgym.rope import CHAIN, MUJOCO, RopeConfig
 from knotgym.runs import (
     FIELDS,
     Call,
@@ -56,6 +55,40 @@ from knotgym.runs import (
     run,
 )
 from knotgym.states import is_bundled, minari_root, read_states, resolve_states
+
+# Episodes of a block, at least and at most, so that it takes about half a minute of one core at
+# most: what a kill loses. The chain engine steps many ropes in little more time than one, MuJoCo
+# doesn't; and a policy that plans simulates 500 to 5,000 pulls an episode beside its own 50.
+_SIZES = {
+    (CHAIN, False): (64, 1024),
+    (CHAIN, True): (16, 64),
+    (MUJOCO, False): (8, 64),
+    (MUJOCO, True): (2, 8),
+}
+_PIECES = {CHAIN: 4, MUJOCO: 32}  # of a run, at least, so that workers have equal shares
+_MOST_STEPS = 2**17  # of a block, which bounds its memory
+
+
+def blocks(episodes: int, task: TaskConfig, plans: bool, first: int = 0) -> list[range]:
+    """Divide the numbers of a run's episodes into blocks of about equal size.
+
+    Episode i of a run has a seed of its own, so a block may have any size and be played anywhere.
+
+    Args:
+        episodes: how many.
+        task: the task.
+        plans: whether the policy searches, or an expert labels every state.
+        first: number of the first episode.
+
+    >>> blocks(200, TaskConfig(task="tie", engine="chain"), plans=False)
+    [range(0, 50), range(50, 100), range(100, 150), range(150, 200)]
+    """
+    least, most = _SIZES[task.engine, plans]
+    most = min(most, max(1, _MOST_STEPS // (task.horizon + 1)))
+    size = min(max(-(-episodes // _PIECES[task.engine]), least), most)
+    count = -(-episodes // size)
+    ends = [first + number * episodes // count for number in range(count + 1)]
+    return [range(begin, end) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
 
 
 def distinct_id(config: CollectConfig) -> str:
@@ -176,10 +209,11 @@ def _episodes_of(
     """Play a collection's episodes and publish them as the folder `place`; return a summary."""
     parts = list[Episodes]()
     played = steps = 0
+    plans = config.policy.plans or bool(config.labels)
     while coming := _coming(config, played, steps):
         results = yield [
-            Call(f"episodes {few.start}-{few.stop - 1}", block, (config, few))
-            for few in blocks(coming, config.task, played)
+            Call(f"episodes {few.start}-{few.stop - 1}", block, (config, few), items=len(few))
+            for few in blocks(coming, config.task, plans, played)
         ]
         played += coming
         parts += [episodes_of(result) for result in results]

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from knotgym.common import InvalidInput, Occupied, Stream, Table, atomic_write, 
 from knotgym.control import PolicyConfig, episode_seed, make_policy, rollouts, training_card
 from knotgym.datasets import STEPS, Episodes, episodes_of, goal_reached, merged
 from knotgym.envs import TaskConfig, task_sides
-from knotgym.generate.episodes.blocks import blocks
+from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, evaluation_in, show
 from knotgym.runs import (
@@ -31,6 +32,7 @@ from knotgym.runs import (
     compute,
     executor,
     identity,
+    shown_on,
 )
 from knotgym.runs import Result as Kept
 from knotgym.runs import run as run_recipe
@@ -51,23 +53,31 @@ Evaluation = tuple[list[Result], list[Episodes]]  # a result and a film of each 
 def _evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
     """Play every setup, in the order of `config.setups`, and its first episodes for a film."""
     setups = list(config.setups())
-    numbers = blocks(config.episodes, config.task)
+    numbers = [blocks(config.episodes, task, policy.plans) for policy, task in setups]
     calls = [
-        Call(f"setup {setup} {few.start}-{few.stop - 1}", play, (*one, few, config.seed, False))
-        for setup, one in enumerate(setups, 1)
-        for few in numbers
+        Call(
+            f"episodes of setup {setup} {few.start}-{few.stop - 1}",
+            play,
+            (*one, few, config.seed, False),
+            len(few),
+        )
+        for setup, (one, own) in enumerate(zip(setups, numbers, strict=True), 1)
+        for few in own
     ]
     films = [
-        Call(f"film {setup}", play, (*one, range(filmed), config.seed, True))
+        Call(f"film {setup}", play, (*one, range(filmed), config.seed, True), filmed)
         for setup, one in enumerate(setups, 1)
         if filmed
     ]
     parts = [episodes_of(part) for part in (yield [*calls, *films])]
-    results = []
-    for setup, one in enumerate(setups):
-        played = merged(parts[setup * len(numbers) : (setup + 1) * len(numbers)])
-        results.append(_result_of(*one, played.episodes))
+    results, rest = list[Result](), iter(parts)
+    for one, own in zip(setups, numbers, strict=True):
+        results.append(_result_of(*one, merged([*islice(rest, len(own))]).episodes))
     return results, parts[len(calls) :]
+
+
+def _reached(played: Kept) -> dict[str, int]:
+    return {"reached the goal": int(played["episodes/success"].sum())}
 
 
 def _require_playable(config: EvaluateConfig) -> None:
@@ -136,7 +146,7 @@ def evaluate(
     if out is None:
         with executor(options.workers) as pool:
             compile_first(progress, config.task.engine, pool=pool)
-            compute(recipe(None), pool=pool)
+            compute(recipe(None), pool=pool, on_progress=shown_on(progress, _reached))
     else:
         run_recipe(
             recipe,
@@ -146,6 +156,7 @@ def evaluate(
             progress,
             is_folder=False,
             prepare=lambda shown, pool: compile_first(shown, config.task.engine, pool=pool),
+            count=_reached,
         )
         if not options.shard.is_whole:
             return []
