@@ -15,7 +15,7 @@ from knotgym.topology import Symmetry, find_crossings, label, pyknotid_code
 from .conftest import curled
 
 Points = NDArray[np.float64]
-ALL = Symmetry(mirror=True, switch=True, turn=1.0, reverse=True, base_shift=3)
+ALL = Symmetry(reflect=True, switch=True, turn=1.0, reverse=True, base_shift=3)
 FUNCTIONS: dict[str, Callable[[Points], Any]] = {
     "code": label,
     "crossings": find_crossings,

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from knotgym.datasets import decode, read_rows
 from knotgym.learn import RopeReader, StrandNetwork, load_rope_reader
 from knotgym.rendering import photograph
-from knotgym.topology import GaussCode, find_crossings
+from knotgym.topology import REBASE, REVERSE, GaussCode, find_crossings, images
 
 SIDE, PLACES, MOST = 256, 512, 12  # of a training picture: side, places on the line, crossings
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ def read(given: argparse.Namespace) -> None:
     for row in itertools.islice(read_rows(given.folder, given.split), given.count):
         code, image = GaussCode.parse(row["gauss_code_chiral"]), decode(row["image"])
         found = reader.read(image, given.views)
-        right = found is not None and canonical(found.code) == canonical(code)
+        right = found is not None and found.code in images(code, REVERSE | REBASE)
         factors = {**row["appearance"], **(row.get("photo") or {})}
         numbers = {name: one for name, one in factors.items() if isinstance(one, int | float)}
         known = {"nx": code.nx, "right": right, "accepted": row["accepted"]}
@@ -76,16 +76,6 @@ def read(given: argparse.Namespace) -> None:
 
 def share(rows: list[dict[str, Any]]) -> float:
     return 100 * sum(row["right"] for row in rows) / max(1, len(rows))
-
-
-def canonical(code: GaussCode) -> GaussCode:
-    """Return the first of the codes from all base points in both directions."""
-    walks = (
-        walk.rebased(base)
-        for walk in (code, code.reversed())
-        for base in range(max(1, 2 * code.nx))
-    )
-    return min(walks, key=lambda walk: (walk.visits, walk.chirality))
 
 
 def train(given: argparse.Namespace) -> None:

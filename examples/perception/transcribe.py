@@ -22,7 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets import decode, read_rows
-from knotgym.topology import NEGATIVE, POSITIVE, GaussCode, is_planar, knot_type, pd_text
+from knotgym.topology import (
+    NEGATIVE,
+    POSITIVE,
+    REBASE,
+    REVERSE,
+    GaussCode,
+    images,
+    is_planar,
+    knot_type,
+    pd_text,
+)
 
 INK = 128  # grey level below which a pixel is ink
 SPECK = 12  # pixels; smaller pieces of ink are noise
@@ -155,11 +165,7 @@ def walked(arcs: list[Array], pairs: dict[End, tuple[End, int, float]]) -> Gauss
 
 def same_diagram(one: GaussCode, other: GaussCode) -> bool:
     """Return whether both are codes of one diagram, from any base points, in any directions."""
-    return any(
-        walk.rebased(start) == other
-        for walk in (one, one.reversed())
-        for start in range(max(1, 2 * one.nx))
-    )
+    return other in images(one, REVERSE | REBASE)
 
 
 def main() -> None:

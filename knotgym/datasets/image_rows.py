@@ -27,7 +27,7 @@ from knotgym.rendering import (
 )
 from knotgym.rope import Array
 from knotgym.states import STATES, RopeAtRest
-from knotgym.topology import diagram_form
+from knotgym.topology import DIAGRAM, canonical
 
 _RGB = ("first", "last", "background")
 _OF_PHOTOS = {one.name for one in fields(Photo)} - {one.name for one in fields(Appearance)}
@@ -116,7 +116,7 @@ def _answers(shot: Shot) -> dict[str, Any]:
     measured = {name: getattr(shot, name) for name in ("contrast", "order", "region")}
     own = {name: value for name, value in asdict(shot.look).items() if name in _OF_PHOTOS}
     return {
-        "canonical_code": str(diagram_form(shot.crossings.code)),
+        "canonical_code": str(canonical(shot.crossings.code, DIAGRAM)),
         "strands": encode(shot.strands),
         "boxes": boxes,
         "line": shot.line.ravel().tolist(),

@@ -200,7 +200,7 @@ def _canonical_image(
         for switch in (False, True):
             shown = [GaussCode(visits) for visits in (goal, code)]
             shown = [one.reversed() for one in shown] if reverse else shown
-            shown = [one.mirrored() for one in shown] if switch else shown
+            shown = [one.switched() for one in shown] if switch else shown
             images.append((shown[0].visits, shown[1].visits, reverse, switch))
     # the first of equal ones, so that a rope isn't reversed without need
     best = max(images, key=lambda image: image[:2])

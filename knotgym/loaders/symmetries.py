@@ -49,7 +49,7 @@ class Symmetries(Symmetry):
 
     Attributes:
         turn: float64 (n,), about z, radians.
-        mirror: bool (n,), x -> -x.
+        reflect: bool (n,), x -> -x.
         switch: bool (n,), z -> -z.
         reverse: bool (n,), the vertex j becomes the vertex -j.
     """
@@ -105,7 +105,7 @@ class Symmetries(Symmetry):
     def inverse(self) -> "Symmetries":
         """Return the symmetries that undo these."""
         # mirrored, a turn goes the other way
-        return self._replace(turn=np.where(self.mirror, self.turn, -self.turn))
+        return self._replace(turn=np.where(self.reflect, self.turn, -self.turn))
 
     def taken(self, rows: Any) -> "Symmetries":
         """Return the symmetries of some samples, by an index of any kind."""
@@ -123,7 +123,7 @@ class Symmetries(Symmetry):
         different, at = np.unique(rows, axis=0, return_inverse=True)
         for row in different:
             code = plain_code(row[:SYMBOLS])
-            code = code.mirrored() if row[-2] else code
+            code = code.switched() if row[-2] else code
             code = code.reversed() if row[-1] else code
             row[: len(code.visits)] = code.visits
         return different[at.ravel(), :SYMBOLS].reshape(own.shape)
@@ -144,7 +144,7 @@ class Symmetries(Symmetry):
         size = seen.shape[1]
         # rope and goal are turned alike, each about its own middle
         halves = seen.reshape(len(seen), size, 2, size, -1)
-        mirrored = np.where(self.mirror[:, None, None, None, None], halves[:, :, :, ::-1], halves)
+        mirrored = np.where(self.reflect[:, None, None, None, None], halves[:, :, :, ::-1], halves)
         out = np.empty_like(mirrored)
         for quarters in range(4):
             own = self._quarters == quarters

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from knotgym.states.near_duplicates import families, nearest
 from knotgym.states.schema import STATE_SPLITS
-from knotgym.topology import GaussCode, diagram_form
+from knotgym.topology import DIAGRAM, GaussCode, canonical
 
 if TYPE_CHECKING:
     from knotgym.states.state_file import States
@@ -32,10 +32,10 @@ def held_form(code: str, *, marked: bool) -> str:
     Args:
         code: without chirality.
         marked: whether all pictures mark base and direction. If not, a picture fits every code of
-            its diagram, so these are one: `topology.diagram_form`, which also takes mirror images
+            its diagram, so these are one: `topology.canonical`, which also takes mirror images
             and switched crossings for the same.
     """
-    return code if marked else str(diagram_form(GaussCode.parse(code)))
+    return code if marked else str(canonical(GaussCode.parse(code), DIAGRAM))
 
 
 def split(
@@ -101,7 +101,7 @@ def overlap(states: States, nx: int) -> dict[str, Any]:
     Returns:
         Values for JSON: "test_states", their number; "code_in_train", how many have a code (without
         chirality) of a train state of the same nx; "diagram_in_train", the same up to symmetry
-        (`topology.symmetry.diagram_form`); "nearest", the smallest distance in metres to any train
+        (`topology.canonical`); "nearest", the smallest distance in metres to any train
         state of the file at the best symmetry (`near_duplicates`), None if either split is empty.
     """
     train, test = (states.rows(nx, split) for split in STATE_SPLITS)
@@ -109,13 +109,13 @@ def overlap(states: States, nx: int) -> dict[str, Any]:
         name: [GaussCode.parse(text) for text in states.gauss_code[rows].tolist()]
         for name, rows in (("train", train), ("test", test))
     }
-    known, diagrams = set(codes["train"]), {diagram_form(code) for code in codes["train"]}
+    known, diagrams = set(codes["train"]), {canonical(code, DIAGRAM) for code in codes["train"]}
     every = np.flatnonzero(states.split == "train")
     near = len(test) and len(every)
     return {
         "test_states": len(test),
         "code_in_train": sum(code in known for code in codes["test"]),
-        "diagram_in_train": sum(diagram_form(code) in diagrams for code in codes["test"]),
+        "diagram_in_train": sum(canonical(code, DIAGRAM) in diagrams for code in codes["test"]),
         "nearest": (
             float(nearest(states.points[test], states.points[every])[0].min()) if near else None
         ),

@@ -41,7 +41,7 @@ from knotgym.states.schema import (
     VERTICES_FORMAT,
     RopeAtRest,
 )
-from knotgym.topology import UNKNOWN, GaussCode, diagram_form, same_spot
+from knotgym.topology import DIAGRAM, UNKNOWN, GaussCode, canonical, same_spot
 
 BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
 _OF_EPISODES = ("dataset", "trajectory", "drawing")  # of `source`; most rows have none of them
@@ -193,7 +193,7 @@ class States:
         if not by_code or nx < 2:
             return rows
         train, test = (
-            [diagram_form(GaussCode.parse(code)) for code in self.gauss_code[own].tolist()]
+            [canonical(GaussCode.parse(code), DIAGRAM) for code in self.gauss_code[own].tolist()]
             for own in (self.rows(nx, "train"), self.rows(nx, "test"))
         )
         # diagrams of test in the order in which they are held out: absent from train first

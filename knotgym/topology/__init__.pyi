@@ -48,7 +48,11 @@ from .reference_labeller import pyknotid_code as pyknotid_code
 from .reidemeister import without_bigons as without_bigons
 from .single_moves import removals as removals
 from .single_moves import sideways as sideways
+from .symmetry import DIAGRAM as DIAGRAM
+from .symmetry import REBASE as REBASE
+from .symmetry import REFLECT as REFLECT
+from .symmetry import REVERSE as REVERSE
+from .symmetry import SWITCH as SWITCH
 from .symmetry import Symmetry as Symmetry
-from .symmetry import canonical_form as canonical_form
-from .symmetry import diagram_form as diagram_form
+from .symmetry import canonical as canonical
 from .symmetry import images as images

@@ -171,10 +171,10 @@ class GaussCode:
         """Return whether both codes have the same visits, whatever their chirality."""
         return self.visits == other.visits
 
-    def mirrored(self) -> GaussCode:
+    def switched(self) -> GaussCode:
         """Return the code after z -> -z, seen from above as before: every crossing is switched.
 
-        >>> GaussCode.parse("1+c,1-c").mirrored().chiral
+        >>> GaussCode.parse("1+c,1-c").switched().chiral
         '1-a,1+a'
         """
         # Over becomes under. The strands keep their directions and exchange their heights, so each

@@ -29,6 +29,7 @@ from knotgym.topology.polynomials import (
     mirrored_jones,
 )
 from knotgym.topology.reidemeister import connected_sum, is_alternating
+from knotgym.topology.symmetry import REBASE, REVERSE, images
 
 UNKNOT = "0_1"
 TABLED = 10  # all knots with at most this many crossings are in the table
@@ -59,7 +60,7 @@ def diagram_of(knot: str) -> GaussCode:
     for mirror, name in _summands(knot):
         if name != UNKNOT:
             code = prime_diagrams()[name]
-            codes.append(code.mirrored() if mirror else code)
+            codes.append(code.switched() if mirror else code)
     return connected_sum(codes)
 
 
@@ -90,12 +91,9 @@ def based_diagrams(code: GaussCode) -> list[GaussCode]:
 
     All of them are of the same knot with the same handedness.
     """
-    found: set[GaussCode] = set()
     # seen from below, every crossing is switched and the picture is reflected
-    for side in (code, code.mirrored().reflected()):
-        # every base point in both directions: at most 8 n codes of a diagram of n crossings
-        for way in (side, side.reversed()):
-            found.update(way.rebased(k) for k in range(max(1, len(way.visits))))
+    sides = code, code.switched().reflected()
+    found = {image for side in sides for image in images(side, REVERSE | REBASE)}
     return sorted(found, key=lambda one: (one.visits, one.chirality or ""))
 
 
@@ -169,7 +167,7 @@ def _types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
         # polynomial is taken up to that.
         for mirrors in product((False, True), repeat=len(names) - 1):
             hands = [
-                code.mirrored() if mirror else code
+                code.switched() if mirror else code
                 for code, mirror in zip(diagrams, (False, *mirrors), strict=True)
             ]
             found[_polynomials(connected_sum(hands))][composite_type(list(names))] = None

@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from knotgym.topology.diagrams import face_permutation, summands, with_chirality
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
 from knotgym.topology.single_moves import removals
+from knotgym.topology.symmetry import PLAIN, REBASE, canonical
 
 # Neither was measured against others: what must hold is that the hard unknots of
 # data/hard-unknots.txt are found trivial, and the table's knots named
@@ -98,7 +99,8 @@ def _fewest_crossings(code: GaussCode) -> GaussCode:
         return code
     # Each diagram reached is reduced at once; `level` holds those with as many crossings, up to the
     # base point and reflection, whose lifts have not been tried.
-    seen = {_canonical(code)}
+    # without letters, so that reflected summands are one
+    seen = {canonical(code, REBASE | PLAIN)}
     level = deque([code])
     for _ in range(_EFFORT):
         if not level or code.nx < 3:  # every knot with fewer than 3 crossings is trivial
@@ -107,7 +109,7 @@ def _fewest_crossings(code: GaussCode) -> GaussCode:
             lower = _without_liftable(neighbour)
             if lower.nx < code.nx:
                 return _fewest_crossings(lower)
-            key = _canonical(lower)
+            key = canonical(lower, REBASE | PLAIN)
             if key not in seen:
                 seen.add(key)
                 level.append(lower)
@@ -130,11 +132,11 @@ def _lifts(code: GaussCode, gain: int) -> Iterator[GaussCode]:
     Lifts from below are lifts from above of the mirror image.
     """
     # to remove crossings, only the longest stretch from each start is tried
-    for view, back in ((code, False), (code.mirrored(), True)):
+    for view, back in ((code, False), (code.switched(), True)):
         for start in range(len(view.visits)):
             for length, labels in _liftable_stretches(view.visits, start, whole=gain > 0):
                 for lifted in _relaid(view, start + length, labels, len(labels) - gain):
-                    yield lifted.mirrored() if back else lifted
+                    yield lifted.switched() if back else lifted
 
 
 def _liftable_stretches(
@@ -264,8 +266,3 @@ def _with_overstrand(rest: GaussCode, path: list[int]) -> GaussCode:
             visits.append(under[edge])
     visits.extend(range(rest.nx + 1, rest.nx + 1 + len(path)))
     return GaussCode.relabelled(visits, letters)
-
-
-def _canonical(code: GaussCode) -> tuple[int, ...]:
-    """Return a key that doesn't depend on the base point, nor on the reflection of summands."""
-    return min((code.rebased(k).visits for k in range(len(code.visits))), default=())

@@ -22,13 +22,13 @@ from knotgym.topology.gauss import GaussCode
 
 
 class Symmetry(NamedTuple):
-    """Mirror, switch and turn a rope, then reverse its walk, then shift its base point.
+    """Reflect, switch and turn a rope, then reverse its walk, then shift its base point.
 
     The fields are numbers, for one symmetry, or arrays (n,), for a symmetry of each of n ropes.
 
     Attributes:
-        turn: float64, rotation about z after the mirror image, radians.
-        mirror: bool, x -> -x, first.
+        turn: float64, rotation about z after the reflection, radians.
+        reflect: bool, x -> -x, first.
         switch: bool, z -> -z.
         reverse: bool, the new vertex j is the old vertex -j.
         base_shift: int, vertices; after the reversal, the new vertex j is the old vertex
@@ -36,7 +36,7 @@ class Symmetry(NamedTuple):
     """
 
     turn: Any = 0.0
-    mirror: Any = False
+    reflect: Any = False
     switch: Any = False
     reverse: Any = False
     base_shift: Any = 0
@@ -44,10 +44,10 @@ class Symmetry(NamedTuple):
     def vectors(self, vectors: ArrayLike) -> NDArray[Any]:
         """Transform positions or forces, (..., 3) or (n, ..., 3), without renumbering them."""
         v = np.asarray(vectors)
-        turn, mirror, switch = (_wide(field, v.ndim - 1) for field in self[:3])
+        turn, reflect, switch = (_wide(field, v.ndim - 1) for field in self[:3])
         x, y, z = v[..., 0], v[..., 1], v[..., 2]
-        # the mirror image first, then the turn: the two don't commute
-        x, z = np.where(mirror, -x, x), np.where(switch, -z, z)
+        # the reflection first, then the turn: the two don't commute
+        x, z = np.where(reflect, -x, x), np.where(switch, -z, z)
         c, s = np.cos(turn), np.sin(turn)
         return np.stack([c * x - s * y, s * x + c * y, z], axis=-1).astype(v.dtype)
 
@@ -74,45 +74,46 @@ def _wide(field: Any, dimensions: int) -> NDArray[Any]:
     return values.reshape(values.shape + (1,) * (dimensions - values.ndim))
 
 
-def images(code: GaussCode) -> tuple[GaussCode, ...]:
-    """Return the eight codes of a rope reflected, switched and walked either way; some are equal.
+# what leads from a code to another of the same rope or diagram; their sums are sets of them
+REFLECT, SWITCH, REVERSE, REBASE = 1, 2, 4, 8
+PLAIN = 16  # letters don't count
+MOTIONS = REFLECT | SWITCH | REVERSE  # of a rope whose base bead stays
+DIAGRAM = SWITCH | REVERSE | REBASE | PLAIN  # to reflect changes nothing but letters
 
-    Reflecting, switching and reversing are commuting involutions, the bits 0, 1 and 2 of the index,
-    so image i of image k is image i ^ k.
+
+def images(code: GaussCode, symmetries: int = MOTIONS) -> tuple[GaussCode, ...]:
+    """Return the codes of a rope reflected, switched, walked either way, from other base points.
+
+    Some are equal. Reflecting, switching and reversing are commuting involutions, the bits 0, 1 and
+    2 of the index, so image i of the image k of `MOTIONS` is image i ^ k.
+
+    Args:
+        code: the first of them.
+        symmetries: REFLECT, SWITCH, REVERSE, REBASE and PLAIN, added.
     """
-    members = []
+    code = code.plain if symmetries & PLAIN else code
+    bases = range(max(1, 2 * code.nx)) if symmetries & REBASE else range(1)
+    members = [code.rebased(base) if base else code for base in bases]
     # bit 2 of the index is the walk, bit 1 the heights, bit 0 the reflection
-    for walked in (code, code.reversed()):
-        switched = walked.mirrored()
-        members += [walked, walked.reflected(), switched, switched.reflected()]
+    if symmetries & REVERSE:
+        members += [member.reversed() for member in members]
+    for flag, moved in ((SWITCH, GaussCode.switched), (REFLECT, GaussCode.reflected)):
+        if symmetries & flag:
+            members = [one for member in members for one in (member, moved(member))]
     return tuple(members)
 
 
-@lru_cache(maxsize=200_000)
-def canonical_form(code: GaussCode) -> GaussCode:
-    """Return the representative of the code's images: the first by visits, then chirality.
+@lru_cache(maxsize=400_000)
+def canonical(code: GaussCode, symmetries: int = MOTIONS) -> GaussCode:
+    """Return the representative of a code's images: the first by visits, then chirality.
 
-    >>> canonical_form(GaussCode.parse("1+a,1-a")) == canonical_form(GaussCode.parse("1-c,1+c"))
+    Args:
+        code: one of the images.
+        symmetries: as in `images`.
+
+    >>> canonical(GaussCode.parse("1+a,1-a")) == canonical(GaussCode.parse("1-c,1+c"))
     True
+    >>> str(canonical(GaussCode.parse("1-,2+,2-,1+"), DIAGRAM))
+    '1-,1+,2-,2+'
     """
-    return min(images(code), key=_order)
-
-
-@lru_cache(maxsize=200_000)
-def diagram_form(code: GaussCode) -> GaussCode:
-    """Return the representative of all codes of the same diagram up to symmetry.
-
-    It is the first, by visits, of the codes without chirality over all base points, both
-    directions, and with crossings switched or not. Reflection changes only the chirality.
-
-    >>> diagram_form(GaussCode.parse("1-,2+,2-,1+")) == diagram_form(GaussCode.parse("1+,1-,2+,2-"))
-    True
-    """
-    # reflection isn't among them: it changes letters alone, and these codes have none
-    based = [code.plain.rebased(visit) for visit in range(max(1, 2 * code.nx))]
-    walked = [*based, *(one.reversed() for one in based)]
-    return min((*walked, *(one.mirrored() for one in walked)), key=lambda one: one.visits)
-
-
-def _order(code: GaussCode) -> tuple[tuple[int, ...], str]:
-    return code.visits, code.chirality or ""
+    return min(images(code, symmetries), key=lambda one: (one.visits, one.chirality or ""))

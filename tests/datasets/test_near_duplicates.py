@@ -25,7 +25,7 @@ def moved(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
     rng = np.random.default_rng(seed)
     reflect, switch, reverse = (bool(one) for one in rng.random(3) < 0.5)
     symmetry = Symmetry(
-        mirror=reflect,
+        reflect=reflect,
         switch=switch,
         turn=float(rng.uniform(-np.pi, np.pi)),
         reverse=reverse,

@@ -12,10 +12,10 @@ from knotgym.topology import GaussCode, Symmetry, label
 GOALS = [GaussCode.parse(text) for text in ("1+,2-,2+,1-", "1-,2+,1+,2-", "1+,1-,2-,2+", "")]
 SYMMETRIES = [
     Symmetry(turn=1.0),
-    Symmetry(mirror=True, turn=2.0),
+    Symmetry(reflect=True, turn=2.0),
     Symmetry(switch=True, turn=-0.5),
     Symmetry(reverse=True, turn=3.0),
-    Symmetry(mirror=True, switch=True, turn=0.3, reverse=True),
+    Symmetry(reflect=True, switch=True, turn=0.3, reverse=True),
 ]
 
 
@@ -31,7 +31,7 @@ def tangles(count: int) -> NDArray[np.float64]:
 
 
 def image(symmetry: Symmetry, goal: GaussCode) -> GaussCode:
-    goal = goal.mirrored() if symmetry.switch else goal
+    goal = goal.switched() if symmetry.switch else goal
     return goal.reversed() if symmetry.reverse else goal
 
 

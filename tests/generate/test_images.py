@@ -36,7 +36,7 @@ from knotgym.rendering import VARIED, AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs import RunOptions
 from knotgym.states import IMAGE_SPLITS, NEAR, distances
-from knotgym.topology import GaussCode, Symmetry, diagram_form, label
+from knotgym.topology import DIAGRAM, GaussCode, Symmetry, canonical, label
 
 from ..small_job import knotgym
 
@@ -116,7 +116,7 @@ def test_a_leak_between_splits_is_found(
 
 @pytest.mark.parametrize(
     "symmetry",
-    [Symmetry(turn=1.0), Symmetry(mirror=True, turn=1.0, reverse=True, base_shift=37)],
+    [Symmetry(turn=1.0), Symmetry(reflect=True, turn=1.0, reverse=True, base_shift=37)],
 )
 def test_a_near_duplicate_in_another_split_is_found(
     rows: list[dict[str, Any]], tmp_path: Path, symmetry: Symmetry
@@ -211,7 +211,7 @@ def test_pictures_without_marks_hold_out_diagrams(
     folder = made(tmp_path / "table", config)
     shown: dict[str, set[GaussCode]] = {}
     for row in read_rows(folder):
-        code = diagram_form(GaussCode.parse(row["gauss_code"]))
+        code = canonical(GaussCode.parse(row["gauss_code"]), DIAGRAM)
         shown.setdefault(row["split"], set()).add(code)
     assert shown["test-code"] and not shown["test-code"] & (shown["train"] | shown["test"])
     assert "up to base, direction" in (folder / "README.md").read_text()

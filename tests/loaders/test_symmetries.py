@@ -110,7 +110,7 @@ def test_pictures_turn_with_the_rope(rope: Rope) -> None:
     moved = np.stack([np.concatenate([draw(one)] * 2, axis=1) for one in drawn.vertices(points)])
     off = np.abs(drawn.pictures(seen).astype(int) - moved).mean(axis=(1, 2, 3))
     wrong = np.abs(seen.astype(int) - moved).mean(axis=(1, 2, 3))
-    turned = drawn.mirror | (drawn.turn > 0)
+    turned = drawn.reflect | (drawn.turn > 0)
     assert off.max() < 2 and wrong[turned].min() > 5  # levels of 255; edges fall on other pixels
 
 

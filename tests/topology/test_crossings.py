@@ -155,7 +155,7 @@ def test_walking_backwards_reverses_the_code(seed: int) -> None:
 @given(seeds)
 def test_turning_heights_upside_down_mirrors_the_code(seed: int) -> None:
     points = random_curve(seed)
-    assert label(points * [1.0, 1.0, -1.0]) == label(points).mirrored()
+    assert label(points * [1.0, 1.0, -1.0]) == label(points).switched()
 
 
 @given(seeds)

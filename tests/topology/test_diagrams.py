@@ -53,11 +53,11 @@ def test_no_other_pattern_is_planar(code: GaussCode) -> None:
 
 @given(planar, st.integers(0, 7))
 def test_planarity_knows_no_base_direction_or_height(code: GaussCode, k: int) -> None:
-    assert is_planar(code.rebased(k)) and is_planar(code.reversed()) and is_planar(code.mirrored())
+    assert is_planar(code.rebased(k)) and is_planar(code.reversed()) and is_planar(code.switched())
     assert (
         is_planar(with_chirality(code).rebased(k))
         and is_planar(with_chirality(code).reversed())
-        and is_planar(with_chirality(code).mirrored())
+        and is_planar(with_chirality(code).switched())
     )
 
 

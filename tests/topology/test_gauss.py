@@ -28,13 +28,13 @@ def test_printing_and_parsing_is_a_round_trip(code: GaussCode) -> None:
 
 @given(codes(), st.integers(-20, 20), st.integers(-20, 20))
 def test_images_undo_themselves_and_rebasing_adds_up(code: GaussCode, j: int, k: int) -> None:
-    assert code.reversed().reversed() == code.mirrored().mirrored() == code
+    assert code.reversed().reversed() == code.switched().switched() == code
     assert code.rebased(j).rebased(k) == code.rebased(j + k)
 
 
 @given(codes().filter(lambda code: code.chirality is not None))
 def test_mirroring_negates_the_writhe(code: GaussCode) -> None:
-    assert code.mirrored().writhe == code.reflected().writhe == -code.writhe
+    assert code.switched().writhe == code.reflected().writhe == -code.writhe
 
 
 def test_reflecting_keeps_the_heights() -> None:

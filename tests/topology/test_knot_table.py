@@ -49,7 +49,7 @@ def test_a_jones_polynomial_spans_as_many_powers_as_an_alternating_knot_has_cros
 
 def test_every_diagram_is_named_as_itself_from_any_base_and_in_the_mirror() -> None:
     for place, (name, code) in enumerate(prime_diagrams().items()):
-        seen = code.rebased(place).mirrored() if place % 2 else code.reversed().rebased(place)
+        seen = code.rebased(place).switched() if place % 2 else code.reversed().rebased(place)
         assert knot_type(seen) == name
 
 

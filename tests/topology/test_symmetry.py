@@ -13,9 +13,9 @@ from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import chiralities, planar_codes
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import (
+    DIAGRAM,
     Symmetry,
-    canonical_form,
-    diagram_form,
+    canonical,
     images,
 )
 
@@ -30,7 +30,7 @@ CODES = [
 codes = st.sampled_from(CODES)
 symmetries = st.builds(
     Symmetry,
-    mirror=st.booleans(),
+    reflect=st.booleans(),
     switch=st.booleans(),
     turn=st.floats(-np.pi, np.pi),
     reverse=st.booleans(),
@@ -48,17 +48,17 @@ def configurations(rope: Rope, tangled: NDArray[np.float64]) -> NDArray[np.float
 def variants(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
     """Yield the images of a code with the symmetries that show them."""
     for k, shown in enumerate(images(code)):
-        yield shown, Symmetry(mirror=bool(k & 1), switch=bool(k & 2), reverse=bool(k & 4))
+        yield shown, Symmetry(reflect=bool(k & 1), switch=bool(k & 2), reverse=bool(k & 4))
 
 
 @given(codes)
 def test_a_class_is_the_same_for_every_variant(code: GaussCode) -> None:
-    assert {canonical_form(shown) for shown, _ in variants(code)} == {canonical_form(code)}
+    assert {canonical(shown) for shown, _ in variants(code)} == {canonical(code)}
 
 
 @given(codes)
 def test_a_class_stands_for_itself(code: GaussCode) -> None:
-    assert canonical_form(canonical_form(code)) == canonical_form(code)
+    assert canonical(canonical(code)) == canonical(code)
 
 
 @given(codes, st.integers(0, 7), st.integers(0, 7))
@@ -72,7 +72,7 @@ def test_images_are_codes_that_pass_every_check(code: GaussCode) -> None:
 
 
 def test_classes_part_the_codes() -> None:
-    by_class = {one: {shown for shown, _ in variants(one)} for one in map(canonical_form, CODES)}
+    by_class = {one: {shown for shown, _ in variants(one)} for one in map(canonical, CODES)}
     assert sum(map(len, by_class.values())) == len(set(CODES)) == len(set.union(*by_class.values()))
 
 
@@ -126,10 +126,10 @@ def test_no_symmetry_is_bit_for_bit_nothing(configurations: NDArray[np.float64])
 def test_diagrams_are_told_apart_and_their_form_is_one_of_their_codes(
     nx: int, diagrams: int
 ) -> None:
-    forms = {code: diagram_form(code) for code in planar_codes(nx)}
+    forms = {code: canonical(code, DIAGRAM) for code in planar_codes(nx)}
     assert len(set(forms.values())) == diagrams
     assert all(forms[form] == form for form in forms.values())
     for code, form in forms.items():
         based = [code.rebased(k) for k in range(max(1, 2 * nx))]
         either = [*based, *(one.reversed() for one in based)]
-        assert form in {*either, *(one.mirrored() for one in either)}
+        assert form in {*either, *(one.switched() for one in either)}

@@ -31,9 +31,18 @@ from numpy.typing import NDArray
 from knotgym.common import Column, Schema
 from knotgym.control.planning.moves import MoveRow, Moves
 from knotgym.control.planning.passes import DATA
-from knotgym.control.planning.sights import REVERSE, SWITCH, Diagram, see
+from knotgym.control.planning.sights import Diagram, see
 from knotgym.rope import Array, MacroAction, cumulative_shares, move_aside, pass_strand, propose
-from knotgym.topology import GaussCode, canonical_form, chiralities, images, removals, sideways
+from knotgym.topology import (
+    REVERSE,
+    SWITCH,
+    GaussCode,
+    canonical,
+    chiralities,
+    images,
+    removals,
+    sideways,
+)
 
 CHANGES = DATA / "changes.h5"  # the table that ships
 EXAMPLES = Schema(
@@ -141,7 +150,7 @@ class Distances:
             moved += len(near)
             # what leads to one of a code's images stands for what leads to all of them
             # one of each class of images, in order of distance
-            codes = [*dict.fromkeys(map(canonical_form, near))]
+            codes = [*dict.fromkeys(map(canonical, near))]
             done.update(image for code in codes for image in images(code))
             rows, examples = _single_moves(codes, _NEW + len(self._moves.rows))
             self._moves, self._examples = self._moves.extended(rows), self._examples | examples

@@ -26,8 +26,6 @@ from knotgym.control.planning.batched_search import Orders, Report, Search, Tria
 from knotgym.control.planning.moves import Moves
 from knotgym.control.planning.sights import (
     IMAGES,
-    REVERSE,
-    SWITCH,
     Diagram,
     Sight,
     canonical_image,
@@ -37,7 +35,7 @@ from knotgym.control.planning.sights import (
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import LONGEST, Array, Pass, TowBound
 from knotgym.states import CODE_SPLITS
-from knotgym.topology import GaussCode
+from knotgym.topology import REVERSE, SWITCH, GaussCode
 
 DATA = Path(str(files("knotgym.control.planning") / "data"))
 # The tables that ship, by the split whose starts and goals were played: nobody who is tested on

@@ -22,11 +22,20 @@ import numpy as np
 from numba import njit
 
 from knotgym.rope import Array
-from knotgym.topology import OVER_PLACE, UNDER_PLACE, GaussCode, faces, images, label_many, scan
+from knotgym.topology import (
+    OVER_PLACE,
+    REFLECT,
+    REVERSE,
+    UNDER_PLACE,
+    GaussCode,
+    faces,
+    images,
+    label_many,
+    scan,
+)
 
 # The eight symmetries are numbered as `symmetry.images` numbers a code's images. The bits of a
 # number say which are applied, so applying k after j is applying k ^ j.
-REVERSE, SWITCH, REFLECT = 4, 2, 1
 IMAGES = 8
 
 

@@ -97,7 +97,7 @@ class Chooser:
         source = {
             "rope": int(frames["rope"][row]),
             "pulls": int(frames["pulls"][row]),
-            "reflect": symmetry.mirror,
+            "reflect": symmetry.reflect,
             **{name: getattr(symmetry, name) for name in names},
         }
         tilt, heading = frames["camera"][row].tolist()

@@ -114,8 +114,8 @@ def frames_of(
 def symmetry_of(fields: NDArray[np.int64]) -> Symmetry:
     """Return the symmetry whose fields are reflect, switch, reverse and base_shift."""
     *flags, base_shift = fields.tolist()
-    mirror, switch, reverse = map(bool, flags)
-    return Symmetry(mirror=mirror, switch=switch, reverse=reverse, base_shift=base_shift)
+    reflect, switch, reverse = map(bool, flags)
+    return Symmetry(reflect=reflect, switch=switch, reverse=reverse, base_shift=base_shift)
 
 
 def _observed(

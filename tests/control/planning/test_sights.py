@@ -17,7 +17,7 @@ def diagram_of(points: Array) -> Diagram:
 def test_a_symmetry_of_the_rope_is_the_same_symmetry_of_its_diagram(
     curve: Array, reverse: bool, switch: bool, reflect: bool, turn: float
 ) -> None:
-    moved = Symmetry(mirror=reflect, switch=switch, turn=turn, reverse=reverse)
+    moved = Symmetry(reflect=reflect, switch=switch, turn=turn, reverse=reverse)
     image = diagram_of(moved.vertices(curve))
     assert image == diagram_of(curve).image(4 * reverse + 2 * switch + reflect)
     assert image.nx >= 2
