@@ -6,9 +6,11 @@ import importlib
 import importlib.metadata
 import os
 import pickle
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -91,6 +93,14 @@ def test_the_main_job_imports_only_what_it_uses(tmp_path: Path) -> None:
     # A room that the job begins to use may raise this; a policy or environment that it doesn't use
     # may not.
     assert len(ours) <= 119, ours
+
+
+def test_every_marker_of_the_tests_runs_in_ci() -> None:
+    markers = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
+    steps = (ROOT / ".ci/run").read_text()
+    for marker in markers["markers"]:
+        name = marker.partition(":")[0]
+        assert re.search(rf"^[^#\n]*pytest\S* .*-m {name}\b", steps, re.M), name
 
 
 def test_nothing_is_imported_through_the_links() -> None:

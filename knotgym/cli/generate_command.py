@@ -93,9 +93,18 @@ def code_list(
         raise InvalidInput(f"--codes {path} is not a regular file")
     try:
         with open(path, encoding="utf-8-sig") as lines:
-            found = [parse_code(text) for text in islice(split_codes(lines), MOST_CODES + 1)]
+            texts = [*islice(split_codes(lines), MOST_CODES + 1)]
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"--codes {path} can't be read: {error}") from error
+    found = []
+    for text in texts:
+        try:
+            found.append(parse_code(text))
+        except InvalidInput as error:
+            first = text.partition("\n")[0]
+            given = path.read_text(encoding="utf-8-sig").splitlines()
+            number = [one.partition("#")[0].strip() for one in given].index(first) + 1
+            raise InvalidInput(f"--codes {path}, line {number}: {error}") from None
     if len(found) > MOST_CODES:
         raise InvalidInput(f"--codes {path} has more than {MOST_CODES} codes: split it")
     kept = [code for code in found if nx is None or code.nx in nx]

@@ -23,7 +23,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_ori
 
 from cyclopts import App, Group, Parameter
 
-from knotgym.common import InvalidInput, Occupied, from_json, marked, merged, read_json
+from knotgym.common import InvalidInput, Occupied, choices, from_json, marked, merged, read_json
 from knotgym.runs import Progress, RunOptions
 
 Config = TypeVar("Config")
@@ -273,6 +273,9 @@ def _field(sections: Sections, path: str, typed: str = "") -> Option | None:
         if name not in hints:
             return None
         help = field_help(hint, name)
+        known = choices(get_type_hints(hint, include_extras=True)[name])
+        if any(not re.search(rf"\b{re.escape(word)}\b", help) for word in known):
+            help += f" One of {', '.join(known)}."
         hint, default = hints[name], getattr(default, name, None)
     name = f"--{path.rpartition('.')[2].replace('_', '-')}"
     name += f"/--no-{name[2:]}" if default is True else ""

@@ -27,6 +27,7 @@ from .configurations import TypedOnly as TypedOnly
 from .configurations import Whole as Whole
 from .configurations import as_json as as_json
 from .configurations import choice as choice
+from .configurations import choices as choices
 from .configurations import configuration as configuration
 from .configurations import differences as differences
 from .configurations import from_json as from_json
@@ -65,3 +66,4 @@ from .threads import FEW as FEW
 from .threads import Meanwhile as Meanwhile
 from .threads import Threads as Threads
 from .threads import Work as Work
+from .threads import cores as cores

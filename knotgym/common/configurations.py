@@ -20,11 +20,13 @@ from pathlib import Path
 from typing import (
     Annotated,
     Any,
+    Literal,
     NamedTuple,
     NoReturn,
     TypeVar,
     dataclass_transform,
     get_args,
+    get_origin,
     get_type_hints,
 )
 
@@ -109,13 +111,30 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
 def choice(*known: str, growing: Collection[str] = ()) -> AfterValidator:
     """Make the annotation of a string that must be one of `known`, or of words that may grow."""
 
-    def checked(value: str) -> str:
-        words = *known, *growing
+    return AfterValidator(_Choice(known, growing))
+
+
+class _Choice:
+    def __init__(self, known: tuple[str, ...], growing: Collection[str]) -> None:
+        self.known, self.growing = known, growing
+
+    def __call__(self, value: Any) -> Any:
+        words = *self.known, *self.growing
         if value not in words:
             raise InvalidInput(f"must be one of {', '.join(name or repr(name) for name in words)}")
         return value
 
-    return AfterValidator(checked)
+
+def choices(hint: Any) -> list[str]:
+    """Return the words that a field may be or hold, as its annotation says; none if any may."""
+    found = list[str]()
+    for one in _members(hint):
+        checked = getattr(one, "func", None)
+        if isinstance(checked, _Choice):
+            found += [*checked.known, *checked.growing]
+        elif get_origin(one) is Literal:
+            found += [word for word in get_args(one) if isinstance(word, str)]
+    return [word for word in dict.fromkeys(found) if word]
 
 
 Int = Annotated[int, BeforeValidator(_plain)]

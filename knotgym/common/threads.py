@@ -4,10 +4,11 @@ For NumPy, and compiled code that releases the interpreter's lock. A row's resul
 the rows beside it; then the number of threads changes nothing.
 """
 
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from os import cpu_count
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any
@@ -18,6 +19,28 @@ Work = Callable[[slice], Any]
 Meanwhile = Callable[[], None] | None
 
 
+_CGROUPS = Path("/sys/fs/cgroup")
+
+
+def cores() -> int:
+    """Return how many cores this process may use: by its affinity and its container's quota.
+
+    A container's quota is in `cpu.max` of its control group (version 2) or of one above that,
+    microseconds that may be used in a period. Of a fraction of a core the whole is counted.
+    """
+    affine = hasattr(os, "sched_getaffinity")
+    found = [len(os.sched_getaffinity(0)) if affine else os.cpu_count() or 1]
+    with suppress(OSError, ValueError):
+        own = Path("/proc/self/cgroup").read_text().partition("0::/")[2].partition("\n")[0]
+        for group in (_CGROUPS / own, *(_CGROUPS / own).parents):
+            with suppress(OSError, ValueError):  # "max 100000" is no limit
+                quota, period = map(int, (group / "cpu.max").read_text().split())
+                found.append(max(1, -(-quota // period)))
+            if group == _CGROUPS:
+                break
+    return min(found)
+
+
 class Threads:
     """A pool of threads, which start when they are first needed; the caller's works as well.
 
@@ -25,12 +48,12 @@ class Threads:
     step of 1,024 ropes, which has four such calls, takes 8 ms.
 
     Attributes:
-        count: how many were asked for; 0 for one on every core.
+        count: how many were asked for; 0 for one on every core, see `cores`.
     """
 
     def __init__(self, count: int = 1) -> None:
         self.count = count
-        self._most = count or cpu_count() or 1
+        self._most = count or cores()
         self._tasks = SimpleQueue[Any]()
         self._workers = 0
 

@@ -15,6 +15,8 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any
 
+from knotgym.common import cores
+
 # Python's resource tracker warns when it cleans up after a killed run, which is expected.
 _IGNORED_WARNING = "ignore:resource_tracker:UserWarning"
 
@@ -52,11 +54,6 @@ class _Processes(ProcessPoolExecutor):
         for process in list((getattr(self, "_processes", None) or {}).values()):
             process.terminate()
         self.shutdown(wait=False, cancel_futures=True)
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -9,13 +10,13 @@ from collections.abc import Iterator
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 
 from knotgym.cli.options import _read_value, field_help, numbers
 from knotgym.cli.program import COMMANDS, application
-from knotgym.common import InvalidInput
+from knotgym.common import InvalidInput, choices
 from knotgym.states import shipped
 
 from ..small_job import knotgym
@@ -306,6 +307,19 @@ def test_help_and_version_are_shown_with_status_0(
 ) -> None:
     assert knotgym(*words.split()) == 0
     assert capfd.readouterr().out.startswith(("Usage: knotgym", "knotgym "))
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "dataset"])
+def test_help_names_every_choice(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    run = getattr(import_module(f"knotgym.cli.{command}_command"), command).default_command
+    application()([command, "--help"], result_action="return_value")
+    shown = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
+    for section, kind in run.sections.items():
+        for field, hint in get_type_hints(kind, include_extras=True).items():
+            option = f"--{field.replace('_', '-')} "
+            if option in shown and (command, field) != ("suite", "episodes"):  # typed as a number
+                text = shown.partition(option)[2].partition(" --")[0]
+                assert all(word in text for word in choices(hint)), (section, field, text)
 
 
 def test_no_help_imports_the_simulator() -> None:

@@ -1,10 +1,13 @@
 """Rows divided among threads: results in order, errors raised, other work done meanwhile."""
 
+import os
 import threading
+from pathlib import Path
 
 import pytest
 
-from knotgym.common.threads import Threads
+from knotgym.common import threads
+from knotgym.common.threads import Threads, cores
 
 counts = pytest.mark.parametrize("count", [1, 3])
 
@@ -62,3 +65,31 @@ def test_threads_end_with_their_pool() -> None:
     for one in ours:
         one.join(timeout=60)
         assert not one.is_alive()
+
+
+@pytest.mark.parametrize(
+    ("quotas", "expected"),
+    [
+        ({}, 8),
+        ({"": "max 100000"}, 8),
+        ({"": "200000 100000"}, 2),
+        ({"pod": "150000 100000"}, 2),
+        ({"": "300000 100000", "pod": "max 100000", "pod/own": "10000 100000"}, 1),
+        ({"": "nonsense"}, 8),
+    ],
+)
+def test_cores_are_those_that_affinity_and_the_container_s_quota_leave(
+    quotas: dict[str, str], expected: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pod/own").mkdir(parents=True)
+    for group, quota in quotas.items():
+        (tmp_path / group / "cpu.max").write_text(quota + "\n")
+    read = Path.read_text
+
+    def text(path: Path) -> str:
+        return "0::/pod/own\n" if path == Path("/proc/self/cgroup") else read(path)
+
+    monkeypatch.setattr(threads, "_CGROUPS", tmp_path)
+    monkeypatch.setattr(Path, "read_text", text)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    assert cores() == expected == Threads(0)._most

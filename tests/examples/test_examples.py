@@ -4,6 +4,7 @@ import importlib.util
 import json
 import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -47,6 +48,38 @@ with_arrow = pytest.mark.skipif(
 
 def test_no_example_is_left_out() -> None:
     assert sorted(SCRIPTS + MODULES) == sorted(FOLDER.rglob("*.py"))
+
+
+@pytest.mark.parametrize(
+    ("words", "tasks", "said"),
+    [
+        ("32 generate --nx 4", (7, 1, 32), "generate --nx 4 --set run.shard=7/32"),
+        (
+            "32 generate --nx 4",
+            (7, 7, 7),
+            "generate --nx 4 --set run.shard=7/32",
+        ),  # alone
+        ("32 generate --nx 4", (31, 0, 31), "tasks are numbered from 1 to 32, got 0 to 31"),
+        ("32 generate --nx 4", (40, 1, 40), "tasks are numbered from 1 to 32, got 1 to 40"),
+        ("generate --nx 4", (7, 1, 32), "the first argument is the number of shards"),
+        ("", (7, 1, 32), "the first argument is the number of shards"),
+    ],
+)
+def test_a_task_of_an_array_is_one_shard_of_a_fixed_number(
+    words: str, tasks: tuple[int, int, int], said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "knotgym").write_text("#!/bin/bash\necho $*\n")
+    (tmp_path / "knotgym").chmod(0o700)
+    numbers = zip(("ID", "MIN", "MAX"), map(str, tasks), strict=True)
+    given = {f"SLURM_ARRAY_TASK_{name}": number for name, number in numbers}
+    # what the scheduler shows of this submission doesn't count
+    given |= {"SLURM_ARRAY_TASK_COUNT": "1", "SLURM_CPUS_PER_TASK": "4"}
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    command = ["bash", str(FOLDER / "slurm/array.sh"), *words.split()]
+    run = subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, **given, "PATH": path}
+    )
+    assert said in run.stdout + run.stderr and run.returncode == 2 * ("run.shard" not in said)
 
 
 def test_the_notebook_and_the_page_of_learning_have_the_lines_of_the_readme() -> None:

@@ -66,7 +66,7 @@ def read_curves(path: str | Path) -> list[Curve]:
     for name, count in Counter(name for name, _ in found).most_common(1):
         if count > 1:
             raise InvalidInput(
-                f"{path} holds a link, {count} components{' of' * bool(name)} {name[:80]}, and a"
+                f"{path} holds a link, {count} components{f' of {name[:80]}' * bool(name)}, and a"
                 " knot has one; curves of their own need different names"
             )
     if not 0 < len(found) <= _MOST_CURVES:
