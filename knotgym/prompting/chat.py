@@ -123,44 +123,18 @@ class ChatConfig:
                 )
 
 
-class Reply(NamedTuple):
-    """The reply to one request.
-
-    Attributes:
-        text: the model's answer, without its reasoning.
-        reasoning: what it thought before, as far as the server shows it.
-        fault: "refusal" if the model refused, also in the last attempt, or the server rejected the
-            request; "empty" if the answer was empty, also in the last attempt; else "".
-        rejected: why the server rejected the request, such as "400 content_filter: Filtered"; "" if
-            it didn't.
-        finish: why the model stopped, as the server says: "stop", "length"; "" if it doesn't say.
-        prompt_tokens, completion_tokens: totals over all answered attempts; None if a server
-            didn't say.
-        retries: reason for a retry -> how many there were.
-    """
-
-    text: str
-    reasoning: str
-    fault: str
-    rejected: str
-    finish: str
-    prompt_tokens: int | None
-    completion_tokens: int | None
-    retries: dict[str, int]
-
-
 class _Attempt(NamedTuple):
     """The outcome of one attempt.
 
     Attributes:
-        reason: why it failed; "" if it succeeded.
+        fault: why it failed; "" if it succeeded.
         detail: error message of the server or of the connection.
-        text, reasoning, finish: as of `Reply`.
+        text, reasoning, finish: as of `Chat.ask`.
         tokens: of prompt and completion, None each if the server doesn't say; () if the attempt
             wasn't answered.
     """
 
-    reason: str = ""
+    fault: str = ""
     detail: str = ""
     text: str = ""
     reasoning: str = ""
@@ -209,11 +183,20 @@ class Chat:
         self._proxy = next((one for one in (parts.scheme, "all") if one in proxies), "")
         self._proxy_url = proxies.get(self._proxy)
 
-    def ask(self, messages: list[dict[str, Any]]) -> Reply:
-        """Send a request; the client retries it until it is answered.
+    def ask(self, messages: list[dict[str, Any]]) -> dict[str, Any]:
+        """Send messages of the protocol; the client repeats a request until it is answered.
 
-        Args:
-            messages: messages of the chat-completions protocol.
+        Returns:
+            text: the model's answer, without its reasoning.
+            reasoning: what it thought before, as far as the server shows it.
+            fault: "refusal" if the model refused, also in the last attempt, or the server rejected
+                the request; "empty" if the answer was empty, also in the last attempt; else "".
+            rejected: why the server rejected the request, such as "400 content_filter: Filtered";
+                "" if it didn't.
+            finish: why the model stopped, as the server says: "stop", "length"; or "".
+            prompt_tokens, completion_tokens: totals over all answered attempts; None if a server
+                didn't say.
+            retries: reason for a retry -> how many there were.
 
         Raises:
             InvalidInput: the server rejects the model or the key.
@@ -221,32 +204,28 @@ class Chat:
         """
         if self._stop.is_set():
             raise Failed("stopped")
-        tried = asyncio.run(self._send(messages))
-        last, asked = tried[-1], f"{self._config.base_url} rejects the request to model"
-        if last.reason == "fatal":
-            raise InvalidInput(f"{asked} {self._config.model!r}: {last.detail}")
-        if last.reason not in ("", "refusal", "empty", "rejected"):
+        url, tried = self._config.base_url, asyncio.run(self._send(messages))
+        fault, detail, text, reasoning, finish, _ = tried[-1]
+        if fault == "fatal":
+            model = self._config.model
+            raise InvalidInput(f"{url} rejects the request to model {model!r}: {detail}")
+        if fault not in ("", "refusal", "empty", "rejected"):
             raise Failed(
-                f"{self._config.base_url} didn't answer in {len(tried)} attempts; the last one"
-                f" failed with: {last.reason}{last.detail and ': '}{last.detail};"
-                " --resume continues the run"
+                f"{url} didn't answer in {len(tried)} attempts; the last one failed with:"
+                f" {fault}{detail and ': '}{detail}; --resume continues the run"
             )
-        answered = [one.tokens for one in tried if one.tokens]
-        rejected = last.reason == "rejected"
-        prompt, completion = (
-            None if None in counts else sum(counts)
-            for counts in (zip(*answered, strict=True) if answered else ((), ()))
-        )
-        return Reply(
-            last.text,
-            last.reasoning,
-            "refusal" if rejected else last.reason,
-            last.detail if rejected else "",
-            last.finish,
-            prompt,
-            completion,
-            dict(Counter(one.reason for one in tried[:-1])),
-        )
+        counts = [[one.tokens[k] for one in tried if one.tokens] for k in (0, 1)]
+        prompt, completion = (None if None in own else sum(filter(None, own)) for own in counts)
+        return {
+            "text": text,
+            "reasoning": reasoning,
+            "fault": "refusal" if fault == "rejected" else fault,
+            "rejected": detail,
+            "finish": finish,
+            "prompt_tokens": prompt,
+            "completion_tokens": completion,
+            "retries": dict(Counter(one.fault for one in tried[:-1])),
+        }
 
     async def _send(self, messages: list[dict[str, Any]]) -> list[_Attempt]:
         """Return what came of each attempt.
@@ -290,8 +269,11 @@ class Chat:
                     # a server that sends a byte at a time keeps the limits of single reads from
                     # expiring
                     async with asyncio.timeout(chat._config.timeout):
-                        reply = await super().handle_async_request(request)
-                        body = await self._body(reply.stream)
+                        reply, body = await super().handle_async_request(request), b""
+                        async for block in reply.aiter_raw():
+                            body += block
+                            if len(body) > MOST_BYTES:
+                                raise http.ReadError(f"a reply of more than {MOST_BYTES} bytes")
                 except (TimeoutError, http.TimeoutException) as error:
                     tried.append(_Attempt("timeout"))
                     raise http.ReadTimeout("timeout") from error
@@ -300,28 +282,18 @@ class Chat:
                     detail = chat._short(one_line(error.__cause__ or error)) + through
                     tried.append(_Attempt("connection", detail))
                     raise
-                is_answer = 200 <= reply.status_code < 300
-                found = chat._read(body) if is_answer else chat._failed(reply.status_code, body)
+                found = chat._outcome(reply.status_code, body.decode(errors="replace"))
                 tried.append(found)
-                status = 503 if is_answer and found.reason else reply.status_code
                 reply.headers.pop("content-encoding", None)
-                return http.Response(status, headers=reply.headers, content=body.encode())
-
-            async def _body(self, stream: Any) -> str:
-                whole = b""
-                try:
-                    async for block in stream:
-                        whole += block
-                        if len(whole) > MOST_BYTES:
-                            raise http.ReadError(f"a reply of more than {MOST_BYTES} bytes")
-                finally:
-                    await stream.aclose()
-                return whole.decode(errors="replace")
+                status = 503 if found.fault and reply.is_success else reply.status_code
+                return http.Response(status, headers=reply.headers, content=body)
 
         return Bounded(proxy=self._proxy_url)
 
-    def _failed(self, status: int, body: str) -> _Attempt:
-        """Return the outcome of an attempt that ended with an HTTP error."""
+    def _outcome(self, status: int, body: str) -> _Attempt:
+        """Return what came of an attempt that ended with an HTTP status."""
+        if 200 <= status < 300:
+            return self._read(body)
         detail = self._short(_error(body, "message") or body)
         if status in (408, 409, 429) or status >= 500:  # the client retries these
             return _Attempt(str(status), detail)
@@ -350,16 +322,12 @@ class Chat:
         text, drafts = _divided(content, self._config.drafts)
         thoughts = (message.get("reasoning_content"), message.get("reasoning"), drafts)
         reasoning = next((one for one in thoughts if isinstance(one, str) and one), "")
-        if refusal or finish == "content_filter":
-            reason, text = "refusal", refusal if isinstance(refusal, str) else text
-        elif text.strip():
-            reason = ""
-        elif content is None and not finish and not reasoning:
+        if content is None and not (finish or reasoning or refusal):
             return _Attempt("malformed")
-        else:
-            reason = "empty"
-        clean = self._clean(text), self._clean(reasoning)
-        return _Attempt(reason, "", *clean, finish, tokens)
+        fault = "" if text.strip() else "empty"
+        if refusal or finish == "content_filter":
+            fault, text = "refusal", refusal if isinstance(refusal, str) else text
+        return _Attempt(fault, "", self._clean(text), self._clean(reasoning), finish, tokens)
 
     def _clean(self, text: str) -> str:
         """Censor the key, and replace lone surrogates, which can't be encoded as UTF-8."""

@@ -46,7 +46,7 @@ def run_prompts(
     chat = Chat(config.chat, stop)
 
     def ask(messages: list[dict[str, Any]]) -> Result:
-        return packed(chat.ask(messages)._asdict())
+        return packed(chat.ask(messages))
 
     def recipe(place: Path) -> Recipe[str]:
         told = yield from (read(config, rows, ask) if rows else play(config, ask))

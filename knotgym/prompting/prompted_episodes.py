@@ -143,7 +143,7 @@ def read(config: PromptConfig, rows: Sequence[Mapping[str, Any]], ask: Ask) -> T
 
 
 def packed(reply: Mapping[str, Any]) -> Result:
-    """Pack a reply as what a journal keeps: the fields of `chat.Reply` as JSON."""
+    """Pack a reply as what a journal keeps: the result of `Chat.ask` as JSON."""
     return {"reply": np.frombuffer(json.dumps(reply).encode(), dtype=np.uint8)}
 
 

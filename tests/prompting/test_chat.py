@@ -7,6 +7,7 @@ import json
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -33,7 +34,7 @@ def asked(answer: Callable[[int, Any], Answer], **settings: Any) -> tuple[Any, C
         usual = {"model": "m", "timeout": 1.0, "attempts": 3}
         chat = Chat(ChatConfig(**{**usual, "base_url": server.url, **settings}))
         try:
-            return chat.ask([{"role": "user", "content": "?"}]), server
+            return SimpleNamespace(**chat.ask([{"role": "user", "content": "?"}])), server
         except Exception as error:
             return error, server
 
