@@ -1,15 +1,20 @@
-"""Checkpoint folders of learners; reading one never runs code from it.
+"""Folders of learners; reading one never runs code from it.
 
-policy.json             format, version, training data and configuration, checksum of the weights
-weights.safetensors     a reader's: reader/*  float16, the networks' weights
-                                    places    float32 (n, 3), start positions of ropes, metres
-                        a clone's:            float16, the network's weights
+policy.json             format, version, what was trained and how, checksum of the weights, and what
+                        the network returned for fixed inputs
+weights.safetensors     the network's weights, float16; a reader's also
+                        places    float32 (n, 3), start positions of ropes, metres
+
+A network whose code has changed since may still take the old weights and act otherwise. So a
+network says by `signature` what it returns for inputs that are always the same; a folder in which
+another signature stands is refused.
 """
 
 import json
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -19,14 +24,32 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from knotgym.common import InvalidFile, atomic_write, one_line, read_json, require_regular, sha256
-from knotgym.learn.reader import Reader
+from knotgym.learn.reader import Reader, inference
 
-FORMAT, FORMAT_VERSION = "knotgym-policy", 1
+FORMAT, FORMAT_VERSION = "knotgym-policy", 2
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
 PRETRAINED, PRETRAINED_CLONE = "pretrained", "pretrained-clone"
 ROPE_READER = "rope-reader"
-# names of the checkpoints that ship with the package
+# names of the folders that ship with the package
 SHIPPED = (PRETRAINED, PRETRAINED_CLONE, ROPE_READER)
+PICTURES, CLONE = "pictures", "clone"  # learners, beside ROPE_READER
+# By which numbers of a signature, of order 1 to 20, may be off: a machine's float32 rounding moves
+# them by less than 1e-5; two attention heads for four move an untrained clone's by 0.1.
+_OFF = 2e-4
+
+
+class Network(Protocol):
+    """A network that can be kept: a torch module with a signature."""
+
+    def signature(self) -> Tensor:
+        """Return numbers that depend on all parts of the network, for inputs made by itself."""
+
+    def state_dict(self) -> dict[str, Tensor]: ...
+    def load_state_dict(self, state_dict: dict[str, Tensor], strict: bool = True) -> Any: ...
+    def eval(self) -> Any: ...
+
+
+Kept = TypeVar("Kept", bound=Network)
 
 
 class Learned(NamedTuple):
@@ -42,68 +65,70 @@ class Learned(NamedTuple):
 
 
 def policy_folder(name: str) -> Path:
-    """Return the folder of a checkpoint: a path, or the name of one that ships."""
+    """Return the folder of a learner: a path, or the name of one that ships."""
     if name in SHIPPED:
         return Path(str(files("knotgym.learn") / "data" / name))
     return Path(name)
 
 
-def save_reader(folder: Path, learned: Learned, card: dict[str, Any]) -> None:
-    """Write a checkpoint folder; `card` adds how it was trained."""
-    tensors = {
-        f"reader/{name}": own.detach().to(torch.float16).contiguous()
-        for name, own in learned.reader.state_dict().items()
-    }
-    tensors["places"] = torch.from_numpy(learned.starts)
-    write_checkpoint(folder, tensors, card)
+def save_network(
+    folder: Path,
+    network: Network,
+    learner: str,
+    card: dict[str, Any],
+    others: dict[str, Tensor] | None = None,
+) -> None:
+    """Write a learner's folder; the network gets the weights as they are kept, float16.
 
-
-def load_reader(name: str) -> Learned:
-    """Load the checkpoint of a learner from pictures: a path, or PRETRAINED.
-
-    Raises:
-        InvalidFile: it is missing, of another version, changed or truncated.
+    Args:
+        folder: created where it is missing.
+        network: on the CPU.
+        learner: what it is part of: PICTURES, CLONE or ROPE_READER.
+        card: how it was trained.
+        others: tensors that belong to the learner beside the network's.
     """
-    folder = policy_folder(name)
-    tensors = read_weights(folder)
-    try:
-        starts, reader = tensors.pop("places").numpy(), Reader()
-        reader.load_state_dict(
-            {name.removeprefix("reader/"): own.float() for name, own in tensors.items()}
-        )
-        if starts.ndim != 2 or starts.shape[1:] != (3,) or starts.dtype != np.float32:
-            raise ValueError(f"places is {starts.dtype} {starts.shape}, should be float32 (n, 3)")
-        if not len(starts):
-            raise ValueError("places has no positions")
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise InvalidFile(
-            f"{folder / WEIGHTS} isn't a learner from pictures: {one_line(error)[:200]}"
-        ) from error
-    return Learned(reader.eval(), starts)
-
-
-def write_checkpoint(folder: Path, tensors: dict[str, Tensor], card: dict[str, Any]) -> None:
-    """Write weights, and a card with their checksum and what `card` adds."""
+    kept = {
+        name: own.detach().half().contiguous()
+        for name, own in network.state_dict().items()
+        if own.is_floating_point()
+    }
+    network.load_state_dict({name: own.float() for name, own in kept.items()}, strict=False)
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(folder / WEIGHTS) as part:
-        part.write_bytes(save(tensors))
+        part.write_bytes(save({**kept, **(others or {})}))
     whole = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "weights_sha256": sha256(folder / WEIGHTS),
+        "learner": learner,
+        "signature": _signature(network),
         **card,
     }
     with atomic_write(folder / CARD) as part:
         part.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
 
 
-def read_weights(folder: Path) -> dict[str, Tensor]:
-    """Read the weights of a checkpoint folder, all of them finite.
+def load_network(
+    folder: Path,
+    learner: str,
+    make: Callable[[dict[str, Tensor]], Kept],
+    others: tuple[str, ...] = (),
+) -> tuple[Kept, dict[str, Tensor]]:
+    """Load a learner's network, in evaluation mode, and the tensors beside it.
+
+    Args:
+        folder: of the learner.
+        learner: what it must be.
+        make: from the weights to a network of their size.
+        others: names of the tensors beside it.
 
     Raises:
-        InvalidFile: as in `load_reader`.
+        InvalidFile: the folder is missing, of another version or learner, changed or truncated, or
+            this version's network isn't the one that was trained.
     """
     card, path = read_card(folder), folder / WEIGHTS
+    if card.get("learner") != learner:
+        raise InvalidFile(f"{folder} isn't of learner {learner} but of {card.get('learner')!r}")
     try:
         require_regular(path, "weights", InvalidFile)
         content = path.read_bytes()
@@ -115,19 +140,58 @@ def read_weights(folder: Path) -> dict[str, Tensor]:
         )
     try:
         tensors: dict[str, Tensor] = load(content)
-    except (SafetensorError, ValueError) as error:
-        raise InvalidFile(f"{path} isn't a learner: {one_line(error)[:200]}") from error
-    for name, own in tensors.items():
-        if not (own.is_floating_point() and torch.isfinite(own).all()):
-            raise InvalidFile(f"{path}: {name} has numbers that aren't finite")
-    return tensors
+        for name, own in tensors.items():
+            if not (own.is_floating_point() and torch.isfinite(own).all()):
+                raise ValueError(f"{name} has numbers that aren't finite")
+        beside = {name: tensors.pop(name) for name in others}
+        network = make(tensors)
+        weights = {name: own.float() for name, own in tensors.items()}
+        missing, unknown = network.load_state_dict(weights, strict=False)
+        missing = [name for name in missing if not name.endswith("num_batches_tracked")]
+        if missing or unknown:
+            raise ValueError(f"missing {missing[:3]}, unknown {unknown[:3]}")
+        found, given = _signature(network.eval()), np.array(card.get("signature"), np.float64)
+    except (ArithmeticError, LookupError, RuntimeError, SafetensorError, TypeError, ValueError,
+            AssertionError) as error:  # fmt: skip
+        raise InvalidFile(
+            f"{path} isn't of this version's {learner}: {one_line(error)[:200]}"
+        ) from error
+    alike = given.shape == np.shape(found) and np.allclose(given, found, _OFF, _OFF)
+    if not alike:
+        raise InvalidFile(
+            f"{folder} was trained with another network than that of this version of knotgym, in"
+            " which its weights would act otherwise: train again, or use the version on its card"
+        )
+    return network, beside
+
+
+def _signature(network: Network) -> list[float]:
+    with inference():
+        return [float(f"{one:.6g}") for one in network.signature().flatten().tolist()]
+
+
+def load_reader(name: str) -> Learned:
+    """Load a learner from pictures: a path, or PRETRAINED.
+
+    Raises:
+        InvalidFile: as in `load_network`.
+    """
+    folder = policy_folder(name)
+    reader, beside = load_network(folder, PICTURES, lambda _: Reader(), ("places",))
+    starts = beside["places"].numpy()
+    if starts.ndim != 2 or starts.shape[1:] != (3,) or starts.dtype != np.float32:
+        said = f"is {starts.dtype} {starts.shape}, should be float32 (n, 3)"
+        raise InvalidFile(f"{folder / WEIGHTS}: places {said}")
+    if not len(starts):
+        raise InvalidFile(f"{folder / WEIGHTS}: places has no positions")
+    return Learned(reader, starts)
 
 
 def read_card(folder: Path) -> dict[str, Any]:
-    """Read a checkpoint's card, `policy.json`.
+    """Read `policy.json` of a learner's folder.
 
     Raises:
-        InvalidFile: as in `load_reader`.
+        InvalidFile: it is missing or of another version.
     """
     try:
         card = read_json(folder / CARD)

@@ -119,6 +119,19 @@ class CloneNetwork(nn.Module):
         # no distance is preferred at first
         nn.init.zeros_(self.apart.weight)
 
+    def signature(self) -> Tensor:
+        """Return what the network makes of a marked ring, and of some macro-actions there."""
+        angle = torch.arange(BEADS) * 2 * torch.pi / BEADS
+        ring = 0.2 * torch.stack([angle.cos(), 0.5 * angle.sin(), 0.1 * (3 * angle).sin()], dim=1)
+        marks = torch.zeros(BEADS, 2)
+        marks[30, 0] = marks[70, 1] = 1
+        tokens = torch.tensor([[1, 1], [-1, 0]] + [[0, -1]] * (_VISITS - 2))
+        states = inputs([one[None] for one in (ring, marks, tokens, -tokens)])
+        macros = torch.tensor([[[5, 40, 0], [60, 10, 1], [95, 50, 1]]])
+        seen = self(states)
+        parts = seen.logits[:, ::9], seen.whole[:, ::9], *self.rate(seen, macros)
+        return torch.cat([part.flatten() for part in parts])
+
     def forward(self, states: Inputs) -> MarkedInputs:
         """Look at states."""
         count = len(states.beads)

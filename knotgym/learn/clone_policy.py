@@ -22,17 +22,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.common import InvalidFile, InvalidPolicy, one_line
+from knotgym.common import InvalidFile, InvalidPolicy
 from knotgym.control import ActionPlayer, Generators, PassValues, Player, pass_values, see
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig, mark
 from knotgym.learn.checkpoint import (
     CARD,
+    CLONE,
     PRETRAINED,
-    WEIGHTS,
+    load_network,
     load_reader,
     read_card,
-    read_weights,
-    write_checkpoint,
 )
 from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.colour_reading import BEADS
@@ -45,7 +44,6 @@ from knotgym.topology import GaussCode, label
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
-CLONE = "clone"
 _BLOCK = 32  # states that the network is given at a time: its sums depend on their number
 # Temperature after a macro-action that changed no code: the likeliest one would be chosen again.
 # Measured on an earlier clone alone, where 0 did as well (notes/experiments.md).
@@ -248,29 +246,21 @@ def _with_passes(
     return macros, prior
 
 
-def save_clone(folder: Path, network: CloneNetwork, card: dict[str, Any]) -> None:
-    """Write a checkpoint folder; `card` must hold the `config`."""
-    tensors = {name: own.detach().half().contiguous() for name, own in network.state_dict().items()}
-    write_checkpoint(folder, tensors, {"learner": CLONE, **card})
-
-
 def load_clone(folder: Path) -> ClonePolicy:
-    """Load the policy of a checkpoint folder.
+    """Load the policy of a learner's folder.
 
     Raises:
-        InvalidFile: it is missing, of another version, changed or truncated.
+        InvalidFile: as in `load_network`, or it doesn't say whether the clone is guided.
     """
-    config: Any = read_card(folder).get("config")
-    # the clone that ships once had a head for single pulls, too
-    tensors = {k: one for k, one in read_weights(folder).items() if not k.startswith("force.")}
-    try:
+
+    def make(tensors: dict[str, Tensor]) -> CloneNetwork:
         # sizes are those of the weights that are there, whatever the card says
         layers = len({name.split(".")[2] for name in tensors if name.startswith("body.layers.")})
-        network = CloneNetwork(len(tensors["codes.2.weight"]), layers)
-        network.load_state_dict(tensors)
-        guided = bool(config["guided"])
-    except (AssertionError, LookupError, RuntimeError, TypeError, ValueError) as error:
-        raise InvalidFile(
-            f"{folder / WEIGHTS} and {CARD} don't make a clone: {one_line(error)[:200]}"
-        ) from error
-    return ClonePolicy(network.eval(), guided)
+        return CloneNetwork(len(tensors["codes.2.weight"]), layers)
+
+    network, _ = load_network(folder, CLONE, make)
+    config: Any = read_card(folder).get("config")
+    guided = config.get("guided") if isinstance(config, dict) else None
+    if not isinstance(guided, bool):
+        raise InvalidFile(f"{folder / CARD} doesn't say whether the clone is guided")
+    return ClonePolicy(network, guided)

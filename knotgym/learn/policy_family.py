@@ -25,19 +25,20 @@ def _make(config: PolicyConfig) -> Policy:
                 f"the learner {config.policy} needs {library}, which isn't installed; install it:"
                 f" {install_command('learn')}"
             )
-    from knotgym.learn.checkpoint import policy_folder
+    from knotgym.learn.checkpoint import CLONE, policy_folder
     from knotgym.learn.clone_policy import load_clone
     from knotgym.learn.picture_policy import load_picture_policy
 
-    if _is_clone(config.policy):
+    if _card(config.policy).get("learner") == CLONE:
         return load_clone(policy_folder(config.policy))
     return load_picture_policy(config.policy)
 
 
 def _files(name: str) -> dict[str, Path]:
-    from knotgym.learn.checkpoint import CARD, WEIGHTS, policy_folder
+    from knotgym.learn.checkpoint import CARD, CLONE, WEIGHTS, policy_folder
 
-    tables = (EVERY_CODE, PASSES["train-code"]) if _is_clone(name) else (CHANGES,)
+    is_clone = _card(name).get("learner") == CLONE
+    tables = (EVERY_CODE, PASSES["train-code"]) if is_clone else (CHANGES,)
     counted = {path.name: path for path in tables if path.is_file()}
     return counted | {file: policy_folder(name) / file for file in (CARD, WEIGHTS)}
 
@@ -46,12 +47,6 @@ def _card(name: str) -> dict[str, Any]:
     from knotgym.learn.checkpoint import policy_folder, read_card
 
     return read_card(policy_folder(name))
-
-
-def _is_clone(name: str) -> bool:
-    from knotgym.learn.clone_policy import CLONE
-
-    return _card(name).get("learner") == CLONE
 
 
 FAMILY = PolicyFamily(

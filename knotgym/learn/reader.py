@@ -21,10 +21,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.nn import functional
 
-from knotgym.learn.bead_network import BeadNetwork, initialize
 from knotgym.learn.colour_reading import (
     BEADS,
+    SIZE,
     Pixels,
     bead_moments,
     crossing_votes,
@@ -51,6 +52,63 @@ _OFF, _OFF_WAVES = 0.0012, 40
 _APART = 0.009  # height difference of strands that cross, at least, metres
 _LIFTED = 5  # beads on either side of a crossing that are raised or lowered with it
 _CHORD = 1.33 / BEADS / PIXEL  # distance of neighbouring vertices, pixels
+
+
+class BeadNetwork(nn.Module):
+    """A residual network from per-bead inputs to per-bead outputs, at half resolution inside."""
+
+    def __init__(self, inputs: int, outputs: int, width: int, dilations: tuple[int, ...]) -> None:
+        super().__init__()
+        # names of modules are keys of stored weights, so a rename breaks checkpoints
+        self.inward = nn.Conv1d(inputs, width, 6, stride=2)
+        self.blocks = nn.ModuleList(
+            nn.ModuleList(
+                [_CircularConvolution(width, width, 3, dilation), nn.Conv1d(width, width, 1)]
+            )
+            for dilation in dilations
+        )
+        self.outward = nn.ConvTranspose1d(width, width // 2, 2, stride=2)
+        # at full resolution, past the blocks
+        self.beside = _CircularConvolution(inputs, width // 2, 3)
+        self.last = _CircularConvolution(width // 2, outputs, 3)
+
+    def forward(self, beads: Tensor) -> Tensor:
+        """Map float32 (n, inputs, beads) to float32 (n, outputs, beads)."""
+        # kernel 6 and stride 2 need two beads of padding on either side to halve the beads exactly
+        x = self.inward(functional.pad(beads, (2, 2), mode="circular"))
+        for mix, after in self.blocks:
+            x = x + after(functional.relu(mix(functional.relu(x))))
+        # the skip connection `beside` brings back what halving the resolution lost
+        y = self.outward(functional.relu(x)) + self.beside(beads)
+        return self.last(functional.relu(y))
+
+
+class _CircularConvolution(nn.Module):
+    """A convolution with circular padding that keeps the number of beads."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, dilation: int = 1) -> None:
+        super().__init__()
+        # as much on either side as keeps the number of beads; odd kernels only
+        self._margin = dilation * (kernel - 1) // 2
+        self.convolution = nn.Conv1d(inputs, outputs, kernel, dilation=dilation)
+
+    def forward(self, x: Tensor) -> Tensor:
+        padded = functional.pad(x, (self._margin, self._margin), mode="circular")
+        return self.convolution(padded)
+
+
+def initialize(network: BeadNetwork, seed: int) -> BeadNetwork:
+    """Reset a network's weights in place from a seed, independently of torch's global generator."""
+    generator = torch.Generator().manual_seed(seed)
+    for parameter in network.parameters():
+        if parameter.dim() > 1:
+            # variance 1 / (3 fan-in), that of torch's default initialization, but normal; biases 0
+            fan = parameter[0].numel()
+            with torch.no_grad():
+                parameter.normal_(0.0, (1.0 / (3.0 * fan)) ** 0.5, generator=generator)
+        else:
+            nn.init.zeros_(parameter)
+    return network
 
 
 class Seen(NamedTuple):
@@ -89,6 +147,20 @@ class Reader(nn.Module):
             )
             for own, outputs in enumerate((2 + 2 * READINGS, 3))
         )
+
+    def signature(self) -> Tensor:
+        """Return what both networks make of a ring in the rope's colours."""
+        y, x = np.mgrid[:SIZE, :SIZE] + 0.5 - SIZE / 2
+        bead = (np.arctan2(y, x) / (2 * np.pi) * BEADS).astype(np.int64) % BEADS
+        ring = np.abs(np.hypot(x, y) - 0.3 * SIZE) < 2
+        seen = [look(np.where(ring[..., None], _COLOURS[bead], 0).astype(np.uint8))]
+        vertices, log_probabilities = self.joined(seen)
+        guess = vertices[:, 0].detach().double().numpy()
+        corrected = self.corrected(seen, guess, 0.1 * guess)
+        moved = corrected - vertices[:, 0]
+        # metres, which are small, beside logarithms
+        parts = 9 * vertices[0, :, ::30], 99 * moved[0, ::10], log_probabilities
+        return torch.cat([part.flatten() for part in parts])
 
     def joined(self, seen: list[Seen]) -> tuple[Tensor, Tensor]:
         """Read n pictures by the first network.

@@ -17,8 +17,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from knotgym.common import InvalidFile, InvalidInput, one_line
-from knotgym.learn.checkpoint import ROPE_READER, policy_folder, read_weights, write_checkpoint
+from knotgym.common import InvalidInput
+from knotgym.learn.checkpoint import ROPE_READER, load_network, policy_folder, save_network
 from knotgym.learn.reader import inference
 from knotgym.learn.strand_network import CELL, ORIENTATIONS, Fields, StrandNetwork
 from knotgym.learn.strand_walk import exchange, follow, link, ridge_points
@@ -69,12 +69,7 @@ class RopeReader:
 
     def save(self, folder: Path, card: dict[str, Any]) -> None:
         """Write a folder that `load_rope_reader` reads; `card` adds how it was trained."""
-        tensors = {
-            name: own.to(torch.float16).contiguous()
-            for name, own in self.network.state_dict().items()
-            if own.is_floating_point()
-        }
-        write_checkpoint(folder, tensors, {"learner": ROPE_READER, **card})
+        save_network(folder, self.network, ROPE_READER, card)
 
     def read(self, picture: NDArray[np.uint8], views: int = VIEWS) -> RopeReading | None:
         """Read a picture of any size.
@@ -124,17 +119,9 @@ def load_rope_reader(name: str = ROPE_READER) -> RopeReader:
     """Load the weights of a reader of ropes: a folder, or ROPE_READER, which ships.
 
     Raises:
-        InvalidFile: they are missing, changed or another network's.
+        InvalidFile: as in `load_network`.
     """
-    network, folder = StrandNetwork(), policy_folder(name)
-    try:
-        tensors = {name: own.float() for name, own in read_weights(folder).items()}
-        missing, unknown = network.load_state_dict(tensors, strict=False)
-        if unknown or any(not name.endswith("num_batches_tracked") for name in missing):
-            raise ValueError(f"missing {missing[:3]}, unknown {unknown[:3]}")
-    except (RuntimeError, ValueError) as error:
-        raise InvalidFile(f"{folder} isn't a reader of ropes: {one_line(error)[:200]}") from error
-    return RopeReader(network)
+    return RopeReader(load_network(policy_folder(name), ROPE_READER, lambda _: StrandNetwork())[0])
 
 
 def _along(field: NDArray[np.float32], line: Array) -> Array:

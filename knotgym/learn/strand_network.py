@@ -89,6 +89,13 @@ class StrandNetwork(nn.Module):
         upper, base, along = out[:, k:].split((2, 1, 2), 1)
         return Fields(out[:, :k], upper, base[:, 0], along)
 
+    def signature(self) -> Tensor:
+        """Return what the network makes of two oblique stripes."""
+        y, x = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
+        stripes = ((x - 2 * y).abs() < 9) | ((x + y - 60).abs() < 5)
+        picture = (200.0 * stripes + x)[None, None].expand(1, 3, -1, -1)
+        return torch.cat([part.flatten()[:: part.numel() // 12] for part in self(picture)])
+
     def loss(self, pictures: Tensor, line: Tensor, crossings: Tensor, base: Tensor) -> Tensor:
         """Return the mean loss of n pictures; places are in pixels, x right and y down.
 

@@ -16,8 +16,7 @@ import torch
 import knotgym
 from knotgym.common import InvalidInput, Stream, generator, table_digest
 from knotgym.datasets import EpisodeDataset, columns_of
-from knotgym.learn.checkpoint import CARD, Learned, save_reader
-from knotgym.learn.clone_policy import save_clone
+from knotgym.learn.checkpoint import CARD, CLONE, PICTURES, save_network
 from knotgym.learn.clone_training import CloneTraining, first_guesses
 from knotgym.learn.decisions import Examples
 from knotgym.learn.reader_training import ReaderTraining
@@ -130,9 +129,10 @@ def _train_reader(
     rng = generator(Stream.LEARN_PLACES, config.seed)
     # drawn without replacement, in the order of the data
     rows = data.starts[np.sort(rng.permutation(len(data.starts))[: config.positions])]
-    learned = Learned(training.network.eval(), data.frames[rows].mean(axis=1, dtype=np.float32))
+    places = torch.from_numpy(data.frames[rows].mean(axis=1, dtype=np.float32))
     facts = {"episodes": len(data.starts), "frames": len(data.frames)}
-    save_reader(place, learned, {**card, **facts})
+    network = training.network.eval()
+    save_network(place, network, PICTURES, {**card, **facts}, {"places": places})
     draw_curve(place, ("join", "correct"), training.losses)
 
 
@@ -173,7 +173,7 @@ def _train_clone(
         "decisions_not_imitated": int((~data.worked).sum()),
         "held_out": first_guesses(network, data, config.seed),
     }
-    save_clone(place, network, {**card, **facts})
+    save_network(place, network, CLONE, {**card, **facts})
     draw_curve(place, ("training", "held_out"), training.losses, kept)
     early = "; later steps fit only the training episodes" if kept < config.steps else ""
     return f"kept step {kept} of {config.steps}, held-out loss {loss:.2f}{early}"

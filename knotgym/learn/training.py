@@ -18,6 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor, nn
@@ -149,13 +150,13 @@ def _digest(kept: dict[str, Tensor]) -> bytes:
 def draw_curve(
     out: Path, names: tuple[str, str], curve: Sequence[Iterable[float]], kept: int | None = None
 ) -> None:
-    """Write `curve.csv` and `curve.png`: two losses, the first blue and the second orange.
+    """Write two losses to `curve.csv`, and plot them in `curve.png`.
 
     Args:
         out: folder.
         names: of the losses.
         curve: step and both losses, at least one row; many are averaged in groups.
-        kept: the step whose weights are kept, marked by a grey line.
+        kept: the step whose weights are kept.
     """
     rows = np.array(curve, dtype=np.float64)
     # at most _CURVE_ROWS groups of neighbouring rows, each shown by its mean
@@ -165,26 +166,64 @@ def draw_curve(
         writer = csv.writer(file)
         writer.writerow(("step", *names))
         writer.writerows([int(row[0]), *row[1:].round(5).tolist()] for row in rows)
-    width, height, edge = 640, 360, 40
-    image = np.full((height, width, 3), 255, dtype=np.uint8)
-    top = rows[:, 1:].max()
-    black, grey, blue, orange = (0, 0, 0), (150, 150, 150), (31, 119, 180), (255, 127, 14)
-    texts: list[tuple[str, tuple[int, int], tuple[int, ...]]] = [
-        (f"loss, 0 to {top:.2f}", (edge, 24), black),
-        (names[0].replace("_", "-"), (width // 2, 24), blue),
-        (names[1].replace("_", "-"), (width // 2 + 120, 24), orange),
-        (f"{int(rows[-1, 0])} steps", (width - 140, height - 12), black),
-    ]
-    if kept is not None:
-        at = edge + round(kept / rows[-1, 0] * (width - 2 * edge))
-        cv2.line(image, (at, edge), (at, height - edge), grey, 1)
-        texts.append((f"kept: step {kept}", (edge, height - 12), grey))
-    for column, colour in ((1, blue), (2, orange)):
-        x = edge + rows[:, 0] / rows[-1, 0] * (width - 2 * edge)
-        y = height - edge - rows[:, column] / top * (height - 2 * edge)
-        line = np.rint(np.stack([x, y], axis=1)).astype(np.int32)
-        cv2.polylines(image, [line], False, colour, 2, cv2.LINE_AA)
-    for text, place, ink in texts:
-        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, ink, 1, cv2.LINE_AA)
     with atomic_write(out / "curve.png") as part:
-        part.write_bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())
+        part.write_bytes(cv2.imencode(".png", _plot(names, rows, kept)[..., ::-1])[1].tobytes())
+
+
+def _plot(names: tuple[str, str], rows: NDArray[np.float64], kept: int | None) -> NDArray[np.uint8]:
+    """Plot two losses against steps, with axes, ticks and a legend; return an RGB picture."""
+    width, height, left, right, top, bottom = 720, 420, 64, 24, 48, 52
+    black, grey, light, blue, orange = (
+        (0, 0, 0), (120, 120, 120), (225, 225, 225), (31, 119, 180), (255, 127, 14)
+    )  # fmt: skip
+    image = np.full((height, width, 3), 255, dtype=np.uint8)
+    scale = np.array([width - left - right, top + bottom - height]) / (
+        rows[-1, 0],
+        max(rows[:, 1:].max(), 1e-9),
+    )
+
+    def at(step: float, loss: float) -> tuple[int, int]:
+        x, y = np.rint((step, loss) * scale + (left, height - bottom)).astype(int).tolist()
+        return x, y
+
+    def write(text: str, x: float, y: float, share: float, ink: tuple[int, ...] = black) -> None:
+        """Write a text of which this share of the width lies left of x."""
+        size, _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
+        place = round(x - share * size[0]), round(y)
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, ink, 1, cv2.LINE_AA)
+
+    for tick in _ticks(rows[:, 1:].max()):
+        x, y = at(0, tick)
+        cv2.line(image, (x, y), at(rows[-1, 0], tick), light)
+        write(f"{tick:g}", x - 8, y + 5, 1)
+    for tick in _ticks(rows[-1, 0]):
+        x, y = at(tick, 0)
+        cv2.line(image, (x, y), (x, y + 5), black)
+        write(f"{tick:g}", x, y + 20, 0.5)
+    cv2.line(image, at(0, 0), at(rows[-1, 0], 0), black)
+    cv2.line(image, at(0, 0), (left, top), black)
+    write("loss", left, top - 10, 0.5)
+    write("optimizer step", left + 0.5 * (width - left - right), height - 10, 0.5)
+    legend = [(names[0], blue), (names[1], orange)]
+    if kept is not None:
+        cv2.line(image, at(kept, 0), (at(kept, 0)[0], top), grey)
+        legend.append((f"kept weights: step {kept}", grey))
+    for column, (_, ink) in enumerate(legend[:2], 1):
+        line = np.array([at(*point) for point in rows[:, [0, column]].tolist()], dtype=np.int32)
+        cv2.polylines(image, [line], False, ink, 2, cv2.LINE_AA)
+    for k, (name, ink) in enumerate(legend):
+        x = left + 70 + 180 * k
+        cv2.line(image, (x, top - 15), (x + 24, top - 15), ink, 2)
+        write(name.replace("_", "-"), x + 32, top - 10, 0)
+    return image
+
+
+def _ticks(most: float) -> list[float]:
+    """Return round numbers from 0 to `most`, at most six and at least three of them.
+
+    >>> _ticks(3000), _ticks(0.7)
+    ([0.0, 1000.0, 2000.0, 3000.0], [0.0, 0.2, 0.4, 0.6])
+    """
+    power = 10.0 ** math.floor(math.log10(max(most, 1e-9)))
+    step = next(one * power for one in (0.2, 0.5, 1, 2) if most < 6 * one * power)
+    return [round(k * step, 12) for k in range(int(most / step + 1e-9) + 1)]

@@ -13,6 +13,9 @@ import pytest
 
 from knotgym.common import sha256
 
+from .conftest import CLONE as CONFIG
+from .conftest import train
+
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
 pytest.importorskip("safetensors")
@@ -102,5 +105,56 @@ def test_a_clone_is_as_large_as_its_weights_whatever_its_card_says(
 
     huge = changed(clone, tmp_path, config={"width": 10**9, "layers": 10**9, "guided": False})
     assert len(load_clone(huge).network.norm.weight) == 16
-    with pytest.raises(InvalidFile, match="don't make a clone"):
+    with pytest.raises(InvalidFile, match="isn't of this version's clone"):
         load_clone(forged(clone, tmp_path / "forged", "codes.2.weight", lambda own: own[:8]))
+
+
+@pytest.mark.parametrize("change", ["another layer", "fewer heads", "another scale of inputs"])
+def test_a_network_that_was_changed_refuses_the_weights_of_before(
+    clone: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str
+) -> None:
+    from torch import Tensor, nn
+
+    from knotgym.common import InvalidFile
+    from knotgym.learn import clone_network
+    from knotgym.learn.clone_policy import load_clone
+
+    begin, forward = clone_network.CloneNetwork.__init__, clone_network.CloneNetwork.forward
+
+    def with_layer(own: Any, width: int, layers: int) -> None:
+        begin(own, width, layers)
+        own.more = nn.Linear(1, 1)
+
+    def with_heads(own: Any, width: int, layers: int) -> None:
+        begin(own, width, layers, heads=2)
+
+    def scaled(own: Any, states: clone_network.Inputs) -> clone_network.MarkedInputs:
+        beads: Tensor = states.beads * 1.5
+        return forward(own, states._replace(beads=beads))
+
+    if change == "another scale of inputs":
+        monkeypatch.setattr(clone_network.CloneNetwork, "forward", scaled)
+    else:
+        wanted = with_layer if change == "another layer" else with_heads
+        monkeypatch.setattr(clone_network.CloneNetwork, "__init__", wanted)
+    with pytest.raises(InvalidFile, match="another network|missing") as refused:
+        load_clone(clone)
+    assert str(refused.value).count("\n") == 0
+    load_clone(train([data], tmp_path / "anew", CONFIG))  # right, once it is trained again
+
+
+@pytest.mark.parametrize("signature", [[], [1.0], "x", None, [[1.0]], [float("nan")] * 36, {}])
+def test_a_forged_signature_is_refused(clone: Path, tmp_path: Path, signature: Any) -> None:
+    from knotgym.common import InvalidFile
+    from knotgym.learn.clone_policy import load_clone
+
+    with pytest.raises(InvalidFile, match="another network|this version's clone"):
+        load_clone(changed(clone, tmp_path, signature=signature))
+
+
+def test_a_reader_of_ropes_is_no_policy(tmp_path: Path) -> None:
+    from knotgym.control import PolicyConfig, make_policy
+    from knotgym.learn.checkpoint import policy_folder
+
+    with pytest.raises(Exception, match="isn't of learner pictures but of 'rope-reader'"):
+        make_policy(PolicyConfig(policy=str(policy_folder("rope-reader"))))

@@ -69,7 +69,7 @@ def test_its_networks_run_on_one_thread(
 ) -> None:
     import torch
 
-    from knotgym.learn.bead_network import BeadNetwork
+    from knotgym.learn.reader import BeadNetwork
 
     threads, forward = [], BeadNetwork.forward
 

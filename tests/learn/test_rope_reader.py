@@ -142,7 +142,7 @@ def test_an_empty_picture_has_no_rope() -> None:
 
 def test_changed_weights_are_refused(tmp_path: Path) -> None:
     shutil.copytree(policy_folder("rope-reader"), tmp_path / "own")
-    with pytest.raises(InvalidFile, match="isn't a reader of ropes"):
+    with pytest.raises(InvalidFile, match="isn't of learner rope-reader but of 'pictures'"):
         load_rope_reader("pretrained")
     weights = tmp_path / "own" / "weights.safetensors"
     weights.write_bytes(weights.read_bytes()[:-2] + b"no")
