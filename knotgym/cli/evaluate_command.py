@@ -1,8 +1,10 @@
 """The command `knotgym evaluate`."""
 
 from pathlib import Path
+from typing import Any
 
-from knotgym.cli.options import RUN, Given, command, extra, field_help
+from knotgym.cli.options import RUN, Given, as_typed, command, extra, field_help
+from knotgym.common import printable
 from knotgym.control import PolicyConfig
 from knotgym.generate import EvaluateConfig
 
@@ -20,7 +22,8 @@ from knotgym.generate import EvaluateConfig
 def evaluate(given: Given) -> None:
     """Measure the success rates of policies, with 95 % confidence intervals.
 
-    Every combination of policy, task, split and number of crossings is one row.
+    Every combination of policy, task, split and number of crossings is one row. What isn't given of
+    task, nx, states and engine is taken from what a learner among the policies was trained on.
 
     Examples:
 
@@ -35,7 +38,7 @@ def evaluate(given: Given) -> None:
     """
     from knotgym.generate import evaluate
 
-    more = {}
+    more = _trained_on(given)
     if "policy" in given.typed or given.has("policy"):
         more["policies"] = [
             given.config(PolicyConfig, {"policy": name}, section="policy")
@@ -43,3 +46,23 @@ def evaluate(given: Given) -> None:
         ]
     config = given.config(EvaluateConfig, more)
     evaluate(config, given.run, out=given["out"], video=given["video"], progress=given.progress)
+
+
+def _trained_on(given: Given) -> dict[str, Any]:
+    """Return what all learners were trained on, of the settings that weren't given."""
+    from knotgym.control import training_card
+
+    cards = [card for name in given["policy"] if (card := training_card(name)) is not None]
+    setups = [one for card in cards if isinstance(one := card.get("trained_on"), dict)]
+    found: dict[str, Any] = {}
+    for path in ("tasks", "nx", "task.states", "task.engine"):
+        _, is_single, name = path.rpartition(".")
+        values: list[Any] = [setup.get(name) for setup in setups]
+        first: Any = values[0] if values and values.count(values[0]) == len(values) else None
+        count = len(first) if isinstance(first, list) and not given.has(path) else 0
+        if count == 1 or (count and not is_single):
+            found[path] = first[0] if is_single else tuple(first)
+    if found:
+        told = (f"{path.rpartition('.')[2]} {as_typed(one)}" for path, one in found.items())
+        given.progress.say(printable(f"as the learner was trained: {', '.join(told)}"))
+    return found

@@ -25,7 +25,8 @@ def train(given: Given) -> None:
         knotgym train --learner clone --set clone.demonstrations=2000 --out clone
 
     Args:
-        out: Folder to write: weights, card and learning curves.
+        out: Folder to write: weights, policy.json (data, settings and results of the training) and
+            learning curves.
         data: Minari id or folder of train-split episodes; may be repeated.
         learner: pictures: the learner from pictures alone. clone: imitates the macro-actions of a
             planner, from vertices; its settings are in the section clone.

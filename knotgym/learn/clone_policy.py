@@ -25,6 +25,7 @@ from torch.nn import functional
 from knotgym.common import InvalidFile, InvalidPolicy
 from knotgym.control import ActionPlayer, Generators, PassValues, Player, pass_values, see
 from knotgym.envs import EpisodeBatch, Marked, TaskConfig, mark
+from knotgym.learn.agent import require_readable
 from knotgym.learn.checkpoint import (
     CARD,
     CLONE,
@@ -35,7 +36,6 @@ from knotgym.learn.checkpoint import (
 )
 from knotgym.learn.clone_network import WORKING, CloneNetwork, Inputs, inputs
 from knotgym.learn.colour_reading import BEADS
-from knotgym.learn.picture_policy import require_readable
 from knotgym.learn.reader import inference
 from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses
 from knotgym.rope import ActionView, ChainSimulation

@@ -18,9 +18,9 @@ from torch import Tensor
 from knotgym.common import Stream, generator
 from knotgym.learn.clone_network import CloneNetwork, inputs
 from knotgym.learn.colour_reading import BEADS
-from knotgym.learn.decisions import Examples
 from knotgym.learn.train_config import CloneConfig
 from knotgym.learn.training import Training
+from knotgym.learn.training_data import Examples
 
 # Settings once, and constants since none was worth more than chance (notes/experiments.md).
 _DECAY = 0.05  # of the weights

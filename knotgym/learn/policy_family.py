@@ -25,9 +25,9 @@ def _make(config: PolicyConfig) -> Policy:
                 f"the learner {config.policy} needs {library}, which isn't installed; install it:"
                 f" {install_command('learn')}"
             )
+    from knotgym.learn.agent import load_picture_policy
     from knotgym.learn.checkpoint import CLONE, policy_folder
     from knotgym.learn.clone_policy import load_clone
-    from knotgym.learn.picture_policy import load_picture_policy
 
     if _card(config.policy).get("learner") == CLONE:
         return load_clone(policy_folder(config.policy))

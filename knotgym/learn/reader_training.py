@@ -12,8 +12,8 @@ from torch.nn import functional
 
 from knotgym.common import Stream, generator
 from knotgym.learn.colour_reading import BEADS
-from knotgym.learn.imagination import imagine
 from knotgym.learn.reader import PIXEL, Reader, look, waves
+from knotgym.learn.shape_hypotheses import imagine
 from knotgym.learn.train_config import ReaderConfig
 from knotgym.learn.training import Training
 from knotgym.learn.training_data import TrainingData

@@ -27,8 +27,8 @@ from knotgym.control import (
     random_pass,
 )
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.learn.decisions import examples
 from knotgym.learn.train_config import CloneConfig
+from knotgym.learn.training_data import examples
 from knotgym.rope import LONGEST, Array, Pass
 from knotgym.runs import Result
 from knotgym.states import CODE_SPLITS

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.learn.colour_reading import BEADS
-from knotgym.learn.imagination import imagine
 from knotgym.learn.position_belief import PositionBelief
 from knotgym.learn.reader import Reader
 from knotgym.rendering import draw
@@ -195,6 +194,30 @@ class ShapeHypotheses:
         kept.sort(key=lambda row: -total[row])
         self.ropes, self.velocities = ropes[kept], velocities[kept]
         self.weights = total[kept] / total[kept].sum()
+
+
+def imagine(
+    chain: ChainSimulation,
+    points: Array,
+    velocities: Array,
+    beads: NDArray[np.int64],
+    forces: Array,
+) -> tuple[Array, Array]:
+    """Predict what one action does to ropes, by the chain engine; nothing of the episode is used.
+
+    Args:
+        chain: at least n ropes, overwritten.
+        points, velocities: float64 (n, BEADS, 3), metres and m/s; left as they were.
+        beads: int64 (n,), pulled.
+        forces: float64 (n, 3), in units of the largest force.
+
+    Returns:
+        Points and velocities after it.
+    """
+    ids = np.arange(len(points))
+    chain.lay_points(points, velocities, ids)
+    chain.step(beads, chain.max_force * forces, ids)
+    return chain.points[ids], chain.velocities(ids)
 
 
 def perturb_heights(ropes: Array, size: float, rng: np.random.Generator) -> Array:

@@ -18,16 +18,17 @@ from knotgym.common import InvalidInput, Stream, generator, table_digest
 from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.learn.checkpoint import CARD, CLONE, PICTURES, save_network
 from knotgym.learn.clone_training import CloneTraining, first_guesses
-from knotgym.learn.decisions import Examples
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.searched_passes import TOGETHER, demonstrate
 from knotgym.learn.train_config import CloneConfig, ReaderConfig
 from knotgym.learn.training import draw_curve, fit
 from knotgym.learn.training_data import (
+    Examples,
     decisions_of,
     require_trainable,
     states_and_pulls,
 )
+from knotgym.rope import CHAIN
 from knotgym.runs import (
     Call,
     Progress,
@@ -90,6 +91,7 @@ def train(
         "knotgym": knotgym.__version__,
         "config": whole["config"],
         "data": [one.name for one in opened],
+        "trained_on": _trained_on(opened, config),
         "identity": whole,
     }
 
@@ -101,7 +103,7 @@ def train(
 
     def prepare(progress: Progress, pool: Executor) -> None:
         if getattr(config, "demonstrations", 0):
-            compile_first(progress, "chain", pool=pool)
+            compile_first(progress, CHAIN, pool=pool)
 
     return run(
         recipe,
@@ -112,6 +114,19 @@ def train(
         prepare=prepare,
         made_by=partial(identity_of, file=CARD),
     )
+
+
+def _trained_on(
+    opened: Sequence[EpisodeDataset], config: ReaderConfig | CloneConfig
+) -> dict[str, list[Any]]:
+    """Return the setups of the datasets and of demonstrations: the values of each setting."""
+    tasks = [one.task for one in opened]
+    setups = [(one.task, one.nx, one.states or "readable", one.engine) for one in tasks]
+    if isinstance(config, CloneConfig) and config.demonstrations:
+        setups += [(task, nx, config.states, CHAIN) for task in config.task for nx in config.nx]
+    columns = zip(*dict.fromkeys(setups), strict=True)
+    values = [sorted(set(column), key=str) for column in columns]
+    return dict(zip(("tasks", "nx", "states", "engine"), values, strict=True))
 
 
 def _train_reader(

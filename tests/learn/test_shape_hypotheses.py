@@ -13,8 +13,7 @@ pytest.importorskip("torch")
 
 from knotgym.learn.agent import Agent  # noqa: E402
 from knotgym.learn.colour_reading import BEADS  # noqa: E402
-from knotgym.learn.imagination import imagine  # noqa: E402
-from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses  # noqa: E402
+from knotgym.learn.shape_hypotheses import MOST_IMAGINED, ShapeHypotheses, imagine  # noqa: E402
 from knotgym.rope import ChainSimulation  # noqa: E402
 from knotgym.topology import GaussCode  # noqa: E402
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from knotgym.cli import main
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Occupied
 from knotgym.datasets import Episodes
 from knotgym.runs import staging_folder
@@ -135,3 +137,42 @@ def test_a_damaged_checkpoint_is_not_continued_from(tmp_path: Path) -> None:
     os.mkfifo(path)
     with pytest.raises(InvalidFile, match="isn't a regular file"):
         tiny().restore(path)
+
+
+def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
+    clone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    card = json.loads((clone / "policy.json").read_text())
+    setup = {"tasks": ["tie"], "nx": [2], "states": ["readable"], "engine": ["chain"]}
+    assert card["trained_on"] == setup
+    trained = {**setup, "tasks": ["convert"], "nx": [2, 3], "states": ["bench"]}
+    other = tmp_path / "other"
+    shutil.copytree(clone, other)
+    (other / "policy.json").write_text(json.dumps({**card, "trained_on": trained}))
+    words = ["evaluate", "--policy", str(other), "--episodes", "1", "--workers", "1"]
+    few = ["--set", "task.horizon=2", "--out"]
+
+    def status(name: str, *more: str) -> Any:
+        with pytest.raises(SystemExit) as ended:
+            main([*words, *more, *few, str(tmp_path / name)])
+        return ended.value.code
+
+    def played(name: str, *more: str) -> Any:
+        assert status(name, *more) == 0
+        return json.loads((tmp_path / name).read_text())["config"]
+
+    own = played("own.json", "--policy", "random")
+    assert (own["tasks"], own["nx"]) == (["convert"], [2, 3])
+    assert (own["task"]["states"], own["task"]["engine"]) == ("bench", "chain")
+    said = "as the learner was trained: tasks convert, nx 2,3, states bench, engine chain"
+    assert said in "".join(capsys.readouterr())
+    told = played("told.json", "--task", "tie", "--nx", "2", "--states", "readable")
+    assert (told["tasks"], told["nx"], told["task"]["states"]) == (["tie"], [2], "readable")
+    both = played("both.json", "--policy", str(clone))
+    assert (both["tasks"], both["nx"], both["task"]["states"]) == (["tie"], [2], None)
+    forgeries: list[tuple[Any, int]] = [("x", 0), ({"nx": "2"}, 0), ({"nx": [[]]}, 2)]
+    for forged, expected in [*forgeries, ({"states": [7]}, 2), ({"tasks": ["\x1b[2J"]}, 2)]:
+        (other / "policy.json").write_text(json.dumps({**card, "trained_on": forged}))
+        assert status("forged.json", "--overwrite") == expected, forged
+        shown = "".join(capsys.readouterr())
+        assert "Traceback" not in shown and "\x1b" not in shown
