@@ -18,7 +18,6 @@ from knotgym.datasets import (
     episode_tiles,
     expanded,
     locate,
-    locate_own,
     open_episodes,
     page_data,
     page_html,
@@ -104,7 +103,7 @@ def gallery(named: str, out: Path, overwrite: bool) -> str:
 
 def page(named: str, out: Path, overwrite: bool) -> str:
     """Write an HTML page for browsing a dataset; return a one-line summary."""
-    found = locate_own(named)
+    found = locate(named)
     _require_picture_or_page(out, ".html", overwrite, found)
     data = page_data(found.title, found)
     with atomic_write(out, overwrite=overwrite) as temporary:

@@ -69,7 +69,6 @@ from .image_verification import image_faults as image_faults
 from .image_verification import row_faults as row_faults
 from .located import Located as Located
 from .located import locate as locate
-from .located import locate_own as locate_own
 from .manifest import machine as machine
 from .manifest import read_manifest as read_manifest
 from .merging import merge as merge

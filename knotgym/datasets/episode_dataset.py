@@ -44,6 +44,7 @@ from knotgym.common import (
     one_line,
     printable,
     read_tables,
+    require_no_links,
     sha256,
     table_digest,
     write_tables,
@@ -351,7 +352,7 @@ def episode_file(source: Any) -> Path:
     Raises:
         InvalidInput: the source is nothing of these.
         MissingFile: there is no such file.
-        InvalidFile: a run has demonstrations of several crossing numbers.
+        InvalidFile: a run has demonstrations of several crossing numbers, or the file is a link.
     """
     if hasattr(source, "storage"):
         source = source.storage.data_path
@@ -361,6 +362,7 @@ def episode_file(source: Any) -> Path:
     for name in (FILE, MAIN):
         for inside in (root, root / name, root / "data" / name):
             if inside.is_file():
+                require_no_links(root, [inside])
                 return inside
     found = sorted((root / "minari").glob(f"knotgym/*/demonstrations-v0/data/{FILE}"))
     if len(found) > 1:
@@ -368,4 +370,5 @@ def episode_file(source: Any) -> Path:
         raise InvalidFile(f"{root} holds several datasets; choose one of them: {listed}")
     if not found:
         raise MissingFile(f"no episodes at {root}")
+    require_no_links(root, found)
     return found[0]

@@ -13,6 +13,7 @@ import os
 import struct
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from knotgym.common import (
     MissingFile,
     install_command,
     one_line,
+    require_no_links,
     require_regular,
 )
 from knotgym.quality import UNITS
@@ -160,7 +162,7 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
 
     Raises:
         MissingFile: nothing exists at path.
-        InvalidFile: there are no shards, or none of this split.
+        InvalidFile: there are no shards, or none of this split, or one is a link.
     """
     given = Path(path)
     if not given.exists():
@@ -174,6 +176,7 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
     if not files:
         which = f"of split {split} " if split else ""
         raise InvalidFile(f"no Parquet shard {which}at {path}; knotgym images writes them")
+    require_no_links(given, files)
     return files
 
 
@@ -242,27 +245,45 @@ def row_line(row: Mapping[str, Any]) -> bytes:
 
 def stored_digest(shard: Path) -> str:
     """Return the `content_sha256` that a shard was written with, or "" if it has none."""
-    return str(_named(arrow("pyarrow.parquet").ParquetFile(shard)).get(_DIGEST, ""))
+    with _faults_named(shard):
+        return str(_named(_opened(shard)).get(_DIGEST, ""))
 
 
 def points_of(table: Any) -> NDArray[np.float64]:
-    """Return the column `points` of a table as float64 (n, beads, 3), metres."""
+    """Return the column `points` of a table as float64 (n, beads, 3), metres.
+
+    Raises:
+        InvalidFile: a number isn't finite.
+    """
     flat = table["points"].combine_chunks().flatten().to_numpy(zero_copy_only=False)
-    return np.asarray(flat, dtype=np.float64).reshape(len(table), -1 if len(table) else 0, 3)
+    points = np.asarray(flat, dtype=np.float64).reshape(len(table), -1 if len(table) else 0, 3)
+    if not np.isfinite(points).all():
+        row = int(np.isfinite(points).all(axis=(1, 2)).argmin())
+        raise InvalidFile(f"column points holds numbers that aren't finite, first in row {row}")
+    return points
+
+
+def stored_columns(shard: Path) -> list[str]:
+    """Return the names of the columns of a shard.
+
+    Raises:
+        InvalidFile: it is truncated or no Parquet file.
+    """
+    with _faults_named(shard):
+        return [*_opened(shard).schema_arrow.names]
 
 
 def _read(path: Path, columns: list[str] | None) -> Any:
-    pa, parquet = arrow(), arrow("pyarrow.parquet")
-    require_regular(path, "Parquet shard", InvalidFile)
-    try:
-        file = parquet.ParquetFile(path)
+    with _faults_named(path):
+        file = _opened(path)
         named = _named(file)
-        name, version = named.get("format", "none"), named.get("format_version", "none")
-        if (name, version) != (FORMAT, _FORMAT_VERSION):
-            raise InvalidFile(
-                f"{path} has format {name!r} version {version}; this version reads {FORMAT!r}"
-                f" version {_FORMAT_VERSION}"
-            )
+        found = named.get("format", "none"), named.get("format_version", "none")
+    if found != (FORMAT, _FORMAT_VERSION):
+        raise InvalidFile(
+            f"{path} has format {found[0]!r} version {found[1]}; this version reads {FORMAT!r}"
+            f" version {_FORMAT_VERSION}"
+        )
+    with _faults_named(path):
         _require_schema(file, os.path.getsize(path))
         table = file.read(columns=columns)
         table.validate(full=True)
@@ -270,9 +291,20 @@ def _read(path: Path, columns: list[str] | None) -> Any:
             if column in _ALL and any(map(_has_nulls, values.chunks)):
                 raise InvalidFile(f"column {column} has missing values")
         return table
-    except (OSError, KeyError, ValueError, RecursionError, MemoryError, pa.ArrowException) as error:
-        if str(error).startswith(f"{path} has format"):
-            raise
+
+
+def _opened(path: Path) -> Any:
+    return arrow("pyarrow.parquet").ParquetFile(path)
+
+
+@contextmanager
+def _faults_named(path: Path) -> Iterator[None]:
+    """Raise what a damaged shard makes pyarrow raise as InvalidFile that names it."""
+    require_regular(path, "Parquet shard", InvalidFile)
+    raised = (OSError, KeyError, ValueError, RecursionError, MemoryError, arrow().ArrowException)
+    try:
+        yield
+    except raised as error:
         raise InvalidFile(f"{path} isn't a whole Parquet shard: {one_line(error)}") from error
 
 

@@ -63,6 +63,7 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
     try:
         compared = ("gauss_code", "nx", "split", "points", "source", "appearance")
         table = read_table(path, columns=compared)
+        points_of(table)
     except InvalidFile:  # a fault already
         return
     if len(table):

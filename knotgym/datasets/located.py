@@ -77,35 +77,29 @@ def locate(named: str) -> Located:
     Raises:
         MissingFile: there is no such file, folder or id.
         InvalidInput: the folder holds no knotgym dataset.
+        InvalidFile: a file is a link, which could lead to a private file of the user.
     """
     root = resolve(named)
-    if is_images(root):
-        return Located(root, pictures=root)
-    if root.is_file():
-        if format_of(root) == FORMAT:
-            return Located(root, episodes=(root,))
-        return Located(root, states=root)
-    if any((root / name).is_file() for name in ("states.h5", "manifest.json")):
-        return Located(root, resolve_states(root), _datasets_below(root / "minari"))
-    found = _datasets_below(root)
-    if not found:
+    found = _located(root)
+    if found is None:
         raise InvalidInput(
             f"{named} contains no states.h5, no pictures and no Minari dataset: give the output of"
             " a knotgym command"
         )
-    return Located(root, episodes=found)
-
-
-def locate_own(named: str) -> Located:
-    """Find datasets as `locate` does, and check that no file of them is a link.
-
-    Raises:
-        MissingFile, InvalidInput: as `locate`.
-        InvalidFile: a file is a link, which could lead to a private file of the user.
-    """
-    found = locate(named)
-    require_no_links(found.root, found.files)
+    require_no_links(root, found.files)
     return found
+
+
+def _located(root: Path) -> Located | None:
+    if is_images(root):
+        return Located(root, pictures=root)
+    if root.is_file():
+        is_episodes = format_of(root) == FORMAT
+        return Located(root, episodes=(root,)) if is_episodes else Located(root, states=root)
+    if any((root / name).is_file() for name in ("states.h5", "manifest.json")):
+        return Located(root, resolve_states(root), _datasets_below(root / "minari"))
+    found = _datasets_below(root)
+    return Located(root, episodes=found) if found else None
 
 
 def refuse_minaris_folder(out: Path) -> None:

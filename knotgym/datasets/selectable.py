@@ -35,8 +35,9 @@ from knotgym.datasets.image_table import (
     points_of,
     read_table,
     shards,
+    stored_columns,
 )
-from knotgym.datasets.located import locate_own, refuse_minaris_folder
+from knotgym.datasets.located import locate, refuse_minaris_folder
 from knotgym.rope import Array
 from knotgym.states import families, read_states, resolve, write_states
 
@@ -76,9 +77,9 @@ class StateRows:
 class _PictureRows:
     def __init__(self, path: Path) -> None:
         self.path, self.digested = path, shards(path)[0]
-        stored = arrow("pyarrow.parquet").read_schema(self.digested)
+        stored = stored_columns(self.digested)
         known = COLUMNS | PHOTO_COLUMNS
-        wanted = [name for name in known if name in stored.names and known[name] != "image"]
+        wanted = [name for name in known if name in stored and known[name] != "image"]
         self.table, self.count = (table := read_table(path, columns=wanted)), len(table)
         try:
             earlier = json.loads((table.schema.metadata or {}).get(b"selection", b"[]"))
@@ -160,9 +161,9 @@ def opened(source: str | Path) -> Selectable:
     """Open a dataset by its path, name or id.
 
     Raises:
-        MissingFile, InvalidInput, InvalidFile: as `locate_own`; or it is several datasets.
+        MissingFile, InvalidInput, InvalidFile: as `locate`; or it is several datasets.
     """
-    found = locate_own(str(source)).only()
+    found = locate(str(source)).only()
     if found.pictures:
         return _PictureRows(found.pictures)
     return StateRows(found.states) if found.states else EpisodeRows(found.episodes[0])

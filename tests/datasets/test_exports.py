@@ -23,7 +23,7 @@ from knotgym.datasets.cards.citation import citation_file
 from knotgym.datasets.episodes import differences, gauss_codes
 from knotgym.datasets.exports.exporters import EXPORTS, Export, export, export_help
 from knotgym.datasets.exports.huggingface_export import to_huggingface
-from knotgym.datasets.located import Located, locate_own
+from knotgym.datasets.located import Located, locate
 from knotgym.datasets.merging import merge
 from knotgym.states import read_states
 
@@ -244,7 +244,7 @@ def test_a_link_to_elsewhere_is_not_exported(root: Path, tmp_path: Path) -> None
     data.mkdir(parents=True)
     (data / "episodes.h5").symlink_to(TINY["expert"])
     with pytest.raises(InvalidFile, match="link"):
-        locate_own(str(data.parent))
+        locate(str(data.parent))
 
 
 def test_a_plain_file_never_lands_in_minaris_folder(

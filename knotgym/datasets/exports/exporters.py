@@ -104,11 +104,11 @@ def export(named: str, out: Path, form: str, replay: "Replay", *, overwrite: boo
         InvalidInput: there is no such format, or it has no place for this kind of dataset.
         Occupied: the output exists, and `overwrite` is False.
     """
-    from knotgym.datasets.located import locate_own, refuse_minaris_folder
+    from knotgym.datasets.located import locate, refuse_minaris_folder
 
     if form not in EXPORTS:
         raise InvalidInput(f"no format {form!r}; formats are {', '.join(EXPORTS)}")
-    chosen, given = EXPORTS[form], locate_own(named)
+    chosen, given = EXPORTS[form], locate(named)
     is_file = chosen.output == "file" and len(given.episodes) < 2
     if chosen.output == "file":
         refuse_minaris_folder(out)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput
 from knotgym.datasets.episode_verification import Replay
-from knotgym.datasets.image_table import decode, file_stem, read_rows, shards
+from knotgym.datasets.image_table import decode, file_stem, read_rows, read_table
 from knotgym.datasets.located import Located
 from knotgym.states import IMAGE_SPLITS
 
@@ -103,7 +103,8 @@ def _sample(row: Mapping[str, Any]) -> dict[str, bytes]:
 def _splits(source: Located) -> Iterator[tuple[str, Iterator[dict[str, Any]]]]:
     """Yield the name of each split, as in file names, and its rows."""
     assert source.pictures is not None
-    present = {shard.name.partition("-")[0] for shard in shards(source.pictures)}
+    found = read_table(source.pictures, columns=["split"])["split"].to_pylist()
+    present = {*map(file_stem, found)}
     for split in IMAGE_SPLITS:
         if file_stem(split) in present:
             yield file_stem(split), read_rows(source.pictures, split)

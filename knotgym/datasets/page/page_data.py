@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, as_json
+from knotgym.common import InvalidFile, InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import points_of, read_table
@@ -90,7 +90,10 @@ def page_html(data: Mapping[str, Any]) -> str:
 
 def _as_text(data: Mapping[str, Any]) -> str:
     """Serialize to JSON without characters that are special in HTML."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    try:
+        text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    except ValueError as error:
+        raise InvalidFile(f"{data['title']} holds numbers that aren't finite") from error
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
@@ -255,6 +258,8 @@ def _crossings(points: Array) -> list[list[float]]:
 
 def _encoded(points: Array) -> str:
     """Encode ropes (n, beads, 3), centred at the origin, as little-endian int16 of _UNIT metres."""
+    if not np.isfinite(points).all():
+        raise InvalidFile("a vertex of a rope to show isn't finite")
     laid = (points - points.mean(axis=1, keepdims=True)) / _UNIT
     limits = np.iinfo(np.int16)
     whole = np.rint(laid).clip(limits.min, limits.max).astype("<i2")

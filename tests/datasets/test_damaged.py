@@ -1,0 +1,140 @@
+"""Datasets that are damaged, linked or hold infinity: every command answers with one line."""
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from synthetic_episodes import TINY
+
+from knotgym.cli.program import main
+from knotgym.datasets import open_episodes, write_episodes
+from knotgym.datasets.image_rows import PictureRow, record
+from knotgym.datasets.image_table import COLUMNS, parquet, table_of
+from knotgym.datasets.merging import merge
+from knotgym.rendering import AppearanceConfig
+from knotgym.states import read_states, shipped
+
+COMMANDS = {
+    "show": (),
+    "page": ("--out", "new.html"),
+    "gallery": ("--out", "new.png"),
+    "select": ("--sample", "1", "--out", "new.h5"),
+    "split": ("--parts", "a=0.5,b=0.5", "--out", "new.h5"),
+    "delete": ("--rows", "0", "--out", "new.h5"),
+    "export": ("--to", "webdataset", "--out", "new"),
+    "verify": (),
+}
+
+
+def refused(command: str, path: Path, capfd: pytest.CaptureFixture[str]) -> str:
+    """Run a command that must write nothing; return its one line, or what verify prints."""
+    before = {*path.parent.iterdir()}
+    words = [word.replace("new", str(path.parent / "new")) for word in COMMANDS[command]]
+    if path.suffix == ".parquet":
+        words = [word.replace("new.h5", "new.parquet") for word in words]
+    with pytest.raises(SystemExit) as ended:
+        main(["dataset", command, str(path), *words, "--quiet"])
+    said = capfd.readouterr()
+    assert ended.value.code == (1 if command == "verify" else 2)
+    assert {*path.parent.iterdir()} == before and "Traceback" not in said.out + said.err
+    lines = (said.out if command == "verify" else said.err).splitlines()
+    assert command == "verify" or len(lines) == 1
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[dict[str, Any]]:
+    """Rows of three pictures."""
+    pytest.importorskip("pyarrow")
+    states = read_states(shipped(), images=False)
+    flags = dict.fromkeys(("reflect", "switch", "reverse"), False)
+    made = []
+    for number, state in enumerate([20, 70, 120]):
+        source = dict.fromkeys(COLUMNS["source"], 0) | flags | {"policy": "", "row": number}
+        made.append(
+            record(PictureRow(states.points[state], "train", source), AppearanceConfig(sizes=(64,)))
+        )
+    return made
+
+
+@pytest.mark.parametrize("command", [*COMMANDS])
+def test_a_truncated_shard_is_one_line(
+    command: str, rows: list[dict[str, Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    whole = parquet(table_of(rows))
+    (tmp_path / "cut.parquet").write_bytes(whole[: len(whole) // 2])
+    assert "isn't a whole Parquet shard" in refused(command, tmp_path / "cut.parquet", capfd)
+
+
+@pytest.mark.parametrize("command", ["page", "split", "verify"])
+def test_pictures_that_hold_infinity_are_one_line(
+    command: str, rows: list[dict[str, Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    spoilt = rows[1] | {"points": [float("inf"), *rows[1]["points"][1:]]}
+    path = tmp_path / "a.parquet"
+    path.write_bytes(parquet(table_of([rows[0], spoilt, rows[2]])))
+    assert re.search("inf|finite", refused(command, path, capfd))
+
+
+@pytest.mark.parametrize("column", ["observation", "force", "applied_fraction"])
+@pytest.mark.parametrize("command", ["page", "verify"])
+def test_episodes_that_hold_infinity_are_one_line(
+    command: str, column: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    dataset = open_episodes(TINY["random"])
+    values = np.array(dataset.episodes.steps[column])
+    values[1] = np.inf
+    steps = dataset.episodes.steps.replaced(**{column: values})
+    changed = dataset.episodes._replace(steps=steps)
+    write_episodes(tmp_path / "a.h5", [changed], dataset.task, dataset.facts)
+    assert "finite" in refused(command, tmp_path / "a.h5", capfd)
+
+
+def _fewer(file: h5py.File) -> None:
+    del file["episode_1/actions"]
+
+
+def _other(file: h5py.File) -> None:
+    del file["episode_0/observations"]
+    file["episode_0/observations"] = np.zeros(3)
+
+
+@pytest.mark.parametrize("harm", [_fewer, _other, None])
+def test_a_damaged_file_of_minari_is_one_line(
+    harm: Callable[[h5py.File], None] | None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    merge([str(TINY["random"])], tmp_path, "a/b-v0")
+    data = tmp_path / "a/b-v0/data"
+    main_data = data / "main_data.hdf5"
+    if harm:
+        with h5py.File(main_data, "a") as file:
+            harm(file)
+    else:
+        whole = bytearray(main_data.read_bytes())
+        whole[200 : len(whole) // 2] = bytes(len(whole) // 2 - 200)
+        main_data.write_bytes(whole)
+    assert "main_data.hdf5" in refused("verify", data.parent, capfd) or harm is None
+    (data / "episodes.h5").unlink()  # as if Minari had recorded it
+    with pytest.raises(SystemExit) as ended:
+        main(["train", "--data", str(data.parent), "--out", str(tmp_path / "out"), "--quiet"])
+    assert ended.value.code == 2 and len(capfd.readouterr().err.splitlines()) == 1
+
+
+def test_no_reader_follows_a_link_to_episodes(tmp_path: Path) -> None:
+    from knotgym.common import InvalidFile
+    from knotgym.datasets import columns_of, locate
+
+    data = tmp_path / "a/b-v0/data"
+    data.mkdir(parents=True)
+    (data / "episodes.h5").symlink_to(TINY["random"])
+    for read in (columns_of, lambda path: locate(str(path))):
+        with pytest.raises(InvalidFile, match="link"):
+            read(data.parent)
+    shutil.copy(TINY["random"], tmp_path / "own.h5")
+    (tmp_path / "mine.h5").symlink_to(tmp_path / "own.h5")  # that the user names
+    assert columns_of(tmp_path / "mine.h5").episodes.episodes.rows
