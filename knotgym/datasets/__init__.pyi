@@ -13,6 +13,7 @@ from .episode_dataset import EpisodeDataset as EpisodeDataset
 from .episode_dataset import columns_of as columns_of
 from .episode_dataset import content_digest as content_digest
 from .episode_dataset import episode_file as episode_file
+from .episode_dataset import expansion_digest as expansion_digest
 from .episode_dataset import open_episodes as open_episodes
 from .episode_dataset import write_episodes as write_episodes
 from .episode_verification import Count as Count

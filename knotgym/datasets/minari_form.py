@@ -27,6 +27,7 @@ from typing import Any
 import gymnasium
 import h5py
 import numpy as np
+from h5py import h5a, h5d, h5g, h5p, h5s, h5t
 from numpy.typing import NDArray
 
 import knotgym
@@ -54,7 +55,7 @@ from knotgym.datasets.episode_dataset import (
 from knotgym.datasets.episodes import STEPS, Episodes, gauss_codes, goal_reached
 from knotgym.envs import TaskConfig
 from knotgym.rope import action_space
-from knotgym.states import CODE_SPLITS, STATE_SPLITS, minari_root
+from knotgym.states import CODE_SPLITS, minari_root
 
 MINARI_STEPS = 100_000  # larger datasets are published without Minari's form by default
 METADATA = "metadata.json"
@@ -68,6 +69,7 @@ _COUNTED = ("dataset_size", "minari_version", "requirements")  # of the machine 
 # A chunk of pictures is a strip: a few pixel rows of eight consecutive frames, which differ little.
 # In a strip the same rows of the previous frame lie within gzip's window of 32 kB.
 _STRIP_FRAMES, _STRIP_BYTES = 8, 12288
+_METADATA_BYTES = 1 << 16  # of the file that headers are gathered in, so that writes are few
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +85,6 @@ class MinariMetadata:
         ref_min_score, ref_max_score: mean returns of a random and of an expert policy, for
             `minari.get_normalized_score`.
         num_episodes_average_score: number of episodes behind those means.
-        eval_split: split of the evaluation environment.
         digests: digests of the policy, states, code and rope that generated it; after a merge,
             dataset id -> its digests.
 
@@ -100,7 +101,6 @@ class MinariMetadata:
     ref_min_score: float | None = None
     ref_max_score: float | None = None
     num_episodes_average_score: int | None = None
-    eval_split: str = "test"
     digests: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -170,13 +170,9 @@ def write_minari(dataset: EpisodeDataset, data: Path) -> None:
     Raises:
         InvalidFile: the dataset has no metadata.
     """
-    with new_hdf5(data / MAIN, libver=("v110", "v110")) as file:
+    with new_hdf5(data / MAIN, libver=("v110", "v110"), meta_block_size=_METADATA_BYTES) as file:
         for k, (attributes, arrays) in enumerate(_minari_episodes(dataset)):
-            group = file.create_group(f"episode_{k}")
-            for name, value in sorted(attributes.items()):
-                group.attrs[name] = value
-            for name, array in (*arrays.items(), *_observations(dataset, k).items()):
-                _write(group, name, array)
+            _write_group(file, f"episode_{k}", attributes, arrays | _observations(dataset, k))
     entries = _minari_entries(dataset)
     size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
     entries["dataset_size"] = round(size / 1e6, 1)
@@ -233,7 +229,7 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
     given = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in asdict(metadata).items()
-        if name != "eval_split" and value not in (None, (), {})
+        if value not in (None, (), {})
     }
     here = [] if "+" in knotgym.__version__ else [f"knotgym>={knotgym.__version__}"]
     lengths = dataset.episodes.episodes["length"]
@@ -246,7 +242,7 @@ def _minari_entries(dataset: EpisodeDataset) -> dict[str, Any]:
         "observation_space": _bounds(replace(task, split="train", states=None)),
         "action_space": serialize_space(action_space("pull", task.beads)),
         "env_spec": _environment_spec(task).to_json(),
-        "eval_env_spec": _environment_spec(_evaluated(task, metadata.eval_split)).to_json(),
+        "eval_env_spec": _environment_spec(_evaluated(task)).to_json(),
         "total_episodes": len(lengths),
         "total_steps": int(lengths.sum()),
     }
@@ -380,18 +376,55 @@ def _different(stored: h5py.File, right: h5py.File) -> Iterator[str]:
             yield f"{name} isn't that of the columns"
 
 
-def _write(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
+# An episode has some twenty arrays, most of them small. h5py's own classes look up, check and make
+# anew for each of them what all have in common, which takes longer than writing.
+
+
+def _write_group(
+    file: h5py.File, name: str, attributes: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+) -> None:
+    """Write a group with attributes and arrays, whose paths have one slash at most."""
+    whole = h5g.create(file.id, name.encode())
+    for own, value in sorted(attributes.items()):
+        text = np.array(value, _TEXT) if isinstance(value, str) else np.array(value)
+        h5a.create(whole, own.encode(), _type(text.dtype), h5s.create(h5s.SCALAR)).write(text)
+    groups = {"": whole}
+    for path, array in arrays.items():
+        folder, _, own = path.rpartition("/")
+        if folder not in groups:
+            groups[folder] = h5g.create(whole, folder.encode())
+        _write_array(groups[folder], own.encode(), array)
+
+
+def _write_array(group: h5g.GroupID, name: bytes, array: NDArray[Any]) -> None:
     if array.dtype.kind == "U":
         texts = np.strings.encode(array, "utf-8")
-        kind = h5py.string_dtype("utf-8", max(1, texts.dtype.itemsize))
-        group.create_dataset(name, data=texts.astype(kind))
-        return
-    options: dict[str, Any] = {}
+        array = texts.astype(h5py.string_dtype("utf-8", max(1, texts.dtype.itemsize)))
+    made, chunks = _CONTIGUOUS, ()
     if array.dtype == np.uint8:
         rows = max(1, min(array.shape[1], _STRIP_BYTES // array[0, 0].nbytes))
-        chunks = (min(len(array), _STRIP_FRAMES), rows, *array.shape[2:])
-        options = {"chunks": chunks, "compression": "gzip", "compression_opts": 1, "shuffle": True}
-    group.create_dataset(name, data=array, **options)
+        made, chunks = _properties(), (min(len(array), _STRIP_FRAMES), rows, *array.shape[2:])
+        made.set_chunk(chunks)
+        made.set_deflate(1)
+    space = h5s.create_simple(array.shape)
+    stored = h5d.create(group, name, _type(array.dtype), space, made)
+    if array.size:
+        stored.write(h5s.ALL, h5s.ALL, np.ascontiguousarray(array))
+
+
+def _properties() -> h5p.PropDCID:
+    """Return properties of an array's making: no times, so that equal data have equal bytes."""
+    made = h5p.create(h5p.DATASET_CREATE)
+    made.set_obj_track_times(False)
+    return made
+
+
+@lru_cache(maxsize=256)
+def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
+    return h5t.py_create(dtype, logical=True)
+
+
+_TEXT, _CONTIGUOUS = h5py.string_dtype("utf-8"), _properties()
 
 
 def _same_json(found: Any, expected: Any) -> bool:
@@ -400,10 +433,9 @@ def _same_json(found: Any, expected: Any) -> bool:
     return bool(found == expected or (texts and json.loads(found) == json.loads(expected)))
 
 
-def _evaluated(task: TaskConfig, split: str) -> TaskConfig:
-    """Return the evaluation environment's task; in another split it has all goals."""
-    if task.split in CODE_SPLITS and split in STATE_SPLITS:
-        split += "-code"
+def _evaluated(task: TaskConfig) -> TaskConfig:
+    """Return the evaluation environment's task, of a test split; in another it has all goals."""
+    split = "test-code" if task.split in CODE_SPLITS else "test"
     return replace(task, split=split, max_goals=task.max_goals if split == task.split else None)
 
 

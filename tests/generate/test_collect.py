@@ -255,3 +255,27 @@ def test_functions_of_one_module_get_datasets_of_their_own() -> None:
 
 def _keywords(task: TaskConfig) -> dict[str, Any]:
     return {name: value for name, value in vars(task).items() if name != "task"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "scores"),
+    [
+        ({"states": "bench", "engine": "chain"}, (-4.4141, 5.0, 512)),
+        ({"nx": 3}, (-5.0, 5.0, 64)),
+        ({"states": "bench"}, (None, None, None)),
+        ({"horizon": 10}, (None, None, None)),
+    ],
+)
+def test_reference_scores_are_those_of_the_states_engine_and_rules(
+    settings: dict[str, Any], scores: tuple[float | None, ...]
+) -> None:
+    config = CollectConfig(
+        task=TaskConfig(task="tie", **settings),
+        policy=PolicyConfig(policy="random"),
+        dataset_id="a/b-v0",
+    )
+    total = dict.fromkeys(("played", "kept", "succeeded", "planned"), 1)
+    found = collecting._metadata(config, total)
+    own = (found.ref_min_score, found.ref_max_score, found.num_episodes_average_score)
+    assert own == scores
+    assert ("knotgym evaluate" in found.description) == (scores[0] is not None)

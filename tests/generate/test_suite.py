@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -87,6 +89,17 @@ def test_a_set_whose_actions_were_zeroed_is_not_the_same(made: Path, tmp_path: P
     forged = Episodes(source.episodes.episodes, steps.replaced(force=np.zeros_like(steps["force"])))
     write_episodes(data / FILE, [forged], source.task, source.facts)
     assert describe_set(tmp_path / "expert-v0")["recorded"] == "differs from episode 0"
+
+
+@pytest.mark.parametrize("column", ["action", "reward", "terminated", "macro_side"])
+def test_a_set_whose_other_columns_were_changed_is_not_the_same(
+    column: str, made: Path, tmp_path: Path
+) -> None:
+    data = shutil.copytree(made / ID.format("expert"), tmp_path / "expert-v0") / "data"
+    with h5py.File(data / FILE, "a") as file:
+        stored = file[f"steps/{column}"]
+        stored[1] = ~stored[1] if stored.dtype == bool else -stored[1] - 1
+    assert describe_set(tmp_path / "expert-v0")["recorded"].startswith("differs from")
 
 
 def test_finished_sets_are_kept_and_the_missing_ones_made(made: Path, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect_config import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.episodes.recordings import RECORDINGS, replay
 from knotgym.generate.episodes.results import reference_scores
-from knotgym.rope import CHAIN, MUJOCO, RopeConfig
+from knotgym.rope import CHAIN, MUJOCO
 from knotgym.runs import (
     FIELDS,
     Call,
@@ -332,8 +332,13 @@ def _identity_of(folder: Path) -> Mapping[str, Any] | None:
 def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata:
     """Return Minari's metadata; reference scores are those of random and expert policies."""
     task, policy = config.task, config.policy
-    measured = task.engine == MUJOCO and task.rope_config == RopeConfig() and not task.endless
-    scores = reference_scores().get(task.name, {}) if measured else {}
+    usual = TaskConfig(task=task.task)  # the scores are of its rules
+    rules = ("horizon", "hold", "endless", "tow_limit", "reset_noise", "success_reward", "rope")
+    own = all(getattr(task, name) == getattr(usual, name) for name in (*rules, "beads"))
+    protocol = (
+        reference_scores().get(f"{task.states or 'readable'}-{task.engine}", {}) if own else {}
+    )
+    scores = protocol.get("cells", {}).get(task.name, {})
     labels = " At every state stands what an expert would do there (infos/expert_action)."
     planned = total["planned"] / max(total["played"], 1)
     planning = f" Planning took {planned:.0f} simulated pulls an episode."
@@ -346,6 +351,8 @@ def _metadata(config: CollectConfig, total: Mapping[str, int]) -> MinariMetadata
         f" {'kept' if config.keep_failed else 'dropped'}.{labels * bool(config.labels)}"
         f"{planning * bool(planned)}"
     )
+    if scores:
+        text += f" Reference scores are the mean returns of `{protocol['command']}`."
     return MinariMetadata(
         dataset_id=config.dataset_id,
         algorithm_name=policy.policy,

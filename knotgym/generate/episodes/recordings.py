@@ -101,12 +101,21 @@ def digests(episodes: Episodes) -> NDArray[np.uint8]:
 
 
 def first_difference(episodes: Episodes, recording: Recording) -> int | None:
-    """Return the first episode that isn't as recorded; None if all are."""
-    own, known = digests(episodes), recording.digests[: episodes.episodes.rows]
-    if len(known) < len(own):
+    """Return the first episode that isn't as recorded; None if all are.
+
+    Starts, states, pulls and macro-actions are compared; what follows from them isn't stored here.
+    """
+    count = episodes.episodes.rows
+    known = recording.digests[:count]
+    if len(known) < count:
         return len(known)
-    differing = np.flatnonzero((own != known).any(axis=1))
-    return int(differing[0]) if len(differing) else None
+    same = (digests(episodes) == known).all(axis=1)
+    own = recording.episodes.select(np.arange(count)).steps
+    for name in MACROS:
+        if name in episodes.steps and len(own[name]) == episodes.steps.rows:
+            rows = np.flatnonzero(episodes.steps[name] != own[name])
+            same[episodes.episode_of()[rows]] = False
+    return None if same.all() else int(same.argmin())
 
 
 def replay(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> Result:

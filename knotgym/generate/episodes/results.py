@@ -146,11 +146,10 @@ def _acting(result: Result) -> str:
 
 
 def reference_scores() -> dict[str, Any]:
-    """Return mean returns of a random and an expert policy by setup, for example "tie-nx3".
+    """Return what was measured, by states and engine, for example "bench-chain".
 
-    They are measured on readable states; `episodes` is the number of episodes. Empty if unknown.
+    Each has the `command` that measured it, and `cells`: by set-up, for example "tie-nx3", the mean
+    returns of `random` and `expert`, and the number of `episodes`.
     """
-    if not _REFERENCES.is_file():
-        return {}
     found: dict[str, Any] = json.loads(_REFERENCES.read_text(encoding="utf-8"))
     return found

@@ -31,6 +31,7 @@ from knotgym.datasets import (
     code_span,
     content_digest,
     distinct,
+    expansion_digest,
     filled,
     open_episodes,
     plain,
@@ -148,7 +149,7 @@ def describe_set(made: Path) -> dict[str, Any]:
 
     Returns:
         Its settings and size; `sha256`, of its starts and pulls; `recorded`: "no" recording,
-        "same", or "differs from episode k".
+        "same", or "differs from episode k" or from its own digest.
 
     Raises:
         InvalidInput: it isn't such a dataset.
@@ -167,6 +168,10 @@ def describe_set(made: Path) -> dict[str, Any]:
     if recording is not None:
         first = first_difference(episodes, recording)
         agreement = "same" if first is None else f"differs from episode {first}"
+        # what stepping gave besides, such as rewards: its digest was written with it
+        told = dataset.attributes.get("expansion")
+        if agreement == "same" and told not in (None, expansion_digest([episodes])):
+            agreement = "differs from its own digest: knotgym dataset verify says where"
     files = [file for file in (made / "data").iterdir() if file.is_file()]
     return {
         **{name: getattr(task, name) for name in ("task", "nx", "split", "endless", "engine")},
@@ -215,8 +220,9 @@ def _card_of(report: Mapping[str, Any]) -> str:
         reached = "" if one["endless"] else share
         rows.append((code_span(name), *own, reached, size, plain(one["recorded"]), digest))
     references = [
-        (setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
-        for setup, one in reference_scores().items()
+        (measured, setup, f"{one['random']:.2f}", f"{one['expert']:.2f}", one["episodes"])
+        for measured, protocol in reference_scores().items()
+        for setup, one in protocol["cells"].items()
     ]
     none = ["None yet: no evaluation file lies in `evaluations`."]
     return filled(
@@ -227,6 +233,8 @@ def _card_of(report: Mapping[str, Any]) -> str:
         version=report["knotgym"],
         seed=report["seed"],
         sets=table(head, rows),
-        references=table(("set-up", "random", "expert", "episodes"), references),
+        references=table(
+            ("states and engine", "set-up", "random", "expert", "episodes"), references
+        ),
         results=score_table(report["results"]) if report["results"] else none,
     )
