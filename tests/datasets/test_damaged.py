@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from synthetic_episodes import TINY
 
-from knotgym.cli.program import main
+from knotgym.cli import main
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import COLUMNS, parquet, table_of

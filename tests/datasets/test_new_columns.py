@@ -20,7 +20,7 @@ schemas.STEPS = schemas.STEPS._replace(columns=(*schemas.STEPS.columns, new))
 """
 PLAYED = """
 import knotgym
-from knotgym.cli.program import main
+from knotgym.cli import main
 from knotgym.datasets import columns_of
 from knotgym.loaders import arrays
 
@@ -84,6 +84,6 @@ def test_a_new_column_of_states_goes_everywhere(tmp_path: Path) -> None:
 )
 def test_a_new_column_that_nothing_fills_is_refused(how: str, says: str, tmp_path: Path) -> None:
     words = "collect --task tie --nx 1 --policy random --episodes 1 --workers 1 --out ."
-    ended = script(how, f"from knotgym.cli.program import main\nmain({words.split()})", tmp_path)
+    ended = script(how, f"from knotgym.cli import main\nmain({words.split()})", tmp_path)
     assert ended.returncode and f"{says} column height of steps" in ended.stderr
     assert not [*tmp_path.rglob("*.h5")]
