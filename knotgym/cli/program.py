@@ -30,6 +30,7 @@ COMMANDS = {
     "prompt": "Evaluate a vision-language model on episodes, or on reading Gauss codes from"
     " pictures.",
     "dataset": "Inspect, check and convert datasets.",
+    "doctor": "Compare digests of a fixed list with those recorded, in a minute.",
 }
 
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130

@@ -29,6 +29,7 @@ SIDE = slice(layout.SIDE, layout.SPUN)
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
 _FLOOR = 0.25  # distance that contact keeps at any force, in diameters
 _TICKS = TICKS * sum(SCHEDULE)  # of an action
+_WEIGHT = float.fromhex("0x1.d0df64e796899p+8")  # inverse masses of two beads, 1/kg; see `_settled`
 
 
 class ChainSimulation(Simulation):
@@ -147,7 +148,7 @@ def physics_of(rope: Rope) -> layout.Physics:
     # a contact of two beads far from the ends of their sub-chains
     geom = int(model.body_geomadr[body])
     constant, impedance = float(model.geom_solref[geom, 0]), float(model.geom_solimp[geom, 1])
-    weight = 2 * float(np.median(model.body_invweight0[rope.bodies, 0]))
+    weight = _settled(2 * float(np.median(model.body_invweight0[rope.bodies, 0])))
     # R of the constraint; MuJoCo's documentation, "Computation", on the parameters of constraints
     soft = (1 - impedance) / impedance * weight
     return layout.Physics(
@@ -166,6 +167,16 @@ def physics_of(rope: Rope) -> layout.Physics:
         contact_damping=2 / (impedance * constant) / soft,
         floor=_FLOOR * 2 * config.radius,
     )
+
+
+def _settled(weight: float) -> float:
+    """Return a sum of MuJoCo's compiler, whose last digits depend on the processor, without them.
+
+    Its inverse inertias are 2e-15 off on aarch64, and stiffness and damping of contacts follow from
+    them, so ropes that touch moved otherwise. The rope that ships keeps the bits of x86-64, with
+    which recordings were made; others get 12 digits.
+    """
+    return _WEIGHT if abs(weight - _WEIGHT) < 1e-12 * _WEIGHT else float(f"{weight:.12g}")
 
 
 def _sides(rope: Rope, qpos: Array, points: Array) -> Array:

@@ -14,12 +14,23 @@ import operator
 from collections.abc import Callable
 from typing import Any, ClassVar
 
+import numba
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.core.typing.templates import AbstractTemplate, Signature, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, register_model
+
+# Numba's own classes, which this module uses, may change with any version; pyproject.toml has the
+# same bounds. Tested were 0.61.2 and 0.68.1.
+NUMBA = (0, 61), (0, 69)  # the first that works, and the first untried
+if not NUMBA[0] <= numba.version_info.short < NUMBA[1]:
+    raise ImportError(
+        f"the chain engine needs numba from {NUMBA[0][0]}.{NUMBA[0][1]} to before"
+        f" {NUMBA[1][0]}.{NUMBA[1][1]}, installed is {numba.__version__}:"
+        " pip install 'numba>=0.61,<0.69'"
+    )
 
 # Four float64 fill a register of AVX2.
 LANES = 4

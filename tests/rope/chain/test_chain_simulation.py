@@ -7,7 +7,12 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.rope.chain.chain_simulation import ChainSimulation, physics_of
+from knotgym.rope.chain.chain_simulation import (
+    _WEIGHT,
+    ChainSimulation,
+    _settled,
+    physics_of,
+)
 from knotgym.rope.chain.contact import closest
 from knotgym.rope.chain.simd import LANES, put
 from knotgym.rope.closed_curves import clearance
@@ -124,6 +129,12 @@ def test_the_numbers_are_mujocos_own(rope: Rope) -> None:
     assert physics.mass == pytest.approx(1000 * volume)
     assert damping.max() == 0.01 and (damping == 0).sum() == 7 and damping[0] == 0
     assert physics.radius == 0.005
+
+
+def test_contacts_are_as_stiff_on_processors_that_sum_in_another_order(rope: Rope) -> None:
+    for weight in (_WEIGHT, float(rope.model.body_invweight0[1, 0]), 1 / 3):
+        assert _settled(weight * (1 - 2e-15)) == _settled(weight) == _settled(weight * (1 + 2e-15))
+    assert physics_of(rope).contact_stiffness == 113.21720222318902  # recordings were made with it
 
 
 def test_strands_pulled_through_each_other_stay_apart(rope: Rope, curls: Array) -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from numba import njit
 
-from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
+from knotgym.rope.chain.simd import LANES, NUMBA, any_below, fma, load, put, where_below
+
+from ...scripts import ROOT
 
 
 @njit
@@ -20,6 +24,21 @@ def reckoned(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
         if any_below(y, 0.25):
             x = max(abs(-x), 0.5)
         put(out, (i,), math.sqrt(abs(x - y)))
+
+
+def test_numba_is_bounded_as_in_the_package() -> None:
+    (low, high), text = NUMBA, (ROOT / "pyproject.toml").read_text("utf-8")
+    assert f'"numba>={low[0]}.{low[1]},<{high[0]}.{high[1]}"' in text
+
+
+@pytest.mark.parametrize("version", [(0, 60), (0, 69), (1, 0)])
+def test_another_numba_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]
+) -> None:
+    monkeypatch.setattr("numba.version_info", SimpleNamespace(short=version))
+    source = (ROOT / "knotgym" / "rope" / "chain" / "simd.py").read_text("utf-8")
+    with pytest.raises(ImportError, match=r"from 0\.61 to before 0\.69, installed is"):
+        exec(compile(source.partition("# Four float64 fill")[0], "simd", "exec"), {})
 
 
 def test_lanes_reckon_as_numpy_does() -> None:

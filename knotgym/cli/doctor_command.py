@@ -1,0 +1,119 @@
+"""The command `knotgym doctor`: digests of a fixed list, to compare machines.
+
+Each row of `EXPECTED` is something that the same seed must make the same everywhere. The digests
+were recorded on x86-64 with AVX2; docs/exact.md says which other processors give the same. Change
+one only when its arrays change on purpose: `knotgym doctor` prints the new one.
+"""
+
+import hashlib
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from knotgym.cli.options import Given, command
+from knotgym.common import Failed
+
+EXPECTED = {
+    "chain engine, 1 action": "0681b4d16ff4",
+    "chain engine, 9 actions": "95ab2fb2b6d5",
+    "chain engine, 60 actions": "018ba40a824e",
+    "MuJoCo, 1 action": "bd23c0f63690",
+    "MuJoCo, 30 actions": "694cff86df4b",
+    "Gauss codes": "56d42c1eca22",
+    "drawn curves": "aa71a939c4f9",
+    "generated states": "122388e9ddee",
+    "picture": "0390255c8d21",
+    "photo": "0fda8e85acb9",
+    "expert's episode": "a8f548dab19c",
+    "marked observations": "c70c59786f3c",
+}
+_ROPES, _FEW = 64, 8  # that move in the chain engine and in MuJoCo
+
+
+@command({}, "")
+def doctor(given: Given) -> None:
+    """Compare digests of a fixed list with those recorded, in a minute.
+
+    Prints one line each, "ok" or "differs", and the machine; exit status 0 only if all are equal.
+    Where one differs, stored episodes of that kind don't replay to the bit on this machine.
+    """
+    progress = given.progress
+    progress.stage("comparing digests")
+    from knotgym.datasets import machine
+
+    differs = []
+    for name, found in measured():
+        same = found == EXPECTED[name]
+        differs += [name] * (not same)
+        expected = "" if same else f", recorded {EXPECTED[name]}"
+        progress.say(f"{'ok' if same else 'differs':8}{found}  {name}{expected}")
+    progress.say(", ".join(f"{key} {value}" for key, value in {**machine(), **versions()}.items()))
+    if differs:
+        raise Failed(f"{len(differs)} of {len(EXPECTED)} differ: {', '.join(differs)}")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that decide bytes."""
+    from importlib.metadata import version
+
+    names = ("knotgym", "mujoco", "numpy", "numba", "opencv-python-headless")
+    return {name: version(name) for name in names}
+
+
+def measured() -> Iterator[tuple[str, str]]:
+    """Yield the name and the digest of each row of `EXPECTED`, in its order."""
+    from knotgym.control import PolicyConfig, make_policy, rollouts
+    from knotgym.drawing import drawn_curve
+    from knotgym.envs import TaskConfig, join, mark
+    from knotgym.generate import GenerateConfig, make_states
+    from knotgym.rendering import draw, photograph
+    from knotgym.rope import CHAIN, MUJOCO, EngineName, RopeConfig, simulation_of
+    from knotgym.runs import Progress, RunOptions
+    from knotgym.states import read_states, shipped
+    from knotgym.topology import GaussCode, label_many
+
+    states = read_states(shipped(), images=False)
+    rng = np.random.default_rng(0)
+    shown: list[Any] = [states.points]
+    plans: list[tuple[EngineName, str, int, tuple[int, ...]]] = [
+        (CHAIN, "chain engine", _ROPES, (1, 9, 60)),
+        (MUJOCO, "MuJoCo", _FEW, (1, 30)),
+    ]
+    for engine, title, count, stops in plans:
+        ropes = simulation_of(count, RopeConfig(), engine)
+        ropes.lay(states.qpos[:: len(states) // count][:count])
+        for action in range(1, stops[-1] + 1):
+            ropes.act(rng.uniform(-1, 1, (count, 6)).astype(np.float32))
+            if action in stops:
+                yield f"{title}, {action} action{'s' * (action > 1)}", digest(ropes.points)
+        shown.append(ropes.points.copy())
+    codes = [code.chiral for ropes_of in shown for code in label_many(ropes_of)]
+    yield "Gauss codes", digest(codes)
+    code = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
+    curve = drawn_curve(code, np.random.default_rng(2))
+    yield "drawn curves", digest(curve)
+    with tempfile.TemporaryDirectory() as folder:
+        config = GenerateConfig(nx=(2,), count=4, demonstrations=False)
+        options = RunOptions(workers=1, quiet=True)
+        made = make_states(config, Path(folder) / "made", options, progress=Progress(quiet=True))
+        held = read_states(made / "states.h5")
+    yield "generated states", digest(held.qpos, held.image, [*held.gauss_code_chiral])
+    yield "picture", digest(draw(states.points[-1]))
+    shot = photograph(states.points[100], 256, np.random.default_rng(0))
+    yield "photo", digest(shot.image if shot else [])
+    task = TaskConfig(task="tie", nx=2, engine=CHAIN)
+    played = rollouts(make_policy(PolicyConfig(policy="expert")), task, [0, 1])
+    yield "expert's episode", digest(played.steps["action"], played.steps["observation"])
+    yield "marked observations", digest(join(mark(states.points, [code] * len(states))))
+
+
+def digest(*values: Any) -> str:
+    """Return 12 hexadecimal digits of the SHA-256 of arrays, or of lists of text."""
+    found = hashlib.sha256()
+    for value in values:
+        text = isinstance(value, list)
+        found.update("\n".join(value).encode() if text else np.ascontiguousarray(value).tobytes())
+    return found.hexdigest()[:12]
