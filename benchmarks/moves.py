@@ -1,250 +1,251 @@
-"""Make the tables of moves that the planners use, from play and random macro-actions.
+"""Make the tables of moves that the planners use: play, and count where passes lead.
 
-    python benchmarks/moves.py passes --out passes.h5
-    python benchmarks/moves.py passes --split train-code --out passes-by-code.h5
-    python benchmarks/moves.py changes --out changes.h5
+    python benchmarks/moves.py passes.h5 --out passes.h5
+    python benchmarks/moves.py passes-by-code.h5 --out passes-by-code.h5
+    python benchmarks/moves.py passes-every-code.h5 --out passes-every-code.h5
 
-`passes` counts what the passes do that the policy `play` tries in its searches, in rounds; each
-round's table orders the passes of the next. Some of the passes are drawn at random, or nothing new
-would be learned. Only those are kept that are among the best `--most` for some goal.
-`changes` counts what the macro-actions of the policy `scripted` do to Gauss codes.
+Ropes are led to one goal after another by the search of the policy `expert`, and all passes that it
+tries are counted. Each round's table orders the passes of the next; some passes are drawn at
+random, or nothing new would be learned. Only those are kept that are among the best `--most` for
+some goal. All draws come from `--seed`: the same command writes the same bytes.
 
-The tables that ship were made by earlier scripts, from about 350,000 passes and 84,000 pulls; their
-figures are in notes/validation.md.
+The tables that ship were counted by earlier scripts, from about 350,000 passes; a test compares
+what this one counts with them.
 """
 
 import argparse
-from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from knotgym.common import Table
+from knotgym.common import Stream, derived_seed, generator
 from knotgym.control import (
-    COUNTED_NX,
-    EXAMPLES,
-    IMAGES,
+    BatchedSearch,
     Diagram,
-    Example,
-    Generators,
-    Ids,
-    MoveRow,
     Moves,
-    PassPlan,
-    PassPlanner,
+    PassPlannerConfig,
+    PassSearch,
+    PassTemplate,
     PassValues,
-    Play,
-    PlayPlayer,
-    Pulls,
-    Scripted,
-    ScriptedPlayer,
+    Search,
     Sight,
     canonical_image,
-    first_goal,
-    pooled,
-    rollouts,
     see,
-    template_images,
-    templates,
+    try_pass,
 )
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import Pass, sub_chains
-from knotgym.topology import GaussCode
+from knotgym.rope import Array, Pass
+from knotgym.topology import UNKNOT, GaussCode, canonical_form, codes_of, label
 
 TASKS = (("tie", 2), ("tie", 3), ("tie", 4), ("convert", 3), ("unknot", 4))
+MOST_NX = 5  # crossings of the diagrams that are counted
+IMAGES = range(8)
+# table that ships -> split whose starts are played, and the goals: the split's own; all codes of 2
+# to 4 crossings; or those but the ones with the diagram of a held-out goal
+SHIPPED = {
+    "passes.h5": ("train", "own"),
+    "passes-by-code.h5": ("train-code", "not held out"),
+    "passes-every-code.h5": ("train", "every"),
+}
+# before, which is the first of its images; number of the move; after, None for any not of interest
 Counts = Counter[tuple[Diagram, int, Diagram | None]]
 
 
-class Exploring(PassValues):
-    """The order of passes, in which some are replaced by others at random."""
+@lru_cache
+def templates(nx: int) -> tuple[PassTemplate, ...]:
+    """List the passes that are tried at diagrams of nx crossings.
 
-    def __init__(self, moves: Moves, explored: float, rng: np.random.Generator) -> None:
-        super().__init__(moves)
-        self._explored, self._rng = explored, rng
-
-    def order(self, goal: GaussCode, diagram: Diagram) -> Iterator[tuple[int, int, float]]:
-        image, count = canonical_image(diagram)[1], len(templates(diagram.nx))
-        known = super().order(goal, diagram)
-        while True:
-            choice = None if self._rng.random() < self._explored else next(known, None)
-            yield choice or (int(self._rng.integers(count)), image, 0.0)
-
-
-class Counting(Play):
-    """Play that counts the passes tried in its searches."""
-
-    def player(self, batch: EpisodeBatch) -> "CountingPlayer":
-        return CountingPlayer(self.inner, batch)
-
-
-class CountingPlayer(PlayPlayer):
-    counts: Counts = Counter()
-
-    def decided(self, index: int, found: object) -> None:
-        if isinstance(found, PassPlan):
-            self.count(found)
-        super().decided(index, found)  # type: ignore[arg-type]
-
-    def count(self, found: PassPlan) -> None:
-        known: dict[int, tuple[Diagram, dict[Pass, tuple[int, int]]]] = {}
-        for tried in found.tried:
-            if id(tried.points) not in known:
-                (sight,) = see(tried.points[None])
-                known[id(tried.points)] = sight.diagram, templates_of(sight)
-            before, names = known[id(tried.points)]
-            if before.nx > COUNTED_NX:
-                continue
-            label, image = names[tried.move]
-            after, code = None, tried.landing.code
-            if code != before.code and code.nx <= COUNTED_NX:
-                after = see(tried.landing.points[None])[0].diagram.image(image)
-            self.counts[before.image(image), label, after] += 1
+    On the plain loop the bead is one in twenty, and the strand some beads away. Otherwise they lie
+    at a few fractions of any two arcs; or the strand is some beads away, which makes a kink.
+    """
+    places: list[tuple[int, int, int]] = []  # kind, bead, target
+    fractions: tuple[int, ...]
+    if nx == 0:
+        for bead in range(5, 100, 5):
+            for beads in (8, 11, 14, 18, 24, 32, 40, 50):
+                reached = (bead + beads, bead - beads)
+                places += [(0, bead, end) for end in reached if 0 < end < 100]
+    else:
+        # the more arcs there are, the fewer places on each: templates grow with the square
+        fractions = {1: (20, 50, 80), 2: (25, 50, 75)}.get(nx, (30, 70))
+        along = [100 * arc + part for arc in range(2 * nx + 1) for part in fractions]
+        places = [(0, bead, end) for bead in along for end in along if bead != end]
+        fractions = (30, 70) if nx > 1 else (20, 35, 50, 65, 80)
+        along = [100 * arc + part for arc in range(2 * nx + 1) for part in fractions]
+        places += [(1, bead, beads) for bead in along for beads in (10, 14, 18, -10, -14, -18)]
+    return tuple(PassTemplate(*place, side) for place in places for side in (1, -1))
 
 
-def templates_of(sight: Sight) -> dict[Pass, tuple[int, int]]:
-    """The template of every pass of a rope, and the symmetry to the diagram that it is of."""
-    first, _ = canonical_image(sight.diagram)
-    own = [k for k in range(IMAGES) if sight.diagram.image(k) == first]
-    all_templates = templates(sight.diagram.nx)
-    return {one.on(sight, k): (n, k) for k in own for n, one in enumerate(all_templates)}
+TEMPLATES = [template for nx in range(MOST_NX + 1) for template in templates(nx)]
+_FIRST = np.cumsum([0, *(len(templates(nx)) for nx in range(MOST_NX))]).tolist()
 
 
-def best_passes(counts: Counts, goals: list[GaussCode], most: int, least: int) -> Moves:
+@lru_cache
+def numbers(nx: int) -> dict[PassTemplate, int]:
+    """The numbers of the templates of nx crossings in TEMPLATES."""
+    return {template: _FIRST[nx] + k for k, template in enumerate(templates(nx))}
+
+
+def image_of(number: int, image: int, nx: int) -> int:
+    """The number of a template's image."""
+    return numbers(nx)[TEMPLATES[number].image(image, nx)]
+
+
+def pooled(counts: Counts) -> Iterator[tuple[Diagram, int, Diagram, int, int]]:
+    """Yield the rows of a table: counts summed over the symmetries of each node.
+
+    What is counted for a move holds for its image under every symmetry that leaves its node as it
+    is; such a symmetry may exchange two of its moves.
+    """
+    tried, seen = Counter[tuple[Diagram, int]](), Counter[tuple[Diagram, int, Diagram]]()
+    for (before, number, after), count in counts.items():
+        for k in IMAGES:
+            if before.image(k) == before:
+                there = image_of(number, k, before.nx)
+                tried[before, there] += count
+                if after is not None:
+                    seen[before, there, after.image(k)] += count
+    return ((*key, count, tried[key[:2]]) for key, count in seen.items())
+
+
+def table_of(counts: Counts) -> Moves:
+    """The table of all that was counted."""
+    return Moves(pooled(counts), TEMPLATES)
+
+
+def best_passes(counts: Counts, goals: Iterable[GaussCode], most: int, least: int) -> Moves:
     """The table of the best passes of every diagram at which at least `least` began."""
-
-    def table(rows: Counts) -> Moves:
-        return Moves(pooled(((*key, seen) for key, seen in rows.items()), pass_image))
-
-    values, begun = PassValues(table(counts)), Counter[Diagram]()
-    for (before, _, _), seen in counts.items():
-        begun[before] += seen
+    values, begun = PassValues(table_of(counts)), Counter[Diagram]()
+    for (before, _, _), count in counts.items():
+        begun[before] += count
     kept = set[tuple[Diagram, int]]()
     for before in [diagram for diagram, count in begun.items() if count >= least]:
         for goal in goals:
-            for k in range(IMAGES):
+            for k in IMAGES:
                 order = zip(values.order(goal, before.image(k)), range(most), strict=False)
                 kept |= {
-                    (before, pass_image(before.nx, k ^ j, label)) for (label, j, _), _ in order
+                    (before, image_of(number, k ^ j, before.nx)) for (number, j, _), _ in order
                 }
-    return table(Counter({key: seen for key, seen in counts.items() if key[:2] in kept}))
+    return table_of(Counter({key: count for key, count in counts.items() if key[:2] in kept}))
 
 
-def pass_image(nx: int, image: int, label: int) -> int:
-    return template_images(nx, image)[label]
+def play(
+    state: Array,
+    points: Array,
+    goals: Sequence[GaussCode],
+    values: PassValues,
+    args: argparse.Namespace,
+    rng: np.random.Generator,
+) -> Search[Counts]:
+    """Lead a rope to one goal after another; count all passes on the way.
+
+    Args:
+        state, points: of the chain engine: where the rope lies.
+        goals: from which goals are drawn.
+        values: order of the passes.
+        args: `pulls` to play for, and the share of passes `explored` at random.
+        rng: source of all draws.
+    """
+    counts, left = Counts(), int(args.pulls)
+    while left > 0:
+        goal = goals[int(rng.integers(len(goals)))]
+        landing, (sight,) = None, see(points[None])
+        own = sight.diagram
+        if rng.random() >= args.explored and not own.code.matches(goal):
+            plan = yield from PassSearch(values, goal, PassPlannerConfig()).run(state, points)
+            for tried in plan.tried:
+                count(counts, tried.points, tried.move, tried.landing.points)
+            left -= plan.spent
+            landing = plan.passes[-1].landing if plan.passes else None
+        if landing is None:
+            some = templates(min(own.nx, MOST_NX))
+            # of the diagram's first image, for which templates are counted
+            image = canonical_image(own)[1]
+            move = some[int(rng.integers(len(some)))].on(sight, image)
+            landing = yield from try_pass(state, move, goal)
+            left -= max(1, landing.pulls)
+            count(counts, points, move, landing.points)
+        if landing.lost:
+            break
+        state, points = landing.state, landing.points
+    return counts
 
 
-def make_passes(args: argparse.Namespace) -> None:
-    rng, moves, goals = np.random.default_rng(args.seed), Moves(), dict[GaussCode, None]()
-    for number in range(args.rounds):
-        task, nx = TASKS[number % len(TASKS)]
-        config = TaskConfig(
-            task=task, nx=nx, split=args.split, endless=True, horizon=args.pulls, engine="chain"
-        )
-        values = Exploring(moves, args.explored, rng)
-        # one lane after another would be slow, and the draws of all lanes are one stream
-        first = args.seed + number * args.episodes
-        seeds = range(first, first + args.episodes)
-        rollouts(Counting(PassPlanner(values=values)), config, seeds, keep=None)
-        goals |= dict.fromkeys(first_goal(g)[0] for g in EpisodeBatch(config).side_codes("goal"))
-        counts = CountingPlayer.counts
-        moves = Moves(pooled(((*key, seen) for key, seen in counts.items()), pass_image))
-        print(
-            f"round {number + 1}, {task} {nx}: {counts.total()} passes, {len(moves.rows)} outcomes"
-        )
-    best_passes(CountingPlayer.counts, [*goals], args.most, args.least).save(args.out)
+def count(counts: Counts, points: Array, move: Pass, led: Array) -> None:
+    """Count a pass of a rope that lay at `points`, and lies at `led` now."""
+    (sight,) = see(points[None])
+    before = sight.diagram
+    if before.nx > MOST_NX or move.bead == move.target:
+        return
+    number, image = named(sight)[move]
+    after, code = None, label(led)
+    if code != before.code and code.nx <= MOST_NX:
+        after = see(led[None])[0].diagram.image(image)
+    counts[before.image(image), number, after] += 1
 
 
-class Watching(Scripted):
-    """Random macro-actions, whose changes of code are counted."""
-
-    def player(self, batch: EpisodeBatch) -> "WatchingPlayer":
-        return WatchingPlayer(batch)
-
-
-class WatchingPlayer(ScriptedPlayer):
-    tried = Counter[Diagram]()
-    seen = Counter[tuple[Diagram, Diagram]]()
-    examples = defaultdict[tuple[Diagram, Diagram], list[Example]](list)
-    most_examples = 8
-
-    def __init__(self, batch: EpisodeBatch) -> None:
-        super().__init__(batch)
-        # by lane and base bead: the code before, its image and the example; codes counted since
-        self._before: dict[tuple[int, int], tuple[Diagram, int, Example]] = {}
-        self._met: dict[tuple[int, int], set[GaussCode]] = {}
-
-    def begin(self, ids: Ids, rngs: Generators) -> None:
-        super().begin(ids, rngs)
-        lanes = {*ids.tolist()}
-        self._before = {key: one for key, one in self._before.items() if key[0] not in lanes}
-
-    def act(self, ids: Ids) -> Pulls:
-        pulls, points = super().act(ids), self._batch.simulation.points[ids]
-        beads = points.shape[1]
-        # the dynamics are nearly the same from the first bead of every sub-chain
-        for base, _ in sub_chains(self._batch.task.rope_config):
-            sights = see(np.roll(points, -base, axis=1))
-            for index, sight in zip(ids.tolist(), sights, strict=True):
-                code, key = sight.diagram.code, (index, base)
-                if key in self._before and code not in self._met[key]:
-                    self._met[key].add(code)
-                    self.count(*self._before[key], Diagram(code))
-                if self.begun[index]:
-                    move = self.moves[index]
-                    target = -1.0 if move.side else -2.0  # a spread keeps its height
-                    if move.target >= 0:
-                        target = sight.position((move.target - base) % beads)
-                    example = Example(move.side, sight.position((move.bead - base) % beads), target)
-                    first, image = canonical_image(Diagram(code))
-                    self._before[key], self._met[key] = (first, image, example), {code}
-                    self.tried[first] += 1
-        return pulls
-
-    def count(self, before: Diagram, image: int, example: Example, after: Diagram) -> None:
-        # of a code with symmetries, several images of `after` are the same change
-        own = [image ^ k for k in range(IMAGES) if before.image(k) == before]
-        k = min(own, key=lambda k: (after.image(k).code.visits, after.image(k).code.chirality, k))
-        change = before, after.image(k)
-        self.seen[change] += 1
-        if len(self.examples[change]) < self.most_examples:
-            self.examples[change].append(example.image(k, 2 * before.nx + 1))
+@lru_cache(maxsize=256)
+def named(sight: Sight) -> dict[Pass, tuple[int, int]]:
+    """The template of every pass of a rope, and the symmetry to the diagram that it is of."""
+    before = sight.diagram
+    first, _ = canonical_image(before)
+    own = [k for k in IMAGES if before.image(k) == first]
+    return {one.on(sight, k): (n, k) for k in own for one, n in numbers(before.nx).items()}
 
 
-def make_changes(args: argparse.Namespace) -> None:
-    config = TaskConfig(task="tie", nx=2, endless=True, horizon=args.pulls, engine="chain")
-    rollouts(Watching(), config, range(args.seed, args.seed + args.episodes), keep=None)
-    made, changes = WatchingPlayer, list[MoveRow]()
-    for (before, after), seen in made.seen.items():
-        if seen >= args.least and max(before.nx, after.nx) <= COUNTED_NX:
-            changes.append(MoveRow(before, len(changes), after, seen, made.tried[before]))
-    moves = Moves(changes)
-    rows = [
-        (moves.index[row.before], row.label, *example)
-        for row in changes
-        for example in made.examples[row.before, row.after]
-    ]
-    columns = zip(EXAMPLES.columns, zip(*rows, strict=True), strict=True)
-    moves.save(args.out, Table(EXAMPLES, {c.name: np.array(v, c.dtype) for c, v in columns}))
-    print(f"{made.tried.total()} macro-actions, {len(changes)} changes of code")
+def goals_of(batch: EpisodeBatch, which: str) -> list[GaussCode]:
+    """The codes that ropes are led to."""
+    if which == "own":
+        return batch.side_codes("goal") + batch.side_codes("start")
+    every = [code for nx in (2, 3, 4) for code in codes_of(UNKNOT, nx)]
+    if which == "every":
+        return every
+    held = {
+        canonical_form(code)
+        for task, nx in TASKS
+        for code in EpisodeBatch(TaskConfig(task=task, nx=nx, split="test-code")).side_codes("goal")
+    }
+    return [code for code in every if canonical_form(code) not in held]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=("passes", "changes"))
+    parser.add_argument("table", choices=SHIPPED)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--episodes", type=int, default=256, help="of a round")
     parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--pulls", type=int, default=100, help="of an episode")
-    parser.add_argument("--split", default="train", help="train-code for sets split by code")
+    parser.add_argument("--pulls", type=int, default=1000, help="simulated for an episode")
     parser.add_argument("--explored", type=float, default=0.25, help="share of random passes")
     parser.add_argument("--most", type=int, default=10, help="passes kept per diagram and goal")
-    parser.add_argument("--least", type=int, default=2, help="times that something was seen")
+    parser.add_argument("--least", type=int, default=2, help="passes counted at a diagram")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    (make_passes if args.what == "passes" else make_changes)(args)
+    split, which = SHIPPED[args.table]
+    counts, values, sought = Counts(), PassValues(Moves()), dict[GaussCode, None]()
+    for number in range(args.rounds):
+        task, nx = TASKS[number % len(TASKS)]
+        config = TaskConfig(task=task, nx=nx, split=split, engine="chain", observation="state")
+        batch, ids = EpisodeBatch(config, args.episodes), np.arange(args.episodes)
+        batch.begin(ids, [derived_seed(Stream.PASS_STARTS, args.seed, number, k) for k in ids])
+        goals = goals_of(batch, which)
+        sought |= dict.fromkeys(goals)
+        rngs = [generator(Stream.PASS_PLAY, args.seed, number, k) for k in ids]
+        states, points = batch.simulation.states(ids), batch.simulation.points[ids].copy()
+        played = (
+            play(*begun, goals, values, args, rng)
+            for begun, rng in zip(zip(states, points, strict=True), rngs, strict=True)
+        )
+        # in order of their numbers, whichever ends first
+        for _, found in sorted(BatchedSearch(128).run(played)):
+            counts.update(found)
+        values = PassValues(table_of(counts))
+        print(f"round {number + 1}, {task} {nx}: {counts.total()} passes, {len(counts)} outcomes")
+    best_passes(counts, sought, args.most, args.least).save(args.out)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,15 @@ import pytest
 from synthetic_episodes import TINY
 
 import knotgym
-from knotgym.datasets import MinariMetadata, open_episodes, publish, state_card_tables
+from knotgym.common import Table
+from knotgym.datasets import (
+    STEPS,
+    Episodes,
+    MinariMetadata,
+    open_episodes,
+    publish,
+    state_card_tables,
+)
 from knotgym.envs import TaskConfig
 from knotgym.quality import UNITS
 from knotgym.states import SETS, read_states, shipped, write_states
@@ -123,7 +131,10 @@ def minari(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     facts = {"run": {"seed": 0}, "selection": []}
     root = tmp_path_factory.mktemp("minari")
-    publish([tiny.episodes], tiny.task, metadata, root, facts=facts)
+    rows, steps = tiny.episodes
+    sizes = dict(steps.schema.sizes)
+    labelled = Table(STEPS.sized(**sizes), {**steps, "expert_action": steps["action"]})
+    publish([Episodes(rows, labelled)], tiny.task, metadata, root, facts=facts)
     return root
 
 

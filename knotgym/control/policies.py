@@ -29,7 +29,7 @@ from typing import Any
 from knotgym.common import InvalidPolicy, one_line, require_regular
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.own_policies import OwnPolicy, load_own, module_files
-from knotgym.control.planning import CHANGES, PASSES, PassPlanner, PullPlanner
+from knotgym.control.planning import PASSES, PassPlanner, PullPlanner
 from knotgym.control.planning.pass_policies import Mixed, Noisy, Play, Scripted
 from knotgym.control.policy_config import PolicyConfig
 from knotgym.control.recorded_policy import PREFIX as RECORDED
@@ -175,12 +175,12 @@ def _mixed(config: PolicyConfig) -> Mixed:
     return Mixed(policies, config.shares)
 
 
-_tables = tuple(path for path in (CHANGES, *PASSES.values()) if path.is_file())
+_tables = tuple(path for path in PASSES.values() if path.is_file())
 register_policy("random", lambda config: RandomPolicy())
 register_policy("constant", lambda config: OwnPolicy(lambda seen: [1.0] * 6, "constant"))
 register_policy("scripted", lambda config: Scripted())
 register_policy("expert", _expert, _tables)
 register_policy("noisy", _noisy, _tables)
 register_policy("play", lambda config: Play(_expert(config)), _tables)
-register_policy("planner", lambda config: PullPlanner(config.planner), _tables[:1])
+register_policy("planner", lambda config: PullPlanner(config.planner), _tables)
 register_policy("mixed", _mixed, _tables)

@@ -21,7 +21,7 @@ from knotgym.control import (
     PullPlannerConfig,
     Pulls,
     PullSearch,
-    shipped_guide,
+    pass_values,
 )
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.learn.checkpoint import PRETRAINED, Learned, load_reader
@@ -202,7 +202,7 @@ class Agent:
             ropes, velocities = episode.hypotheses.ropes[:1], episode.hypotheses.velocities[:1]
             self._believed.lay_points(ropes, velocities, [0])
             state = self._believed.states([0])[0]
-            search = PullSearch(episode.goal, shipped_guide(), _PLANNER, episode.rng)
+            search = PullSearch(episode.goal, pass_values(), _PLANNER, episode.rng)
             found = search.plan(state, ropes[0], episode.horizon - episode.step, left)
             ((_, made),) = self._planning.run([found], _PLANNER.batch_size)
             episode.imagined += made.spent

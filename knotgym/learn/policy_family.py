@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common import InvalidPolicy, install_command
-from knotgym.control import CHANGES, EVERY_CODE, PASSES, Policy, PolicyConfig, PolicyFamily
+from knotgym.control import EVERY_CODE, PASSES, Policy, PolicyConfig, PolicyFamily
 
 _SHIPPED = "pretrained", "pretrained-clone"
 
@@ -38,7 +38,7 @@ def _files(name: str) -> dict[str, Path]:
     from knotgym.learn.checkpoint import CARD, CLONE, WEIGHTS, policy_folder
 
     is_clone = _card(name).get("learner") == CLONE
-    tables = (EVERY_CODE, PASSES["train-code"]) if is_clone else (CHANGES,)
+    tables = (EVERY_CODE, PASSES["train-code"]) if is_clone else (PASSES["train"],)
     counted = {path.name: path for path in tables if path.is_file()}
     return counted | {file: policy_folder(name) / file for file in (CARD, WEIGHTS)}
 

@@ -15,21 +15,20 @@ import numpy as np
 from knotgym.common import Stream, derived_seed, generator
 from knotgym.control import (
     BatchedSearch,
-    Orders,
     PassPlan,
     PassPlannerConfig,
     PassSearch,
     PassValues,
     Search,
-    Trial,
     TriedPass,
     pass_values,
     random_pass,
+    try_pass,
 )
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.learn.train_config import CloneConfig
 from knotgym.learn.training_data import examples
-from knotgym.rope import LONGEST, Array, Pass
+from knotgym.rope import Array, Pass
 from knotgym.runs import Result
 from knotgym.states import CODE_SPLITS
 from knotgym.topology import GaussCode, label
@@ -93,7 +92,7 @@ def _found(
 ) -> Search[PassPlan]:
     """Search a way from where random passes lead, unless they lead to the goal."""
     for move in wander:
-        _, ((_, landing),) = yield Orders({0: Trial(state, move, LONGEST, goal)})
+        landing = yield from try_pass(state, move, goal)
         # a start that shows its goal would have nothing to find
         if landing.lost or landing.code.matches(goal):
             break

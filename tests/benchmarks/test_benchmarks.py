@@ -19,6 +19,7 @@ from ..scripts import ROOT, run_script
 from ..small_job import knotgym
 
 FOLDER = ROOT / "benchmarks"
+TABLES = ROOT / "knotgym/control/planning/data"
 MODULES = {"picture_check", "rope_states"}  # what the scripts share
 SCRIPTS = sorted(path for path in FOLDER.glob("*.py") if path.stem not in MODULES)
 
@@ -145,12 +146,26 @@ def test_the_strand_on_top_is_the_one_labelled_over(tmp_path: Path) -> None:
         assert shown["over"] > 0 and "under" not in shown
 
 
+def chances(moves: Moves) -> dict[Any, tuple[int, int]]:
+    """How often each pass led to each diagram, and how often it was tried."""
+    return {
+        (moves.nodes[before], moves.templates[move], moves.nodes[after]): (seen, tried)
+        for before, move, after, seen, tried in moves.rows.tolist()
+    }
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["passes", "changes"])
-def test_a_little_play_makes_a_table_of_moves(what: str, tmp_path: Path) -> None:
-    few = ("--episodes", 4, "--rounds", 1, "--pulls", 20)
-    run_script(FOLDER / "moves.py", what, "--out", tmp_path / "moves.h5", *few)
-    assert len(Moves.load(tmp_path / "moves.h5")[0].rows) > 0
+@pytest.mark.parametrize("table", sorted(path.name for path in TABLES.glob("*.h5")))
+def test_a_little_play_makes_a_table_like_the_one_that_ships(table: str, tmp_path: Path) -> None:
+    few = ("--episodes", 8, "--rounds", 2, "--pulls", 300, "--most", 10**6, "--least", 1)
+    for name in ("one.h5", "two.h5"):
+        run_script(FOLDER / "moves.py", table, "--out", tmp_path / name, *few)
+    assert sha256(tmp_path / "one.h5") == sha256(tmp_path / "two.h5")
+    made, shipped = chances(Moves.load(tmp_path / "one.h5")), chances(Moves.load(TABLES / table))
+    both = made.keys() & shipped.keys()
+    found = sum(made[key][0] for key in both)
+    expected = sum(made[key][1] * shipped[key][0] / shipped[key][1] for key in both)
+    assert found > 50 and abs(found - expected) < 5 * math.sqrt(expected)
 
 
 @pytest.mark.parametrize(

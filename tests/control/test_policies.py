@@ -394,7 +394,7 @@ def test_a_registered_policy_is_made_by_its_name(
         policy_files(PolicyConfig(policy="restless"))
 
 
-@pytest.mark.parametrize(("name", "tables"), [("expert", 3), ("planner", 1), ("random", 0)])
+@pytest.mark.parametrize(("name", "tables"), [("expert", 2), ("planner", 2), ("random", 0)])
 def test_digests_are_of_the_planners_tables(name: str, tables: int) -> None:
     assert len(policy_files(PolicyConfig(policy=name))) == tables
 

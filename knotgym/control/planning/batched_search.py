@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.rope import (
+    LONGEST,
     Array,
     ChainSimulation,
     Haul,
@@ -89,6 +90,18 @@ class Orders(NamedTuple):
 
 Reports = tuple[int, list[tuple[int, Report]]]  # pulls since the orders; reports with their slots
 Search = Generator[Orders, Reports, Result]
+
+
+def try_pass(
+    state: Array,
+    move: Pass,
+    goal: GaussCode,
+    pulls: int = LONGEST,
+    bound: TowBound | None = None,
+) -> Search[Report]:
+    """Try a pass and return where it led; the arguments are those of `Trial`."""
+    _, ((_, landing),) = yield Orders({0: Trial(state, move, min(LONGEST, pulls), goal, bound)})
+    return landing
 
 
 @dataclass(eq=False)

@@ -1,39 +1,34 @@
 """The table of moves, its file, and the one computation of values.
 
-A move leads from a node to other nodes, each with a chance. A node is a diagram as seen from above,
-or a code alone. What is counted for a move holds for its images under the eight symmetries, so the
-table holds every move once and stands for eight: nodes are stored in blocks of their images, and
-image k of the node at index i is at i ^ k.
+A move leads from a node to other nodes, each with a chance. A node is a diagram as seen from above.
+A move is a pass in terms of a diagram, a `PassTemplate`. What is counted for a move holds for its
+images under the eight symmetries, so the table holds every move once and stands for eight: nodes
+are stored in blocks of their images, and image k of the node at index i is at i ^ k.
 
-Values follow one equation, V(node) = max over its moves of (reward + sum of weight * V(after)):
-
-- chance to arrive by passes: reward 0, weight = discount * chance, and V = 1 at the goal;
-- distance: a change of code that is tried until it succeeds is a certain move that costs
-  1 / chance macro-actions, so reward = -1 / chance, weight = 1, and V = 0 at the goal. This is the
-  shortest path.
+Values follow one equation, V(node) = max over its moves of the sum of weight * V(after), and V = 1
+at the goal. With weight = discount * chance, V is the chance to arrive, discounted by moves.
 
 After a change run `pytest tests/control/planning/test_moves.py`: chances must be those of brute
-force, and certain moves make shortest paths.
+force.
 """
 
 from __future__ import annotations
 
-import copy
 import itertools
 import os
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Column, Schema, Table, read_tables, write_tables
-from knotgym.control.planning.sights import IMAGES, Diagram
-from knotgym.rope import Array
+from knotgym.control.planning.sights import IMAGES, REVERSE, SWITCH, Diagram, Sight
+from knotgym.rope import Array, Pass
 from knotgym.topology import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
-FORMAT = "knotgym-moves"
+FORMAT, VERSION = "knotgym-moves", 2
 NODES = Schema(
     "nodes",
     (
@@ -43,45 +38,89 @@ NODES = Schema(
     ),
     row="a diagram; rows 8 i to 8 i + 7 are the images of one diagram",
 )  # fmt: skip
+MOVES = Schema(
+    "moves",
+    (
+        Column("kind", "uint8", doc="what `target` is: 0 a position, 1 a number of beads"),
+        Column("bead", "int16", (), "0.01 arcs", "position of the bead that is led"),
+        Column("target", "int16", (), "0.01 arcs", "of the strand to pass, or beads to it"),
+        Column("side", "int8", doc="+1 over the strand, -1 under it"),
+    ),
+    row="a move of a diagram",
+)  # fmt: skip
 OUTCOMES = Schema(
     "outcomes",
     (
         Column("before", "int32", doc="row of `nodes` in which the move was made, divisible by 8"),
-        Column("label", "int32", doc="the move: number of a pass template, or of a change of code"),
+        Column("move", "int32", doc="row of `moves`"),
         Column("after", "int32", doc="row of `nodes` to which it led"),
         Column("seen", "int32", doc="how often it did"),
         Column("tried", "int32", doc="how often the move was made"),
     ),
-    row="a node to which a move led; sorted by `before`, `label`, `after`",
+    row="a node to which a move led; sorted by `before`, `move`, `after`",
 )  # fmt: skip
 
 _NAMES = [column.name for column in OUTCOMES.columns]
+AT, ALONG = range(2)  # kinds of moves: past the strand at a position, or so many beads away
+
+# An outcome: before, number of the move, after, how often it led there, how often it was made
+MoveRow = tuple[Diagram, int, Diagram, int, int]
 
 
-class MoveRow(NamedTuple):
-    """An outcome: move `label` was made `tried` times at `before`, and led `seen` times there."""
+class PassTemplate(NamedTuple):
+    """A pass in terms of a diagram.
 
-    before: Diagram
-    label: int
-    after: Diagram
-    seen: int
-    tried: int
+    Attributes:
+        kind: AT or ALONG.
+        bead: position of the bead in hundredths of an arc, of which each is a whole number.
+        target: AT: position of the strand to pass; ALONG: beads from the bead to the strand.
+        side: +1 over the strand, -1 under it.
+    """
+
+    kind: int
+    bead: int
+    target: int
+    side: int
+
+    def on(self, sight: Sight, image: int) -> Pass:
+        """Return the pass of a rope whose diagram is the image of the template's diagram."""
+        # Walked backwards, what lay at position p along the 2 nx + 1 arcs lies at 2 nx + 1 - p.
+        # `abs`: without a reversal flip is 0, and the position itself is meant.
+        flip = 2 * sight.diagram.nx + 1 if image & REVERSE else 0
+        bead = sight.bead(abs(flip - _arcs(self.bead)))
+        if self.kind == ALONG:
+            target = (bead + (-self.target if flip else self.target)) % int(sight.cuts[-1])
+        else:
+            target = sight.bead(abs(flip - _arcs(self.target)))
+        return Pass(bead, target, -self.side if image & SWITCH else self.side)
+
+    def image(self, number: int, nx: int) -> PassTemplate:
+        """The template of the image of a diagram of nx crossings."""
+        kind, bead, target, side = self
+        if number & REVERSE:
+            flip = 100 * (2 * nx + 1)
+            bead, target = flip - bead, -target if kind == ALONG else flip - target
+        return PassTemplate(kind, bead, target, -side if number & SWITCH else side)
 
 
 class Moves:
     """The table.
 
     Attributes:
+        templates: the moves, by number.
         nodes: in blocks of eight images; a node that is its own image appears several times.
         index: the first index of each node.
         rows: int64 (outcomes, 5), as in `OUTCOMES`; the outcomes of a move lie together.
         seen, tried: float64 by outcome.
         start: int64 by move, the first of its outcomes.
-        label: int64 by move.
+        number: int64 by move, its number.
         before, after: eight int64 arrays by outcome, one for each image.
     """
 
-    def __init__(self, rows: Iterable[MoveRow] = ()) -> None:
+    def __init__(
+        self, rows: Iterable[MoveRow] = (), templates: Sequence[PassTemplate] = ()
+    ) -> None:
+        self.templates = [*templates]
         self.nodes: list[Diagram] = []
         self.index: dict[Diagram, int] = {}
         self.nx: list[int] = []
@@ -89,33 +128,19 @@ class Moves:
         self.rows = np.zeros((0, 5), np.int64)
         self._arrange(rows)
 
-    def extended(self, rows: Iterable[MoveRow]) -> Moves:
-        """Return a table with more rows; this one stays as it is."""
-        more = copy.copy(self)
-        more.nodes, more.index = self.nodes.copy(), self.index.copy()
-        more.nx, more._first = self.nx.copy(), self._first.copy()
-        more._arrange(rows)
-        return more
-
     def shown(self, goal: GaussCode, there: float, elsewhere: float) -> Array:
         """A value for the nodes that show a code, chirality aside, and another for the rest."""
         values = np.full(len(self.nodes), elsewhere)
         values[self._showing.get(goal.visits, [])] = there
         return values
 
-    def values(
-        self,
-        shown: Array,
-        reward: float | Sequence[Array] | Array,
-        weight: Sequence[Array] | Array,
-        sweeps: int,
-    ) -> Array:
-        """Solve V(node) = max of `shown` and, over its moves, reward + sum of weight * V(after).
+    def values(self, shown: Array, weight: Sequence[Array] | Array, sweeps: int) -> Array:
+        """Solve V(node) = max of `shown` and, over its moves, the sum of weight * V(after).
 
         Args:
             shown: float64 by node, V without any move.
-            reward, weight: by move and by outcome, or eight of them, one for each image; those of
-                images under symmetries of `shown` must agree.
+            weight: by outcome, or eight of them, one for each image; those of images under
+                symmetries of `shown` must agree.
             sweeps: how often the equation is applied, at most; fewer times if it holds before.
         """
         # Symmetries that leave `shown` as it is leave all values as they are. So one image of each
@@ -130,8 +155,7 @@ class Moves:
             # images in `first` are summed; the loop below reads the others off.
             for k in first:
                 chance = weight if isinstance(weight, np.ndarray) else weight[k]
-                paid = reward[k] if isinstance(reward, list) else reward
-                sums = np.add.reduceat(chance * values[self.after[k]], self.start) + paid
+                sums = np.add.reduceat(chance * values[self.after[k]], self.start)
                 np.maximum.at(new, self.before[k][self.start], sums)
             # each class of images has one value: the largest that any of its members was given
             new = np.max([new[self._image[one]] for one in own], axis=0)
@@ -157,8 +181,8 @@ class Moves:
         before, after = self.before[image][outcomes], self.after[image][outcomes]
         return np.asarray(values[after] > values[before])
 
-    def save(self, path: str | os.PathLike[str], *more: Table) -> None:
-        """Write the table, and others that go with it."""
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the table, with those of its moves that have outcomes."""
         codes = [node.code for node in self.nodes]
         # rows are padded with 0, which is no visit, to the longest code
         visits = np.zeros((len(codes), 2 * max([code.nx for code in codes], default=0)), np.int8)
@@ -170,20 +194,28 @@ class Moves:
             "signs": np.array([_bits(numbers) for numbers in positive], np.uint16),
             "outer": np.array([_bits(node.outer) for node in self.nodes], np.uint32),
         }
+        used, numbers = np.unique(self.rows[:, 1], return_inverse=True)
+        made = np.array([self.templates[k] for k in used.tolist()]).reshape(-1, len(MOVES.columns))
+        moves = {c.name: v.astype(c.dtype) for c, v in zip(MOVES.columns, made.T, strict=True)}
         outcomes = dict(zip(_NAMES, self.rows.T.astype(np.int32), strict=True))
-        tables = Table(NODES, nodes), Table(OUTCOMES, outcomes)
-        write_tables(path, [*tables, *more], {}, format=FORMAT, pack=True)
+        outcomes["move"] = numbers.astype(np.int32)
+        tables = Table(NODES, nodes), Table(MOVES, moves), Table(OUTCOMES, outcomes)
+        write_tables(path, tables, {}, format=FORMAT, version=VERSION, pack=True)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], *more: Schema) -> tuple[Moves, list[Table]]:
-        """Read the table, and others that go with it.
+    def load(cls, path: str | os.PathLike[str]) -> Moves:
+        """Read the table.
 
         Raises:
             MissingFile: the file doesn't exist.
             InvalidFile: it is corrupted or of another format.
         """
-        (nodes, outcomes, *others), _ = read_tables(path, NODES, OUTCOMES, *more, format=FORMAT)
-        table, columns = cls(), (nodes[name].tolist() for name in ("visits", "signs", "outer"))
+        (nodes, moves, outcomes), _ = read_tables(
+            path, NODES, MOVES, OUTCOMES, format=FORMAT, version=VERSION
+        )
+        made = zip(*(moves[column.name].tolist() for column in MOVES.columns), strict=True)
+        table = cls(templates=[PassTemplate(*one) for one in made])
+        columns = (nodes[name].tolist() for name in ("visits", "signs", "outer"))
         counts = (nodes["visits"] != 0).sum(axis=1).tolist()
         for count, visits, signs, outer in zip(counts, *columns, strict=True):
             letters = "".join(POSITIVE if signs >> k & 1 else NEGATIVE for k in range(count // 2))
@@ -191,18 +223,21 @@ class Moves:
             table._append(Diagram(trusted_code(tuple(visits[:count]), letters), darts))
         table.rows = np.stack([outcomes[name] for name in _NAMES], axis=1).astype(np.int64)
         table._arrange(())
-        return table, others
+        return table
 
     def _arrange(self, rows: Iterable[MoveRow]) -> None:
-        new = [(self._add(row.before), row.label, self._add(row.after), *row[3:]) for row in rows]
+        new = [
+            (self._add(before), move, self._add(after), *counts)
+            for before, move, after, *counts in rows
+        ]
         table = np.concatenate([self.rows, np.array(new, np.int64).reshape(-1, 5)])
-        # sorted by before, label, after: the outcomes of a move lie together, as `reduceat` needs,
+        # sorted by before, move, after: the outcomes of a move lie together, as `reduceat` needs,
         # and the file is the same however the rows came
         self.rows = table = table[np.lexsort((table[:, 2], table[:, 1], table[:, 0]))]
         self.seen, self.tried = table[:, 3].astype(float), table[:, 4].astype(float)
-        # a move is (before, label), packed into one number of 64 bits; labels are below 2^32
+        # one move of one node, packed into one number of 64 bits; numbers are below 2^32
         _, self.start = np.unique(table[:, 0] << 32 | table[:, 1], return_index=True)
-        self.label, origins = table[self.start, 1], table[self.start, 0]
+        self.number, origins = table[self.start, 1], table[self.start, 0]
         first = np.array(self._first, np.int64)
         # Blocks of eight: flipping the last three bits of an index by k is applying symmetry k. A
         # node that equals one of its images has several indices. The first one is used for all.
@@ -227,30 +262,9 @@ class Moves:
         self.nx.append(node.nx)
 
 
-def pooled(
-    counts: Iterable[tuple[Diagram, int, Diagram | None, int]],
-    image: Callable[[int, int, int], int],
-) -> list[MoveRow]:
-    """Make rows from counts, summed over each node's own symmetries.
-
-    What is counted for a move holds for its image under every symmetry that leaves its node as it
-    is.
-
-    Args:
-        counts: node, move, node after it (None for any that isn't of interest), how often.
-        image: (nx, symmetry, move) -> the move's image.
-    """
-    tried = Counter[tuple[Diagram, int]]()
-    outcomes = Counter[tuple[Diagram, int, Diagram]]()
-    for before, label, after, seen in counts:
-        for k in range(IMAGES):
-            if before.image(k) == before:
-                # a symmetry that leaves the node as it is may still exchange two of its moves
-                there = image(before.nx, k, label)
-                tried[before, there] += seen
-                if after is not None:
-                    outcomes[before, there, after.image(k)] += seen
-    return [MoveRow(*key, seen, tried[key[:2]]) for key, seen in outcomes.items()]
+def _arcs(hundredths: int) -> float:
+    # an arc plus a fraction, added as `Sight.bead` takes them apart: rounded the same everywhere
+    return hundredths // 100 + hundredths % 100 / 100
 
 
 def _bits(numbers: Iterable[int]) -> int:

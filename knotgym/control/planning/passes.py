@@ -1,10 +1,9 @@
-"""Passes as moves of a diagram: templates, values, and the search of the policy `expert`.
+"""The order of the passes at a diagram, and the search of the policy `expert`.
 
-A *template* is a pass in terms of a diagram: where along its arcs the bead and the strand to pass
-lie. All diagrams of so many crossings have the same templates. Play counts to which diagrams each
-leads (`moves`), and values turn the counts into an order: at the same diagram and goal always the
-same passes, the best first. The search goes through them depth first, in the chain engine. It draws
-nothing at random, so the passes that it finds are a function of the rope's state.
+Play counted to which diagrams passes lead (`moves`), and values turn the counts into an order: at
+the same diagram and goal always the same passes, the best first. The search goes through them depth
+first, in the chain engine. It draws nothing at random, so the passes that it finds are a function
+of the rope's state.
 
 After a change run `pytest tests/control/planning/test_passes.py`: images of a state and goal must
 have the same order, and the tables that ship say what was counted; then as `planners` says.
@@ -22,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
+from knotgym.control.planning.batched_search import Report, Search, try_pass
 from knotgym.control.planning.moves import Moves
 from knotgym.control.planning.sights import (
     IMAGES,
@@ -33,7 +32,7 @@ from knotgym.control.planning.sights import (
     see,
 )
 from knotgym.control.policy_config import PassPlannerConfig
-from knotgym.rope import LONGEST, Array, Pass, TowBound
+from knotgym.rope import Array, Pass, TowBound
 from knotgym.states import CODE_SPLITS
 from knotgym.topology import REVERSE, SWITCH, GaussCode
 
@@ -43,7 +42,6 @@ DATA = Path(str(files("knotgym.control.planning") / "data"))
 PASSES = {"train": DATA / "passes.h5", "train-code": DATA / "passes-by-code.h5"}
 # counted towards every code of 2 to 4 crossings; the split by state holds out no code
 EVERY_CODE = DATA / "passes-every-code.h5"
-COUNTED_NX = 5  # most crossings of the diagrams in the tables
 
 # Failures added to those counted, so that two of two doesn't pass for sure; and the discount of a
 # pass, because fewer are better. Both were chosen by hand; others do as well: of 128 ties and
@@ -53,79 +51,6 @@ _DOUBT, _DISCOUNT, _SWEEPS = 3.0, 0.97, 16
 _BOUNDED = 4  # times as many candidates where towing is limited: the order doesn't know what tows
 _CLOSE = 8  # fewest beads along the rope between the two of a random pass
 _STEPS = 50  # pulls of a path to the goal, at most: the horizon of the tasks
-
-
-class PassTemplate(NamedTuple):
-    """A pass in terms of a diagram.
-
-    Attributes:
-        bead: position of the bead, see `diagrams`.
-        target: position of the strand to pass.
-        apart: beads from the bead to the strand, instead of `target`; 0 for `target`.
-        side: +1 over the strand, -1 under it.
-    """
-
-    bead: float
-    target: float
-    apart: int
-    side: int
-
-    def on(self, sight: Sight, image: int) -> Pass:
-        """Return the pass of a rope whose diagram is the image of the template's diagram."""
-        flip = 2 * sight.diagram.nx + 1 if image & REVERSE else 0
-        # Walked backwards, what lay at position p along the 2 nx + 1 arcs lies at 2 nx + 1 - p.
-        # `abs`: without a reversal flip is 0, and the position itself is meant
-        bead = sight.bead(abs(flip - self.bead))
-        if self.apart:
-            target = (bead + (-self.apart if flip else self.apart)) % int(sight.cuts[-1])
-        else:
-            target = sight.bead(abs(flip - self.target))
-        return Pass(bead, target, -self.side if image & SWITCH else self.side)
-
-
-@lru_cache
-def templates(nx: int) -> tuple[PassTemplate, ...]:
-    """List the templates of the diagrams of nx crossings; their numbers are stored.
-
-    On the plain loop the bead is one in twenty, and the strand some beads away. Otherwise they lie
-    at a few fractions of any two arcs; or the strand is some beads away, which makes a kink.
-    """
-    places: list[tuple[float, float, int]] = []
-    fractions: tuple[float, ...]
-    if nx == 0:
-        for bead in range(5, 100, 5):
-            for apart in (8, 11, 14, 18, 24, 32, 40, 50):
-                reached = [bead + apart, bead - apart]
-                places += [(bead / 100, end / 100, 0) for end in reached if 0 < end < 100]
-    else:
-        # The more arcs there are, the fewer places on each: templates grow with the square.
-        fractions = {1: (0.2, 0.5, 0.8), 2: (0.25, 0.5, 0.75)}.get(nx, (0.3, 0.7))
-        along = [arc + part for arc in range(2 * nx + 1) for part in fractions]
-        places = [(bead, end, 0) for bead in along for end in along if bead != end]
-        fractions = (0.3, 0.7) if nx > 1 else (0.2, 0.35, 0.5, 0.65, 0.8)
-        along = [arc + part for arc in range(2 * nx + 1) for part in fractions]
-        places += [(bead, 0.0, apart) for bead in along for apart in (10, 14, 18, -10, -14, -18)]
-    return tuple(PassTemplate(*place, side) for place in places for side in (1, -1))
-
-
-@lru_cache
-def template_images(nx: int, image: int) -> dict[int, int]:
-    """Map the numbers of templates to those of their images under a symmetry."""
-    flip = 2 * nx + 1 if image & REVERSE else 0
-    # positions are compared in hundredths of an arc, of which each is a whole number
-    numbers = {
-        (round(100 * one.bead), round(100 * one.target), one.apart, one.side): number
-        for number, one in enumerate(templates(nx))
-    }
-    return {
-        number: numbers[
-            abs(100 * flip - bead),
-            target if apart else abs(100 * flip - target),
-            -apart if flip else apart,
-            -side if image & SWITCH else side,
-        ]
-        for (bead, target, apart, side), number in numbers.items()
-    }
 
 
 class PassValues:
@@ -148,25 +73,29 @@ class PassValues:
         index = self.moves.index.get(diagram.image(image))
         return 0.0 if index is None else float(self._of(first)[0][index])
 
+    def chances(self, goal: GaussCode) -> Array:
+        """The chance to reach a goal that is the first of its images, by node."""
+        return self._of(goal)[0]
+
     def passes(self, goal: GaussCode, sight: Sight) -> Iterator[tuple[Pass, float]]:
         """Yield the passes that lead a rope nearer to a goal, the best first, each once.
 
         Beside each stands what it is worth, in (0, 1].
         """
         known = set[Pass]()
-        for template, image, worth in self.order(goal, sight.diagram):
+        for number, image, worth in self.order(goal, sight.diagram):
             # Several templates may name the same two beads where arcs are short; and both beads may
             # be the same.
-            move = templates(sight.diagram.nx)[template].on(sight, image)
+            move = self.moves.templates[number].on(sight, image)
             if move not in known and move.bead != move.target:
                 known.add(move)
                 yield move, worth
 
     def order(self, goal: GaussCode, diagram: Diagram) -> Iterator[tuple[int, int, float]]:
-        """Yield the templates of the passes of a diagram that lead nearer to a goal, best first.
+        """Yield the numbers of the moves of a diagram that lead nearer to a goal, the best first.
 
-        Beside each stand the symmetry that brings the diagram to its first image, for which
-        templates are numbered, and the worth of the pass. The order is the same for every image of
+        Beside each stand the symmetry that brings the diagram to its first image, for which moves
+        are counted, and the worth of the move. The order is the same for every image of
         (diagram, goal).
         """
         first, seen_as = first_goal(goal)
@@ -174,8 +103,8 @@ class PassValues:
         image = canonical_image(moved)[1]
         if (first, moved) not in self._orders:
             self._orders[first, moved] = self._ordered(first, moved, image)
-        for template, worth in self._orders[first, moved]:
-            yield template, seen_as ^ image, worth
+        for number, worth in self._orders[first, moved]:
+            yield number, seen_as ^ image, worth
 
     def _ordered(self, goal: GaussCode, diagram: Diagram, image: int) -> list[tuple[int, float]]:
         (reach, first), moves = self._of(goal), self.moves
@@ -191,15 +120,15 @@ class PassValues:
         # rounded, so that the order doesn't depend on how a machine adds
         sums = np.round(sums, 6)
         best = [k for k in np.argsort(-sums, kind="stable").tolist() if sums[k] > 0]
-        return [(int(moves.label[own.start + k]), float(sums[k])) for k in best]
+        return [(int(moves.number[own.start + k]), float(sums[k])) for k in best]
 
     def _of(self, goal: GaussCode) -> tuple[Array, Array]:
         """By node, the chance to reach the goal; and that if only passes that raise it count."""
         if goal not in self._values:
             moves, chance, shown = self.moves, self._chance, self.moves.shown(goal, 1.0, 0.0)
-            reach = moves.values(shown, 0.0, chance, _SWEEPS)
+            reach = moves.values(shown, chance, _SWEEPS)
             nearer = [np.where(moves.nearer(reach, k), chance, 0.0) for k in range(IMAGES)]
-            self._values[goal] = reach, moves.values(shown, 0.0, nearer, _SWEEPS)
+            self._values[goal] = reach, moves.values(shown, nearer, _SWEEPS)
         return self._values[goal]
 
 
@@ -219,7 +148,7 @@ def pass_values(split: str = "train", *, every_code: bool = False) -> PassValues
 
 @lru_cache(maxsize=3)
 def _loaded(path: Path) -> PassValues:
-    return PassValues(Moves.load(path)[0])
+    return PassValues(Moves.load(path))
 
 
 ActOut = Callable[[Pass], tuple[Array, int]]
@@ -291,9 +220,7 @@ class PassSearch:
         for move, _ in islice(self.values.passes(goal, sight), candidates):
             if self.spent >= self.config.budget:
                 break
-            # A generator yields what it wants simulated, so that many searches share the ropes.
-            trial = Trial(state, move, min(LONGEST, left), goal, self.bound)
-            _, ((_, landing),) = yield Orders({0: trial})
+            landing = yield from try_pass(state, move, goal, left, self.bound)
             self.spent += landing.pulls
             tried = TriedPass(points, move, landing)
             self.tried.append(tried)

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidPolicy
 from knotgym.control.planning.batched_search import BatchedSearch, Search
-from knotgym.control.planning.changes import shipped_guide
 from knotgym.control.planning.passes import (
     PassPlan,
     PassSearch,
@@ -82,9 +81,11 @@ class PullPlanner(ChoosesPulls):
 
     Attributes:
         config: settings.
+        values: the table that guides it; None for the one that ships for the task's split.
     """
 
     config: PullPlannerConfig = PullPlannerConfig()
+    values: PassValues | None = None
     name: str = "planner"
 
     def player(self, batch: EpisodeBatch) -> PullPlayer:
@@ -204,7 +205,7 @@ class PullPlayer(Player):
 
     def __init__(self, policy: PullPlanner, batch: EpisodeBatch, desk: Desk) -> None:
         self._config, self._batch, self._desk = policy.config, batch, desk
-        self._guide = shipped_guide()
+        self._values = policy.values or pass_values(batch.task.split)
         self._rngs: dict[int, np.random.Generator] = {}
         self._plans: dict[int, PullPlan] = {}
         # pulls taken of the plan; pulls simulated for all plans of the episode
@@ -238,7 +239,7 @@ class PullPlayer(Player):
             # the budget left is that of the episode, whatever its earlier plans spent
             search = PullSearch(
                 goal,
-                self._guide,
+                self._values,
                 config,
                 self._rngs[index],
                 int(batch.hold[index]),
@@ -288,7 +289,7 @@ class PassPlayer(Player):
         self.desk = Desk(batch, slots)
         # in the last resort the planner of pulls may simulate less than where it is the policy
         least = min(policy.pulls.budget, policy.config.last_resort)
-        pulls = PullPlanner(replace(policy.pulls, budget=least))
+        pulls = PullPlanner(replace(policy.pulls, budget=least), self._values)
         self._last_resort = PullPlayer(pulls, batch, self.desk)
         self._by_pulls = np.zeros(count, bool)  # whether the last resort acts
         self._follower = WaypointFollower(count)

@@ -2,9 +2,9 @@
 
 This is a best-first search with random choices. A pool holds the states met so far, grouped by
 code. Each iteration picks a state from the pool, preferring codes that are near the goal
-(`changes`), and applies one macro-action to it, on several ropes side by side. The macro-action is
-either random or imitates one that made a useful change of code before. Ropes with many crossings
-may be hauled instead. Every state with a new code joins the pool.
+(`guidance`), and applies one macro-action to it, on several ropes side by side. The macro-action is
+random or like a pass of the expert's table. Ropes with many crossings may be hauled instead. Every
+state with a new code joins the pool.
 
 Plans are made in the chain engine, some forty times as fast as MuJoCo, and acted out once in the
 engine that counts. Where the two part, the search goes on from the state nearest to the goal that
@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.planning.batched_search import Orders, Report, Search, Trial
-from knotgym.control.planning.changes import Distances, Guide, Proposals
+from knotgym.control.planning.guidance import Guide, guide_to
+from knotgym.control.planning.passes import PassValues
 from knotgym.control.policy_config import PullPlannerConfig
 from knotgym.rope import (
     Array,
@@ -103,19 +104,19 @@ class _Pool:
     Codes get rows in the order in which they are met; the arrays below are indexed by row.
     """
 
-    def __init__(self, far: Distances, nx_as_hops: bool) -> None:
-        """Take distances, and whether crossings stand for hops that aren't known."""
-        self._far, self._nx_as_hops = far, nx_as_hops
+    def __init__(self, guide: Guide, nx_as_hops: bool) -> None:
+        """Take a guide, and whether crossings stand for hops that aren't known."""
+        self._guide, self._nx_as_hops = guide, nx_as_hops
         self._rows = dict[GaussCode, int]()
         self._nodes = list[list[_Node]]()
-        self._distance = np.empty(0)  # macro-actions to the goal
+        self._distance = np.empty(0)  # to the goal
         self._left = np.empty(0)  # estimated pulls to the goal
         # macro-actions from states of the code, and the fewest pulls from the root
         self._tries, self._earliest = np.empty((2, 0), np.int64)
 
     def hops(self, code: GaussCode) -> int:
         """Estimated number of changes of code to the goal."""
-        known = self._far.hops(code)
+        known = self._guide.hops(code)
         if known is not None:
             return known
         return code.nx if self._nx_as_hops else _UNKNOWN_HOPS
@@ -125,7 +126,7 @@ class _Pool:
         if node.code not in self._rows:
             self._rows[node.code] = len(self._nodes)
             self._nodes.append([])
-            self._distance = np.append(self._distance, self._far(node.code))
+            self._distance = np.append(self._distance, self._guide.distance(node.code))
             self._left = np.append(self._left, _STRIDE * self.hops(node.code))
             self._tries, self._earliest = np.append(self._tries, 0), np.append(self._earliest, 0)
         row = self._rows[node.code]
@@ -163,7 +164,7 @@ class _Pool:
     def nearest(self) -> _Node:
         """The state nearest to the goal; of these the earliest."""
         every = (one for nodes in self._nodes for one in nodes)
-        return min(every, key=lambda one: (self._far(one.code), one.steps))
+        return min(every, key=lambda one: (self._guide.distance(one.code), one.steps))
 
 
 @dataclass(eq=False)
@@ -172,7 +173,7 @@ class PullSearch:
 
     Attributes:
         goal: compared without chirality.
-        guide: gives distances; one by an empty table is guided by numbers of crossings alone.
+        values: the table of passes; an empty one guides by numbers of crossings alone.
         config: settings.
         rng: source of all random choices.
         hold: number of consecutive states that must show the goal.
@@ -180,7 +181,7 @@ class PullSearch:
     """
 
     goal: GaussCode
-    guide: Guide
+    values: PassValues
     config: PullPlannerConfig
     rng: np.random.Generator
     hold: int = 1
@@ -205,7 +206,7 @@ class PullSearch:
         """
         check.restore(state[None])
         root = here = best = _node_of(check)
-        far = self.guide.to(self.goal, root.code)
+        far = guide_to(self.goal.plain, self.values).distance
         spent, failures, look, most = 0, 0, _LOOK, self.config.batch_size
         while spent + most <= budget and steps > 0:
             check.restore(here.state[None])
@@ -239,11 +240,12 @@ class PullSearch:
         """
         goal, rng, count = self.goal, self.rng, self.config.batch_size
         root = _Node(state, points, label(points))
-        far = self.guide.to(goal, root.code)
+        guide = guide_to(goal.plain, self.values)
+        far = guide.distance
         # Hauls take crossings out. Where they are allowed few paths are known, and each crossing is
         # taken for a change of code to go.
         hauling = root.code.nx >= _HARD_NX and root.code.nx > goal.nx
-        pool, proposals = _Pool(far, hauling), dict[GaussCode, Proposals]()
+        pool = _Pool(guide, hauling)
         pool.add(root)
         # by slot: where its macro-action began, the code seen last
         begun, shown, spent = dict[int, _Node](), dict[int, GaussCode](), 0
@@ -257,9 +259,7 @@ class PullSearch:
                 move = propose_haul(len(at.points), rng)
                 longest = move.steps
             else:
-                if at.code not in proposals:
-                    proposals[at.code] = Proposals(far.nearer(at.code))
-                move, longest = proposals[at.code].draw(at.points, rng), _LONGEST
+                move, longest = guide.propose(at.points, rng), _LONGEST
             pulls, shown[slot] = max(1, min(longest, steps - at.steps)), at.code
             trials[slot] = Trial(at.state, move, pulls, goal, self.bound, watch=True)
 

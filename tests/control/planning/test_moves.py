@@ -1,6 +1,3 @@
-import heapq
-import math
-from collections import defaultdict
 from pathlib import Path
 
 import h5py
@@ -8,7 +5,7 @@ import numpy as np
 import pytest
 
 from knotgym.common import InvalidFile, MissingFile
-from knotgym.control.planning.moves import MoveRow, Moves, pooled
+from knotgym.control.planning.moves import ALONG, AT, Moves, PassTemplate
 from knotgym.control.planning.sights import IMAGES, Diagram
 from knotgym.topology import GaussCode, chiralities, planar_codes
 
@@ -29,10 +26,8 @@ def random_table(seed: int) -> Moves:
         before = Diagram(CODES[rng.integers(len(CODES))])
         tried = int(rng.integers(10, 30))
         for after in rng.choice(len(CODES), size=int(rng.integers(1, 5)), replace=False):
-            rows.append(
-                MoveRow(before, label, Diagram(CODES[after]), int(rng.integers(1, 3)), tried)
-            )
-    return Moves(rows)
+            rows.append((before, label, Diagram(CODES[after]), int(rng.integers(1, 3)), tried))
+    return Moves(rows, [PassTemplate(label % 2, 10 * label, label, 1) for label in range(99)])
 
 
 def edges(table: Moves) -> list[tuple[Diagram, int, Diagram, float]]:
@@ -58,35 +53,10 @@ def test_chances_are_those_of_brute_force(seed: int) -> None:
             new[before] = max(new[before], worth)
         values = new
     weight = 0.9 * table.seen / table.tried
-    found = table.values(table.shown(GOAL, 1.0, 0.0), np.zeros(len(table.start)), weight, 5)
+    found = table.values(table.shown(GOAL, 1.0, 0.0), weight, 5)
     assert max(values.values()) == 1.0 and sum(0 < value < 1 for value in values.values()) > 10
     for node, index in table.index.items():
         assert found[index] == pytest.approx(values[node], abs=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_certain_moves_make_shortest_paths(seed: int) -> None:
-    table = random_table(seed)
-    # one outcome a move: each is tried until it succeeds
-    single = Moves(
-        MoveRow(table.nodes[b], n, table.nodes[a], seen, tried)
-        for n, (b, _, a, seen, tried) in enumerate(table.rows.tolist())
-    )
-    far, leading_to = {node: math.inf for node in single.nodes}, defaultdict(list)
-    for before, move, after, chance in edges(single):
-        leading_to[after].append((before, move, chance))
-    queue = [(0.0, n, node) for n, node in enumerate(far) if node.code.matches(GOAL)]
-    while queue:
-        distance, _, node = heapq.heappop(queue)
-        if distance < far[node]:
-            far[node] = distance
-            for before, move, chance in leading_to[node]:
-                heapq.heappush(queue, (distance + 1 / chance, len(far) + move, before))
-    cost = single.tried / single.seen
-    shown = single.shown(GOAL, 0.0, -math.inf)
-    found = single.values(shown, -cost, np.ones(len(cost)), 1000)
-    for node, index in single.index.items():
-        assert -found[index] == pytest.approx(far[node])
 
 
 def test_image_k_of_a_node_stands_k_apart_by_xor() -> None:
@@ -96,34 +66,20 @@ def test_image_k_of_a_node_stands_k_apart_by_xor() -> None:
             assert table.nodes[index ^ k] == node.image(k)
 
 
-def test_counts_add_up_over_the_symmetries_of_a_diagram() -> None:
-    loop, kink = Diagram(GaussCode(), (0,)), Diagram(GaussCode.parse("1+c,1-c"), (1, 2))
-
-    def same(nx: int, image: int, label: int) -> int:
-        return label
-
-    rows = pooled([(loop, 3, kink, 2), (loop, 3, None, 5)], same)
-    own = [k for k in range(IMAGES) if loop.image(k) == loop]
-    assert len(own) > 1
-    assert {row.tried for row in rows} == {7 * len(own)}
-    assert sum(row.seen for row in rows) == 2 * len(own)
-
-
-def test_more_rows_leave_a_table_alone() -> None:
-    table = random_table(1)
-    nodes, rows = len(table.nodes), len(table.rows)
-    new = Diagram(GaussCode.parse("1+c,1-c,2+c,2-c,3+c,3-c,4+c,4-c"))
-    more = table.extended([MoveRow(new, 99, table.nodes[0], 1, 2)])
-    assert (len(table.nodes), len(table.rows)) == (nodes, rows) and new not in table.index
-    assert len(more.rows) == rows + 1 and new in more.index
+@pytest.mark.parametrize("kind", [AT, ALONG])
+def test_a_template_s_image_twice_is_the_template(kind: int) -> None:
+    one = PassTemplate(kind, 230, 470 if kind == AT else -14, 1)
+    assert len({one.image(k, 3) for k in range(IMAGES)}) == 4  # a reflection changes no position
+    assert all(one.image(k, 3).image(k, 3) == one for k in range(IMAGES))
 
 
 def test_a_table_survives_its_file(tmp_path: Path) -> None:
     table = random_table(2)
     table.save(tmp_path / "moves.h5")
-    read, _ = Moves.load(tmp_path / "moves.h5")
+    read = Moves.load(tmp_path / "moves.h5")
     assert read.nodes == table.nodes and (read.rows == table.rows).all()
-    assert read.index == table.index and (read.label == table.label).all()
+    assert read.index == table.index and (read.number == table.number).all()
+    assert read.templates == table.templates[:60]  # those of the 60 moves that were made
 
 
 def test_a_file_without_a_column_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,41 @@
+import numpy as np
+import pytest
+
+from knotgym.control.planning import pass_values, see
+from knotgym.control.planning.guidance import guide_to
+from knotgym.control.planning.moves import Moves
+from knotgym.control.planning.passes import PassValues
+from knotgym.rope import Array
+from knotgym.topology import GaussCode, images
+
+FLAT, GOAL = GaussCode(), GaussCode.parse("1+,1-,2+,2-")
+KINK, THREE = GaussCode.parse("1+c,1-c"), GaussCode.parse("1+c,1-c,2+a,2-a,3+c,3-c")
+
+
+def test_codes_on_the_way_to_the_goal_are_nearer() -> None:
+    guide = guide_to(GOAL, pass_values())
+    far = [guide.distance(code) for code in (GaussCode(GOAL.visits, "ca"), KINK, FLAT)]
+    assert far[0] == 0 and far == sorted(far) and len({*far}) == 3
+    assert guide.hops(KINK) in (1, 2) and 0 < guide.distance(THREE) < guide.distance(FLAT)
+
+
+@pytest.mark.parametrize("image", range(8))
+def test_images_of_a_code_and_goal_are_equally_far(image: int) -> None:
+    here, there = guide_to(GOAL, pass_values()), guide_to(images(GOAL)[image], pass_values())
+    assert here.distance(KINK) == there.distance(images(KINK)[image])
+    assert here.hops(THREE) == there.hops(images(THREE)[image])
+
+
+def test_where_no_way_is_known_crossings_count() -> None:
+    guide = guide_to(GOAL, PassValues(Moves()))
+    assert guide.distance(KINK) == guide.distance(THREE) < guide.distance(FLAT)
+    assert guide.hops(KINK) is None and guide.hops(GaussCode(GOAL.visits, "ca")) == 0
+
+
+def test_most_macro_actions_are_of_the_best_passes(curve: Array) -> None:
+    values, rng = pass_values(), np.random.default_rng(0)
+    guide, best = guide_to(GOAL, values), list(values.passes(GOAL, see(curve[None])[0]))
+    made = [guide.propose(curve, rng) for _ in range(200)]
+    passes = {(move.bead, move.target, move.side) for move, _ in best[:8]}
+    led = sum((one.bead, one.target, one.side) in passes for one in made)
+    assert (130 < led < 190) if best else led == 0
