@@ -223,10 +223,12 @@ def main() -> None:
     parser.add_argument("--explored", type=float, default=0.25, help="share of random passes")
     parser.add_argument("--most", type=int, default=10, help="passes kept per diagram and goal")
     parser.add_argument("--least", type=int, default=2, help="passes counted at a diagram")
+    parser.add_argument("--first", type=Path, help="table that orders the first round's passes")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     split, which = SHIPPED[args.table]
-    counts, values, sought = Counts(), PassValues(Moves()), dict[GaussCode, None]()
+    counts, sought = Counts(), dict[GaussCode, None]()
+    values = PassValues(Moves() if args.first is None else Moves.load(args.first))
     for number in range(args.rounds):
         task, nx = TASKS[number % len(TASKS)]
         config = TaskConfig(task=task, nx=nx, split=split, engine="chain", observation="state")
