@@ -15,6 +15,7 @@ from knotgym.control.sampler import episode_seed, rollouts
 from knotgym.datasets import (
     Count,
     Episodes,
+    ReplayFault,
     folder_faults,
     locate,
     open_episodes,
@@ -25,8 +26,6 @@ from knotgym.datasets import (
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.states import read_states
 
-# a phrase in the faults of replays, which may differ on another machine because of rounding
-_REPLAYED = ("bit for bit", "played again")
 _LANES = 256
 _MOST_EPISODES = 10_000_000
 _ROUNDING = 1e-9  # m and 1: other processors round the noise of a reset differently
@@ -64,7 +63,7 @@ def dataset_faults(
     """
     elsewhere, wrong = False, False
     for fault in _faults(source, each, count):
-        replayed = any(phrase in fault for phrase in _REPLAYED)
+        replayed = isinstance(fault, ReplayFault)
         elsewhere, wrong = elsewhere or replayed, wrong or not replayed
         yield fault
     if elsewhere and not wrong:

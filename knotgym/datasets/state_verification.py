@@ -21,7 +21,13 @@ from knotgym.common import (
     table_digest,
 )
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
-from knotgym.datasets.episode_verification import Count, Replay, uncounted, verify_episodes
+from knotgym.datasets.episode_verification import (
+    Count,
+    Replay,
+    ReplayFault,
+    uncounted,
+    verify_episodes,
+)
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.datasets.split_verification import shared_faults
@@ -92,7 +98,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         for row in rows:
             count("states", row, len(states))
             for fault in _row_faults(states, row, rope, ends.get(row)):
-                yield f"states.h5 row {row}: {fault}"
+                yield type(fault)(f"states.h5 row {row}: {fault}")
     ropes = list(map(tuple, states.source["seed"].tolist()))
     for fault in shared_faults(states.points, states.split, ropes, range(len(states))):
         yield f"states.h5 {fault}"
@@ -212,7 +218,7 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
         yield str(error)
     else:
         if end is None or not np.array_equal(end, stored["qpos"]):
-            yield "replay of its start and actions does not end in qpos bit for bit"
+            yield ReplayFault("replay of its start and actions does not end in qpos bit for bit")
     if stored["source/drawing"]:
         yield from _drawing_faults(stored, rope)
 

@@ -146,27 +146,32 @@ def test_the_strand_on_top_is_the_one_labelled_over(tmp_path: Path) -> None:
         assert shown["over"] > 0 and "under" not in shown
 
 
-def chances(moves: Moves) -> dict[Any, tuple[int, int]]:
-    """How often each pass led to each diagram, and how often it was tried."""
-    return {
-        (moves.nodes[before], moves.templates[move], moves.nodes[after]): (seen, tried)
-        for before, move, after, seen, tried in moves.rows.tolist()
-    }
+def outcomes(moves: Moves) -> dict[Any, dict[Any, int]]:
+    """How often each pass at each diagram led to each other diagram."""
+    found: dict[Any, dict[Any, int]] = {}
+    for before, move, after, seen, _ in moves.rows.tolist():
+        key = moves.nodes[before], moves.templates[move]
+        found.setdefault(key, {})[moves.nodes[after]] = seen
+    return found
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("table", sorted(path.name for path in TABLES.glob("*.h5")))
 def test_a_little_play_makes_a_table_like_the_one_that_ships(table: str, tmp_path: Path) -> None:
     few = ("--episodes", 8, "--rounds", 1, "--pulls", 500, "--most", 10**6, "--least", 1)
-    few = (*few, "--first", TABLES / table)
     for name in ("one.h5", "two.h5"):
-        run_script(FOLDER / "moves.py", table, "--out", tmp_path / name, *few)
+        words = (table, "--first", TABLES / table, "--out", tmp_path / name, *few)
+        run_script(FOLDER / "moves.py", *words)
     assert sha256(tmp_path / "one.h5") == sha256(tmp_path / "two.h5")
-    made, shipped = chances(Moves.load(tmp_path / "one.h5")), chances(Moves.load(TABLES / table))
-    both = made.keys() & shipped.keys()
-    found = sum(made[key][0] for key in both)
-    expected = sum(made[key][1] * shipped[key][0] / shipped[key][1] for key in both)
-    assert found > 50 and abs(found - expected) < 5 * math.sqrt(expected)
+    made, known = (outcomes(Moves.load(path)) for path in (tmp_path / "one.h5", TABLES / table))
+    found = expected = 0.0
+    for key in made.keys() & known.keys():
+        likeliest = max(known[key], key=lambda after: known[key][after])
+        count = sum(seen for after, seen in made[key].items() if after in known[key])
+        found += made[key].get(likeliest, 0)
+        expected += count * known[key][likeliest] / sum(known[key].values())
+    # a few ropes, and images of a pass count several times: 0.79 for passes.h5
+    assert expected > 100 and 0.6 < found / expected < 1.4
 
 
 @pytest.mark.parametrize(

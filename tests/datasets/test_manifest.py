@@ -11,6 +11,7 @@ import pytest
 
 from knotgym.common import InvalidFile, read_json
 from knotgym.control import dataset_faults
+from knotgym.datasets import ReplayFault
 from knotgym.datasets.manifest import listed_faults, machine, read_manifest
 
 SOUND: dict[str, Any] = {
@@ -106,7 +107,7 @@ def test_a_run_names_its_machine(curated: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "faults", [["row 0 does not end in qpos bit for bit"], ["SHA-256 differs"]]
+    "faults", [[ReplayFault("row 0 ends in another qpos")], ["SHA-256 differs bit for bit"]]
 )
 def test_only_replays_that_differ_may_be_another_machines_rounding(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, faults: list[str]
@@ -114,4 +115,6 @@ def test_only_replays_that_differ_may_be_another_machines_rounding(
     written(tmp_path)
     monkeypatch.setattr("knotgym.control.verification.folder_faults", lambda *given: iter(faults))
     told = list(dataset_faults(tmp_path))[1:]
-    assert len(told) == ("bit for bit" in faults[0]) and all("other machines" in o for o in told)
+    assert len(told) == isinstance(faults[0], ReplayFault) and all(
+        "other machines" in o for o in told
+    )
