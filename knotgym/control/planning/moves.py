@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Column, Schema, Table, read_tables, write_tables
-from knotgym.control.planning.sights import IMAGES, REVERSE, SWITCH, Diagram, Sight
+from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.rope import Array, Pass
-from knotgym.topology import NEGATIVE, POSITIVE, GaussCode, trusted_code
+from knotgym.topology import NEGATIVE, POSITIVE, REVERSE, SWITCH, GaussCode, trusted_code
 
 FORMAT, VERSION = "knotgym-moves", 2
 NODES = Schema(

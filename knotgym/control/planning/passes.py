@@ -34,7 +34,7 @@ from knotgym.control.planning.sights import (
 from knotgym.control.policy_config import PassPlannerConfig
 from knotgym.rope import Array, Pass, TowBound
 from knotgym.states import CODE_SPLITS
-from knotgym.topology import REVERSE, SWITCH, GaussCode
+from knotgym.topology import GaussCode
 
 DATA = Path(str(files("knotgym.control.planning") / "data"))
 # The tables that ship, by the split whose starts and goals were played: nobody who is tested on
