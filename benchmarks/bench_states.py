@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Stream, Table
-from knotgym.generate import Lives, PlayConfig, judge
+from knotgym.generate import PhasedPulls, PlayConfig, judge
 from knotgym.quality import Limits
 from knotgym.rope import CHAIN, Array, Rope
 from knotgym.states import (
@@ -64,14 +64,14 @@ def pulled(states: States) -> States:
         return states
     drawn = np.tile(drawn, LIVES)
     keys = [(int(Stream.PLAYED_ROPE), 0, life, 0, 0) for life in range(len(drawn))]
-    lives = Lives(PULLS, keys, states.qpos[drawn]).play(CHAIN)
+    lives = PhasedPulls(PULLS, keys, states.qpos[drawn]).play(CHAIN)
     rows, found = [], []
     for frame in lives.frames:
         code = label(frame.points)
         if code.nx in (4, 5):
             rows.append(int(drawn[frame.rope]))
             found.append((frame.points, code.chiral))
-    columns = dict(states.taken(rows).table)
+    columns = dict(states.take(rows).table)
     columns["points"] = np.array([points for points, _ in found])
     columns["gauss_code_chiral"] = np.array([code for _, code in found])
     columns["source/trajectory"] = np.array(rows)

@@ -71,7 +71,7 @@ class StateRows:
         return _families_and_ropes(self.states.points, ropes)
 
     def write(self, rows: Rows, made: Selections, path: Path) -> None:
-        write_states(path, self.states.taken(rows).replaced({}, selection=made))
+        write_states(path, self.states.take(rows).replaced({}, selection=made))
 
 
 class _PictureRows:

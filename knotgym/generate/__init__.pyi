@@ -23,7 +23,7 @@ from .images.images_config import ImagesConfig as ImagesConfig
 from .states.generate_config import GenerateConfig as GenerateConfig
 from .states.generate_config import PlayConfig as PlayConfig
 from .states.imported_curves import import_curves as import_curves
-from .states.rope_lives import Lives as Lives
-from .states.rope_lives import coil as coil
+from .states.phased_pulls import PhasedPulls as PhasedPulls
+from .states.phased_pulls import coil as coil
 from .states.state_filter import judge as judge
 from .states.state_recipe import make_states as make_states

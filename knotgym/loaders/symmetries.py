@@ -107,7 +107,7 @@ class Symmetries(Symmetry):
         # mirrored, a turn goes the other way
         return self._replace(turn=np.where(self.reflect, self.turn, -self.turn))
 
-    def taken(self, rows: Any) -> "Symmetries":
+    def take(self, rows: Any) -> "Symmetries":
         """Return the symmetries of some samples, by an index of any kind."""
         return Symmetries(*(field[rows] for field in self[:4]))
 

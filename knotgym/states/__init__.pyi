@@ -22,7 +22,7 @@ from .sources import Source as Source
 from .sources import source_of as source_of
 from .splits import IMAGE_SPLITS as IMAGE_SPLITS
 from .splits import held_form as held_form
-from .splits import kept_together as kept_together
+from .splits import keep_duplicates_together as keep_duplicates_together
 from .splits import overlap as overlap
 from .splits import split as split
 from .spread import spread_of as spread_of

@@ -103,7 +103,7 @@ class Spectra(NamedTuple):
         agreement = flat + (others.upright @ self.upright[0].conj()).real
         return self._distances(self.square, others.square, agreement / self.flat.shape[1])
 
-    def taken(self, rows: NDArray[np.integer]) -> Spectra:
+    def take(self, rows: NDArray[np.integer]) -> Spectra:
         """Select rows, in the order given."""
         return Spectra(*(one[rows] for one in self))
 
@@ -127,13 +127,13 @@ def pairs_within(
     for first in range(0, len(points), _BLOCK):
         rows = np.arange(first, min(first + _BLOCK, len(points)))
         # one matrix product a block rules out nearly all pairs; the rest is computed exactly
-        near = a.taken(rows).least_distances(b) < limit
+        near = a.take(rows).least_distances(b) < limit
         if others is None:
             near &= np.arange(len(points)) > rows[:, None]
         some, columns = np.nonzero(near)
         for start in range(0, len(some), _BLOCK):
             i, j = rows[some[start : start + _BLOCK]], columns[start : start + _BLOCK]
-            apart = a.taken(i).pair_distances(b.taken(j))
+            apart = a.take(i).pair_distances(b.take(j))
             found += [
                 (int(row), int(other), float(distance))
                 for row, other, distance in zip(i, j, apart, strict=True)
@@ -168,7 +168,7 @@ def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
             some = order[first : first + 64]
             if bounds[some[0]] >= distance[k]:
                 break
-            apart = a.taken(np.full(len(some), k)).pair_distances(b.taken(some))
+            apart = a.take(np.full(len(some), k)).pair_distances(b.take(some))
             if apart.min() < distance[k]:
                 distance[k], row[k] = apart.min(), some[apart.argmin()]
     return distance, row

@@ -8,6 +8,7 @@ ATTRIBUTES and DIGEST.
 After a change run `python docs/schemas.py` and `pytest tests/states`.
 """
 
+from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cached_property
 from operator import attrgetter
@@ -85,56 +86,29 @@ class RopeAtRest:
         return draw(self.points, picture_of(len(self.points)))
 
 
+def _of_code(name: str, doc: str, text_of: Callable[[GaussCode], str]) -> Column:
+    return Column(name, "text", doc=doc, derived=lambda rope: text_of(rope.code))
+
+
+_PICTURE = Column(
+    "image", "uint8", ("pixels", "pixels", 3), "levels", "RGB, as the environment shows it"
+)
+_CROSSINGS = Column("nx", "int64", (), "crossings", "crossings in the picture", least=0)
 _ROOT = (
     Column("qpos", "float64", ("nq",), "m, quaternions", "generalized positions, at rest"),
     Column("points", "float64", ("beads", 3), "m", "vertices of the rope, z up"),
-    Column(
-        "image",
-        "uint8",
-        ("pixels", "pixels", 3),
-        "levels",
-        "RGB, as the environment shows it",
-        derived=lambda rope: rope.image,
-    ),
-    Column(
-        "gauss_code",
-        "text",
-        doc="Gauss code, such as `1+,1-,2+,2-`",
-        derived=lambda rope: str(rope.code),
-    ),
-    Column(
+    _PICTURE._replace(derived=attrgetter("image")),
+    _of_code("gauss_code", "Gauss code, such as `1+,1-,2+,2-`", str),
+    _of_code(
         "gauss_code_chiral",
-        "text",
-        doc="Gauss code with chirality, such as `1+a,1-a,2+c,2-c`",
-        derived=lambda rope: rope.code.chiral,
+        "Gauss code with chirality, such as `1+a,1-a,2+c,2-c`",
+        attrgetter("chiral"),
     ),
-    Column(
-        "pd_code",
-        "text",
-        doc="PD code, such as `[[1,1,2,2]]`",
-        derived=lambda rope: pd_text(rope.code),
-    ),
-    Column(
-        "dt_code",
-        "text",
-        doc="DT code, such as `[4, 6, 2]`",
-        derived=lambda rope: dt_text(rope.code),
-    ),
-    Column(
-        "knot",
-        "text",
-        doc="knot type, `0_1` for the unknot",
-        derived=lambda rope: knot_type(rope.code),
-    ),
-    Column(
-        "nx",
-        "int64",
-        unit="crossings",
-        doc="crossings in the picture",
-        least=0,
-        derived=lambda rope: rope.code.nx,
-    ),
-    Column("split", "text", doc="`train` or `test`"),
+    _of_code("pd_code", "PD code, such as `[[1,1,2,2]]`", pd_text),
+    _of_code("dt_code", "DT code, such as `[4, 6, 2]`", dt_text),
+    _of_code("knot", "knot type, `0_1` for the unknot", knot_type),
+    _CROSSINGS._replace(derived=attrgetter("code.nx")),
+    Column("split", "text", (), "", "`train` or `test`"),
 )
 _MEASURES = tuple(
     Column(

@@ -67,12 +67,12 @@ def split(
     return assigned
 
 
-def kept_together(
+def keep_duplicates_together(
     assigned: NDArray[np.str_], points: NDArray[np.float64], codes: Sequence[GaussCode]
 ) -> NDArray[np.str_]:
     """Give near-duplicates one split, and keep the sizes of splits where that is possible.
 
-    Families of near-duplicates are dealt out first, the largest first, each to the split with the
+    Families of near-duplicates are assigned first, the largest first, each to the split with the
     most room for it. Of the other states those move that their own split has no room for.
 
     Args:
@@ -80,7 +80,7 @@ def kept_together(
         points: float64 (n, beads, 3), metres.
         codes: of the states; sizes are kept for each number of crossings.
     """
-    dealt, family = assigned.copy(), families(points)
+    changed, family = assigned.copy(), families(points)
     nx = [code.nx for code in codes]
     # room: states that each split of each nx may still take
     room = Counter(zip(nx, assigned.tolist(), strict=True))
@@ -90,9 +90,9 @@ def kept_together(
         names = sorted(set(assigned.tolist()), key=lambda name: name != own)  # own wins a tie
         enough = len(assigned) if len(rows) > 1 else 1
         fitting = {name: sum(min(room[nx[row], name], enough) for row in rows) for name in names}
-        dealt[rows] = max(names, key=lambda name: fitting[name])
-        room.subtract((nx[row], str(dealt[row])) for row in rows)
-    return dealt
+        changed[rows] = max(names, key=lambda name: fitting[name])
+        room.subtract((nx[row], str(changed[row])) for row in rows)
+    return changed
 
 
 def overlap(states: States, nx: int) -> dict[str, Any]:

@@ -208,7 +208,7 @@ class States:
         own = train if base == "train" else test
         return rows[[(form in held) == (base == "test") for form in own]]
 
-    def taken(self, rows: ArrayLike | slice) -> States:
+    def take(self, rows: ArrayLike | slice) -> States:
         """Select rows, by a mask or by indices, in the order given."""
         return States(self.table.take(rows), self.attributes)
 

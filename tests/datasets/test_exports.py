@@ -137,7 +137,7 @@ def test_parquet_tables_hold_every_number(states_path: str, huggingface: Path) -
 
     states = read_states(states_path)
     rows = parquet.read_table(huggingface / "data/states/test-00000-of-00001.parquet").to_pylist()
-    chosen = states.taken(np.flatnonzero(states.split == "test"))
+    chosen = states.take(np.flatnonzero(states.split == "test"))
     assert np.array_equal([row["points"] for row in rows], chosen.points.reshape(len(rows), -1))
     assert [row["gauss_code"] for row in rows] == chosen.gauss_code.tolist()
     rows = parquet.read_table(huggingface / "data/steps/train-00000-of-00001.parquet").to_pylist()

@@ -29,7 +29,7 @@ UNMOVED = {"policy": "random", **dict.fromkeys(("reflect", "switch", "reverse"),
 @pytest.fixture(scope="module")
 def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A shard with one picture."""
-    states = read_states(shipped(), images=False).taken(np.array([20]))
+    states = read_states(shipped(), images=False).take(np.array([20]))
     row = PictureRow(states.points[0], "train", {**SOURCE, **UNMOVED})
     path = tmp_path_factory.mktemp("shard") / "train-00000-of-00001.parquet"
     path.write_bytes(tables.parquet(tables.table_of([record(row, AppearanceConfig())])))

@@ -9,7 +9,7 @@ from knotgym.states import (
     Spectra,
     distances,
     families,
-    kept_together,
+    keep_duplicates_together,
     nearest,
     pairs_within,
     read_states,
@@ -59,7 +59,7 @@ def test_no_distance_is_below_its_bound() -> None:
     spectra = Spectra.of(STATES)
     bounds = spectra.least_distances(spectra)
     for k in range(len(STATES)):
-        exact = spectra.taken(np.full(len(STATES), k)).pair_distances(spectra)
+        exact = spectra.take(np.full(len(STATES), k)).pair_distances(spectra)
         assert (bounds[k] <= exact + 1e-6).all()
         apart = np.linalg.norm(spectra.invariants - spectra.invariants[k], axis=1)
         assert (apart <= exact + 1e-6).all() and np.median(apart) > NEAR
@@ -72,9 +72,9 @@ def test_pairs_are_found_once_and_families_are_kept_in_one_split() -> None:
     assigned = np.array(["train", "test", "test", "train", "train", "test"])
     codes = [GaussCode()] * 3 + [GaussCode.parse("1+,1-")] * 3
     # the family goes to one split; of the others as many move as keep the sizes, if the nx allows
-    dealt = kept_together(assigned, points, [GaussCode()] * 6)
+    dealt = keep_duplicates_together(assigned, points, [GaussCode()] * 6)
     assert len(set(dealt[[1, 4, 5]])) == 1 and np.count_nonzero(dealt == "train") == 3
-    dealt = kept_together(assigned, points, codes)
+    dealt = keep_duplicates_together(assigned, points, codes)
     assert len(set(dealt[[1, 4, 5]])) == 1 and dealt[0] == dealt[2] != dealt[1]
 
 

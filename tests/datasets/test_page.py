@@ -126,6 +126,6 @@ def test_a_large_set_is_sampled_and_says_so(
 
 
 def test_a_file_without_rows_has_no_page(states: States, tmp_path: Path) -> None:
-    write_states(tmp_path / "s.h5", states.taken(np.arange(0)))
+    write_states(tmp_path / "s.h5", states.take(np.arange(0)))
     with pytest.raises(InvalidInput, match="nothing to show"):
         page_data("empty", Located(tmp_path, tmp_path / "s.h5"))

@@ -121,7 +121,7 @@ def test_a_dataset_whose_states_are_gone_cannot_be_checked(
 def shown(tiny: EpisodeDataset, states: States) -> States:
     """The goals of the episodes as states that name them."""
     own = tiny.episodes.episodes
-    some = states.taken(own["goal"])
+    some = states.take(own["goal"])
     named = {
         "source/dataset": np.full(3, tiny.name),
         "source/trajectory": np.arange(3),

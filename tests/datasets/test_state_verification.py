@@ -20,7 +20,7 @@ ENDS_ELSEWHERE = "replay of its start and actions does not end in qpos bit for b
 @pytest.fixture(scope="module")
 def pair() -> States:
     """A loop and a state with a crossing."""
-    return read_states(shipped()).taken([0, 20])
+    return read_states(shipped()).take([0, 20])
 
 
 def altered(states: States, name: str, at: Any, value: Any) -> States:
@@ -89,7 +89,7 @@ def test_measures_may_differ_by_rounding(pair: States) -> None:
 def test_another_seed_than_that_of_a_drawing_or_a_walk_is_found(
     name: str, row: int, set_: int, fault: str
 ) -> None:
-    states = read_states(shipped(name), images=False).taken([row])
+    states = read_states(shipped(name), images=False).take([row])
     changed = altered(altered(states, "source/seed", (0, 0), set_), "source/seed", (0, 4), 9)
     assert any(fault in line for line in state_faults(changed))
 
@@ -117,7 +117,7 @@ def test_states_of_another_rope_are_not_judged(pair: States) -> None:
 
 
 def test_a_state_in_both_splits_is_a_leak(pair: States) -> None:
-    twice = pair.taken([1, 1]).replaced({"split": np.array(["train", "test"])})
+    twice = pair.take([1, 1]).replaced({"split": np.array(["train", "test"])})
     assert list(state_faults(twice)) == [
         "states.h5 rows 0 (train) and 1 (test) are near-duplicates: 0.0 mm apart at the best"
         " symmetry",
@@ -133,7 +133,7 @@ def light(curated: Path, tmp_path: Path) -> Path:
     shutil.copytree(curated, folder, ignore=shutil.ignore_patterns("minari"))
     states = read_states(folder / "states.h5")
     rows = np.array([states.rows(1, split)[0] for split in ("train", "test")])
-    write_states(folder / "states.h5", states.taken(rows))
+    write_states(folder / "states.h5", states.take(rows))
     listed(folder)
     return folder
 

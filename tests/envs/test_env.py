@@ -313,7 +313,7 @@ def test_options_pick_rows(make: Make, states: States) -> None:
 @pytest.fixture
 def only_nx3(states: States, tmp_path: Path) -> str:
     """Return a state file that has only rows of nx 3, in both splits."""
-    kept = states.taken(states.rows(3, "train")), states.taken(states.rows(3, "test"))
+    kept = states.take(states.rows(3, "train")), states.take(states.rows(3, "test"))
     write_states(tmp_path / "nx3.h5", merge_states(kept))
     return str(tmp_path / "nx3.h5")
 
@@ -351,7 +351,7 @@ def test_other_crossings_that_the_file_lacks_are_refused_with_what_it_has(
 def test_a_split_that_the_file_lacks_is_refused_plain_loops_too(
     make: Make, states: States, tmp_path: Path
 ) -> None:
-    write_states(tmp_path / "train.h5", states.taken(np.flatnonzero(states.split == "train")))
+    write_states(tmp_path / "train.h5", states.take(np.flatnonzero(states.split == "train")))
     with pytest.raises(InvalidInput, match="nx = 0 in split 'test' .* it has nx 0 .train., 1"):
         make("tie", nx=2, split="test", states=str(tmp_path / "train.h5"))
 
@@ -518,7 +518,7 @@ def test_an_environment_of_several_tasks_draws_one_at_each_reset(make: Make) -> 
 def test_a_file_without_loops_is_refused_where_only_some_tasks_need_them(
     make: Make, states: States, tmp_path: Path
 ) -> None:
-    write_states(tmp_path / "s.h5", states.taken(np.flatnonzero(states.nx > 0)))
+    write_states(tmp_path / "s.h5", states.take(np.flatnonzero(states.nx > 0)))
     make("tie", nx=(2, 3), states=str(tmp_path / "s.h5"))
     with pytest.raises(InvalidInput, match="has no plain loops, which several tasks at once need"):
         make(("tie", "convert"), nx=2, states=str(tmp_path / "s.h5"))

@@ -54,7 +54,7 @@ def test_what_no_pull_reaches_is_refused_with_what_the_file_has(
 
 def test_a_file_of_two_knots_is_refused(trefoils: States, tmp_path: Path) -> None:
     loops = read_states(shipped())
-    loops = loops.taken(np.flatnonzero(loops.nx == 3))
+    loops = loops.take(np.flatnonzero(loops.nx == 3))
     bare = States(loops.table.only(*trefoils.table), loops.attributes)
     both = merge_states([trefoils, bare])
     write_states(tmp_path / "both.h5", both)

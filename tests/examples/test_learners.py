@@ -40,7 +40,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("played")
     words = ("--task", "tie", "--nx", 2, "--policy", "expert", "--observation", "state")
     assert knotgym("collect", *words, "--episodes", 3, "--workers", 1, "--quiet", "--out", out) == 0
-    return out / "knotgym/tie-nx2/expert-state-v0"
+    return out / "knotgym/tie-nx2/expert-v0"
 
 
 def check_scores(folder: Path, name: str) -> None:

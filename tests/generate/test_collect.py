@@ -167,7 +167,7 @@ def test_a_file_swapped_in_between_is_refused_by_name(
 ) -> None:
     collect(own_policy, tmp_path / "out", QUIET)
     if swapped == "states.h5":
-        write_states(tmp_path / swapped, states.taken(np.arange(len(states))[::-1]))
+        write_states(tmp_path / swapped, states.take(np.arange(len(states))[::-1]))
     else:
         with (tmp_path / swapped).open("a") as file:
             file.write("# changed\n")
@@ -190,7 +190,7 @@ def test_a_dataset_holds_the_digests_of_what_made_it(
 
 
 def test_ids_tell_every_setting_that_changes_the_data() -> None:
-    usual = config(task=TaskConfig(task="tie", observation="both"), policy="expert")
+    usual = config(task=CollectConfig().task, policy="expert")  # vertices
     budget = PolicyConfig(policy="expert", planner=PullPlannerConfig(budget=7))
     others = [
         replace(usual, seed=1),
@@ -204,7 +204,7 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
                 {"split": "test"},
                 {"states": "random-walk"},
                 {"engine": "chain"},
-                {"observation": "state"},
+                {"observation": "both"},
                 {"horizon": 7},
                 {"max_goals": 2},
             )
@@ -219,7 +219,7 @@ def test_the_command_makes_a_dataset_of_every_crossing_number(tmp_path: Path) ->
     random = ("collect", "--policy", "random", "--episodes", 6, "--engine", "chain")
     assert knotgym(*random, "--nx", "2,3", "--observation", "state", *words, "--out", tmp_path) == 0
     for nx in (2, 3):
-        (folder,) = tmp_path.glob(f"knotgym/tie-nx{nx}/random-chain-state-rules*-v0")
+        (folder,) = tmp_path.glob(f"knotgym/tie-nx{nx}/random-chain-rules*-v0")
         made = columns_of(folder)
         env: Any = gym.make("knotgym/Tie-v0", nx=nx, max_goals=2).unwrapped
         assert made.task.max_goals == 2

@@ -100,7 +100,7 @@ def test_what_does_not_fit_is_refused_before_any_work(tmp_path: Path, monkeypatc
 
 
 def test_the_result_says_whose_states_were_used(states: States, tmp_path: Path) -> None:
-    write_states(tmp_path / "nx1.h5", states.taken(np.flatnonzero(states.nx == 1)))
+    write_states(tmp_path / "nx1.h5", states.take(np.flatnonzero(states.nx == 1)))
     task = TaskConfig(task="unknot", states=str(tmp_path / "nx1.h5"), observation="state")
     results = evaluate(config(tasks=("unknot",), task=replace(task, horizon=2), episodes=1), QUIET)
     assert (results[0].start_states, results[0].goal_states) == ("own", "shipped")

@@ -17,8 +17,8 @@ from knotgym.datasets import folder_faults, merged, open_episodes
 from knotgym.generate.states import demonstrations, drawing_source, generate_config
 from knotgym.generate.states.drawing_source import drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
+from knotgym.generate.states.phased_pulls import coil
 from knotgym.generate.states.play_source import ropes_of, rows_of_ropes
-from knotgym.generate.states.rope_lives import coil
 from knotgym.generate.states.selection import Selection
 from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_recipe import make_states

@@ -58,7 +58,7 @@ def test_an_image_of_a_step_is_the_step_of_the_image(
     qpos = states.qpos[rng.choice(np.flatnonzero(states.nx > 0), COUNT)]
     beads, force = rng.integers(100, size=COUNT), rng.uniform(-0.5, 0.5, (COUNT, 3))
     drawn = Symmetries.drawn(COUNT, rng)
-    each = [drawn.taken(slice(k, k + 1)) for k in range(COUNT)]
+    each = [drawn.take(slice(k, k + 1)) for k in range(COUNT)]
     images = np.array([image_of(rope, *one) for one in zip(qpos, each, strict=True)])
     ends = []
     for start, bead, pull in (

@@ -39,14 +39,14 @@ assert knotgym("dataset", "page", "set", "--out", "page.html") == 0
 assert '"name":"height","unit":"m"' in open("page.html").read()
 
 # an old file has no such column: it is read, verified, and merged, when the column is computed
-old = made.taken([0, 2])
+old = made.take([0, 2])
 old = type(old)(old.table.only(*(name for name in old.table if name != "height")), old.attributes)
 write_states("old.h5", old)
 assert "height" not in read_states("old.h5").table
 assert knotgym("dataset", "verify", "old.h5") == 0
-both = merge_states([read_states("old.h5"), made.taken([1, 3])])
+both = merge_states([read_states("old.h5"), made.take([1, 3])])
 assert np.array_equal(both.table["height"], np.ptp(both.points[..., 2], axis=1))
-write_states("new.h5", made.taken([1, 3]))
+write_states("new.h5", made.take([1, 3]))
 assert knotgym("dataset", "merge", "old.h5", "new.h5", "--out", "merged.h5") == 0
 assert knotgym("dataset", "verify", "merged.h5") == 0
 

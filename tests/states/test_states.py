@@ -72,7 +72,7 @@ def test_flipped_bytes_are_read_as_written_or_refused(copy: Path, states: States
 
 
 def test_merged_states_are_sorted_by_nx_and_keep_all_configurations(states: States) -> None:
-    merged = merge_states([states.taken(slice(24, 30)), states.taken(slice(0, 24))], distinct=True)
+    merged = merge_states([states.take(slice(24, 30)), states.take(slice(0, 24))], distinct=True)
     assert table_digest(merged.table) == table_digest(states.table)
     assert merged.attributes["config"] == [{"made": "by hand"}] * 2
 
@@ -128,7 +128,7 @@ def test_vertices_are_laid_the_same_on_processors_with_other_instructions() -> N
 def test_shipped_states_are_without_fault_in_some_rows(name: str) -> None:
     states = read_states(shipped(name), images=name != "bench")
     shortest = np.argsort(states.source["steps"], kind="stable")[:2]
-    assert list(state_faults(states.taken(shortest))) == []
+    assert list(state_faults(states.take(shortest))) == []
 
 
 @pytest.mark.thorough

@@ -84,7 +84,7 @@ def _tables(source: Located) -> Iterator[tuple[str, str, Iterable[Table]]]:
     if source.states is not None:
         states = read_states(source.states)
         for split in STATE_SPLITS:
-            part = states.taken(np.flatnonzero(states.split == split)).table
+            part = states.take(np.flatnonzero(states.split == split)).table
             yield "states", split, [part] if part.rows else []
     datasets = [columns_of(path) for path in source.episodes]
     if len({one.task.engine for one in datasets}) > 1:

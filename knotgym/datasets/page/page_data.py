@@ -121,7 +121,7 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
         for name, (unit, own) in states.measures.items()
         if np.isfinite(own).any()
     }
-    found = _shapes(rows, states.taken(rows).table, measures)
+    found = _shapes(rows, states.take(rows).table, measures)
     made = {"steps": "steps", "set": "dataset", "trajectory": "trajectory"}
     for name, column in made.items() if "dataset" in states.source else ():
         for shown, value in zip(found["states"], states.source[column][rows].tolist(), strict=True):

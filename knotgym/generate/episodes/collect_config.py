@@ -8,7 +8,8 @@ from knotgym.control import PolicyConfig
 from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.rope import MUJOCO
 
-OBSERVATION = "both"  # stored by `knotgym collect` by default
+# Stored by `knotgym collect` by default: vertices, from which loaders draw pictures of any kind.
+OBSERVATION = "state"
 
 
 @configuration
@@ -21,14 +22,14 @@ class CollectConfig:
         episodes: episodes to play for each dataset.
         steps: keep as many episodes as it takes for so many steps, instead of `episodes`; 0 for
             `episodes`. More steps only add episodes.
-        seed: random seed; the same seed gives the same bytes. Episode i has
-            `rollouts.episode_seed(seed, i)`.
+        seed: random seed; the same seed gives the same bytes, and the same starts and goals for
+            every policy. Episode i has `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
         labels: "expert" stores the expert's action at every state.
         policy_observation: observation given to functions and objects of your own; "" for the one
             that is stored.
         dataset_id: Minari id; "" for `collect.distinct_id`, for example knotgym/tie-nx3/expert-v0,
-            with a mark for each setting that changes the data, as in expert-state-seed1-v0.
+            with a mark for each setting that changes the data, as in expert-both-seed1-v0.
         form: files to write: columns, or minari for Minari's own beside them; by default these are
             written for at most 100,000 pulls. Or recording: starts and pulls alone, a sixth of the
             bytes or less; `knotgym dataset export --to compact` gets the columns by stepping.

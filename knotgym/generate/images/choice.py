@@ -128,11 +128,11 @@ class Chooser:
                 new[:n] = old
             known = self._known = Spectra(*room)
         like = np.flatnonzero(np.linalg.norm(known.invariants[:n] - own.invariants, axis=1) < NEAR)
-        if (own.turned_distances(known.taken(like)) < NEAR).any():
+        if (own.turned_distances(known.take(like)) < NEAR).any():
             return False
         others = like[[self.chosen[row].split != split for row in like.tolist()]]
-        same = own.taken(np.zeros(len(others), np.int64))
-        if (same.pair_distances(known.taken(others)) < NEAR).any():
+        same = own.take(np.zeros(len(others), np.int64))
+        if (same.pair_distances(known.take(others)) < NEAR).any():
             return False
         for column, new in zip(known, own, strict=True):
             column[n] = new[0]

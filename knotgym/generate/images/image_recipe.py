@@ -82,7 +82,7 @@ class _Plan(NamedTuple):
                 f"the states were made with rope model {states.attributes.get('rope')}; this"
                 f" version has {fingerprint}"
             )
-        states = states.taken(states.nx <= max(config.nx))
+        states = states.take(states.nx <= max(config.nx))
         if not len(states):
             raise InvalidInput(f"there is no state with at most {max(config.nx)} crossings")
         knots = sorted(set(states.knot.tolist()))

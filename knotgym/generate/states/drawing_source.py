@@ -26,12 +26,12 @@ from knotgym.generate.states.wanted_codes import WantedCodes
 from knotgym.quality import measure
 from knotgym.rope import Array, Simulation, simulation_of
 from knotgym.runs import Call, Recipe, Result
-from knotgym.states import STATE_SPLITS, kept_together, split
+from knotgym.states import STATE_SPLITS, keep_duplicates_together, split
 from knotgym.topology import UNKNOT, GaussCode, chiralities, shows, type_of
 
 # The first drawings of a code must differ from all other states under every symmetry. Codes that a
 # symmetry maps to each other have similar drawings, so later ones need only differ as they lie;
-# `splits.kept_together` then puts such states into one split.
+# `splits.keep_duplicates_together` then puts such states into one split.
 UNLIKE_DRAWINGS = 3
 
 # Calls at once, at least, so that few workers wait for the last one. It doesn't depend on how many
@@ -160,7 +160,7 @@ def splits_of(config: GenerateConfig, rows: Table) -> NDArray[np.str_]:
         own = np.flatnonzero(rows["nx"] == nx)
         rng = generator(Stream.SPLIT, config.seed, nx)
         assigned[own] = split([codes[row] for row in own], config.train_share, rng)
-    return kept_together(assigned, rows["points"], codes)
+    return keep_duplicates_together(assigned, rows["points"], codes)
 
 
 def _named(order: _Order) -> str:

@@ -41,7 +41,7 @@ _DRAWN = 20
 
 @configuration
 class PlayConfig:
-    """The lives of ropes that states are taken from.
+    """The pulls of ropes that states are taken from.
 
     A rope starts as a coil, as in the published model. After `settle` random pulls it is laid at
     rest, and its record begins. Then come as many pulls of each phase as the fields say.

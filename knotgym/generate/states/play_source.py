@@ -1,8 +1,8 @@
 """States met by play: frames of ropes that random and scripted policies pull.
 
-Ropes live side by side (`rope_lives`), and frames that pass the filter are kept: readable, not
-over-twisted, new. All frames of a rope are in one split. Source random-walk is the same with the
-published pulls, uniform random actions, and without limits on readability.
+Ropes are pulled side by side (`phased_pulls`), and frames that pass the filter are kept: readable,
+not over-twisted, new. All frames of a rope are in one split. Source random-walk is the same with
+the published pulls, uniform random actions, and without limits on readability.
 """
 
 from collections import Counter
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import Failed, Table, key
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
-from knotgym.generate.states.rope_lives import live
+from knotgym.generate.states.phased_pulls import pulled_ropes
 from knotgym.generate.states.selection import Selection
 from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_rows import (
@@ -39,7 +39,7 @@ _READABLE = "play"  # the source whose states are readable, and of many codes
 def rows_of_ropes(
     config: GenerateConfig, report: dict[str, Any], apart_from: Sequence[Array] = ()
 ) -> Recipe[Table]:
-    """Take the states that a configuration asks for from the lives of ropes.
+    """Take the states that a configuration asks for from pulled ropes.
 
     Args:
         config: of source play or random-walk.
@@ -130,7 +130,7 @@ def _pulls_of(config: GenerateConfig) -> PlayConfig:
 
 
 def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ...]) -> Result:
-    """Take states from the lives of ropes `first` to `first + ropes - 1`.
+    """Take states from the ropes `first` to `first + ropes - 1`.
 
     Args:
         lacking: nx and split of the states that are still needed.
@@ -142,13 +142,13 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
     pulls = _pulls_of(config)
     ropes = range(first, first + pulls.ropes)
     keys = [_key_of(config, rope) for rope in ropes]
-    lives = live(pulls, config.engine_used, keys)
+    pulled = pulled_ropes(pulls, config.engine_used, keys)
     played = config.source == _READABLE
     limits = [config.limits, config.twist] if played else [config.twist]
     rejected = {nx: Counter[str]() for nx in config.nx}
     kept, rows = Counter[tuple[int, int]](), list[dict[str, Any]]()
-    codes = label_many(np.array([frame.points for frame in lives.frames])) if lives.frames else []
-    for frame, code in zip(lives.frames, codes, strict=True):
+    codes = label_many(np.array([frame.points for frame in pulled.frames])) if pulled.frames else []
+    for frame, code in zip(pulled.frames, codes, strict=True):
         rope = ropes[frame.rope]
         if (code.nx, split_of(config, rope)) not in lacking:
             continue
@@ -163,14 +163,14 @@ def _play(config: GenerateConfig, first: int, lacking: tuple[tuple[int, str], ..
             judgement,
             frame.points,
             frame.qpos,
-            start_qpos=lives.start_qpos[frame.rope],
+            start_qpos=pulled.start_qpos[frame.rope],
             steps=frame.step,
             seed=np.array(keys[frame.rope]),
             policy=config.source,
             trajectory=rope,
         )
         if played:  # those of a random walk follow from its key
-            row["source/actions"] = lives.actions[frame.rope, : frame.step]
+            row["source/actions"] = pulled.actions[frame.rope, : frame.step]
         rows.append(row)
     rows.sort(key=lambda row: (row["source/trajectory"], row["source/steps"]))
     return with_report(stacked(rows), list(rejected.items()))

@@ -1,4 +1,4 @@
-"""The lives of ropes that states are taken from: random and scripted pulls, watched as they go.
+"""Rollouts that states are taken from: ropes pulled in phases, at random and by script.
 
     settle | random | opening | scripted | spreading | scripted | spreading | ...
            ^ the rope is laid at rest, and its record begins; every few pulls a frame is seen
@@ -47,19 +47,19 @@ class _Frame(NamedTuple):
     points: Array
 
 
-class Lives(Policy):
-    """The policy of some ropes' lives, and what was seen of them.
+class PhasedPulls(Policy):
+    """A policy that pulls ropes in phases, and the frames of them that it saw.
 
     Attributes:
         name: of the policy.
-        config: the pulls that a life consists of.
+        config: the phases.
         keys: of the ropes' random streams.
         start_qpos: float64 (ropes, nq), where the records begin, at rest.
         actions: float32 (ropes, pulls, 6), each at the position of the bead that it pulls.
         frames: of all ropes, in order of steps.
     """
 
-    name = "life"
+    name = "phases"
 
     def __init__(
         self, config: PlayConfig, keys: Sequence[tuple[int, ...]], start_qpos: Array
@@ -71,11 +71,11 @@ class Lives(Policy):
     def compatible_task(self, task: TaskConfig) -> TaskConfig:
         return task
 
-    def player(self, batch: EpisodeBatch) -> "_Living":
-        return _Living(self, batch)
+    def player(self, batch: EpisodeBatch) -> "_PhasePlayer":
+        return _PhasePlayer(self, batch)
 
-    def play(self, engine: str) -> "Lives":
-        """Play the lives once, side by side."""
+    def play(self, engine: str) -> "PhasedPulls":
+        """Play the rollouts once, side by side."""
         schema = STARTS.sized(nq=self.start_qpos.shape[1])
         rows = schema.empty(len(self.keys))
         rows["seed"][:], rows["start_qpos"][:] = np.arange(len(self.keys)), self.start_qpos
@@ -95,11 +95,11 @@ def coil(rope: Rope) -> Array:
     return rope.from_curve(np.stack(curve, axis=1))
 
 
-def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> Lives:
-    """Live the lives of ropes, side by side; each depends on its own key alone.
+def pulled_ropes(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> PhasedPulls:
+    """Pull ropes in phases, side by side; each rollout depends on its own key alone.
 
     Args:
-        config: the pulls that they consist of.
+        config: the phases.
         engine: that moves the ropes.
         keys: of the ropes' random streams. If the record consists of random actions, these are
             `drawn_actions(key, config.random)`.
@@ -110,21 +110,21 @@ def live(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> Li
         walk = PlayConfig(
             settle=0, random=config.settle, opening=0, rounds=0, first=config.settle, every=1
         )
-        for frame in Lives(walk, keys, start.copy()).play(engine).frames:
+        for frame in PhasedPulls(walk, keys, start.copy()).play(engine).frames:
             start[frame.rope] = frame.qpos  # a rope that was lost on the way stays a coil
-    return Lives(config, keys, start).play(engine)
+    return PhasedPulls(config, keys, start).play(engine)
 
 
-class _Living(Player):
-    """Plays the phases of a life in each lane, one after the other."""
+class _PhasePlayer(Player):
+    """Plays the phases in each lane, one after the other."""
 
-    def __init__(self, life: Lives, batch: EpisodeBatch) -> None:
+    def __init__(self, policy: PhasedPulls, batch: EpisodeBatch) -> None:
         self.planned = np.zeros(batch.count, dtype=np.int64)
-        self._life, self._batch = life, batch
+        self._policy, self._batch = policy, batch
         self._simulation, self._rngs = batch.simulation, dict[int, np.random.Generator]()
-        self._drawn = np.zeros((batch.count, life.config.random, 6), dtype=np.float32)
+        self._drawn = np.zeros((batch.count, policy.config.random, 6), dtype=np.float32)
         self._scripted = Scripted().player(batch)
-        config, phases = life.config, list[tuple[int, Callable[[Ids], BeadsAndForces]]]()
+        config, phases = policy.config, list[tuple[int, Callable[[Ids], BeadsAndForces]]]()
         phases += [(config.random, self._random), (config.opening, self._open)]
         for _ in range(config.rounds):
             phases += [(config.scripted, self._script), (config.spreading, self._spread)]
@@ -134,8 +134,8 @@ class _Living(Player):
 
     def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
         for index in ids.tolist():
-            key = self._life.keys[self._batch.number[index]]
-            self._drawn[index] = drawn_actions(key, self._life.config.random)
+            key = self._policy.keys[self._batch.number[index]]
+            self._drawn[index] = drawn_actions(key, self._policy.config.random)
             self._rngs[index] = generator_of((*key[:-1], key[-1] + 1))  # actions have their own
         self._scripted.begin(ids, [self._rngs[index] for index in ids.tolist()])
 
@@ -153,20 +153,20 @@ class _Living(Player):
         some = ids[recorded]
         # in float64, or the actions would round otherwise than the pulls
         newtons = forces[recorded].astype(np.float64) * self._simulation.max_force
-        self._life.actions[self._batch.number[some], steps[recorded]] = self._simulation.actions(
+        self._policy.actions[self._batch.number[some], steps[recorded]] = self._simulation.actions(
             beads[recorded], newtons, some
         )
         return Pulls(ids, beads, forces)
 
     def _see(self, ids: Ids, steps: NDArray[np.int64]) -> None:
-        since = steps - self._life.config.first
-        seen = ids[(since >= 0) & (since % self._life.config.every == 0)]
+        since = steps - self._policy.config.first
+        seen = ids[(since >= 0) & (since % self._policy.config.every == 0)]
         if not len(seen):
             return
         columns = self._batch.number[seen].tolist(), self._batch.steps[seen].tolist()
         # where a reset lays the rope; the chain engine's own vertices differ by rounding
         qpos = self._simulation.qpos(seen)
-        self._life.frames += map(_Frame, *columns, qpos, self._simulation.rope.points(qpos))
+        self._policy.frames += map(_Frame, *columns, qpos, self._simulation.rope.points(qpos))
 
     def _random(self, ids: Ids) -> BeadsAndForces:
         actions = self._drawn[ids, self._batch.steps[ids]]
