@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from misread import Misread, page
 from numpy.typing import NDArray
+from pictures import Misread, page, shown_rows
 
 from knotgym.datasets import decode, read_rows
 from knotgym.learn import RopeReader, StrandNetwork, load_rope_reader
@@ -38,7 +38,7 @@ def read(given: argparse.Namespace) -> None:
     """Read pictures and print the share of right codes, overall and by factor."""
     reader = load_rope_reader(given.weights) if given.weights else load_rope_reader()
     rows, missed = list[dict[str, Any]](), list[Misread]()
-    for row in itertools.islice(read_rows(given.folder, given.split), given.count):
+    for row in shown_rows(given.folder, given.split, given.count):
         code, image = GaussCode.parse(row["gauss_code_chiral"]), decode(row["image"])
         found = reader.read(image, given.views)
         right = found is not None and found.code in images(code, REVERSE | REBASE)

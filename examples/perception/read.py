@@ -26,7 +26,7 @@ try:
     import torch
 except ModuleNotFoundError as error:
     raise SystemExit("read.py needs torch: pip install '.[torch,huggingface]'") from error
-from misread import Misread, page
+from pictures import Misread, page
 from torch import Tensor, nn
 from torch.nn import functional
 

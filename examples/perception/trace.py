@@ -18,10 +18,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from misread import Misread, page
 from numpy.typing import NDArray
+from pictures import Misread, page, shown_rows
 
-from knotgym.datasets import decode, read_rows
+from knotgym.datasets import decode
 from knotgym.prompting import reading_scores, reading_table
 from knotgym.rendering import bead_colours
 from knotgym.topology import GaussCode, find_crossings
@@ -163,24 +163,17 @@ def distance(seen: Array, place: float) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder")
+    parser.add_argument("folder", type=Path)
     parser.add_argument("--split")
-    parser.add_argument("--count", type=int, default=10**9)
+    parser.add_argument("--count", type=int)
     parser.add_argument(
         "--page", type=Path, help="file for a page of the accepted pictures that were misread"
     )
     given = parser.parse_args()
     readings: list[dict[str, object]] = []
     missed: list[Misread] = []
-    for number, row in enumerate(
-        read_rows(
-            given.folder,
-            given.split,
-            ["image", "gauss_code", "grade", "accepted", "appearance", "source"],
-        )
-    ):
-        if number >= given.count:
-            break
+    columns = ["image", "gauss_code", "grade", "accepted", "appearance", "source"]
+    for row in shown_rows(given.folder, given.split, given.count, columns):
         if row["appearance"]["colours"] != "published" or any(row["appearance"]["background"]):
             continue
         image = decode(row["image"])
@@ -188,8 +181,8 @@ def main() -> None:
         true = GaussCode.parse(row["gauss_code"])
         good = code is not None and code.matches(true)
         found = None if code is None else str(code)
-        columns = {name: row[name] for name in ("gauss_code", "grade", "accepted")}
-        readings.append({**columns, "read": found})
+        facts = {name: row[name] for name in ("gauss_code", "grade", "accepted")}
+        readings.append({**facts, "read": found})
         if row["accepted"] and not good:
             missed.append((image, row["gauss_code"], "lost" if code is None else str(code)))
             print(

@@ -20,8 +20,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pictures import shown_rows
 
-from knotgym.datasets import decode, read_rows
+from knotgym.datasets import decode
 from knotgym.topology import (
     NEGATIVE,
     POSITIVE,
@@ -177,7 +178,7 @@ def main() -> None:
     given = parser.parse_args()
     tally: dict[int, list[tuple[bool, bool]]] = {}  # nx -> for each picture: diagram, knot right
     answers = list[str]()
-    for row in itertools.islice(read_rows(given.folder, given.split), given.count):
+    for row in shown_rows(given.folder, given.split, given.count):
         if row["appearance"]["colours"] != "lines":
             parser.error("these pictures aren't line drawings; make some with --style knotbench")
         code, found = GaussCode.parse(row["gauss_code_chiral"]), read(decode(row["image"]))

@@ -38,7 +38,7 @@ SCRIPTS = [
 MODULES = [
     FOLDER / "learners" / "decisions.py",
     FOLDER / "learners" / "protocol.py",
-    FOLDER / "perception" / "misread.py",
+    FOLDER / "perception" / "pictures.py",
 ]  # what the scripts share
 
 with_arrow = pytest.mark.skipif(

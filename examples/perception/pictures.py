@@ -1,13 +1,30 @@
-"""Draw a page of misread pictures; used by both readers."""
+"""Read the pictures of a table with a sign of progress, and draw a page of misread ones."""
 
+import itertools
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.datasets import read_rows
+from knotgym.runs import Progress
+
 # picture (size, size, 3), true code, code read
 Misread = tuple[NDArray[np.uint8], str, str]
+
+
+def shown_rows(
+    folder: Path, split: str | None, count: int | None, columns: Sequence[str] | None = None
+) -> Iterator[dict[str, Any]]:
+    """Yield the first `count` rows of a split, or all; show on standard error how many they are."""
+    with Progress(lines=False) as progress:
+        rows = itertools.islice(read_rows(folder, split, columns), count)
+        for number, row in enumerate(rows, 1):
+            progress.stage(f"picture {number}" + (f" of {count}" if count else ""))
+            yield row
 
 
 def page(
