@@ -37,8 +37,8 @@ def show(given: Given) -> None:
 def gallery(given: Given) -> None:
     """Draw a contact sheet of knot diagrams with their codes.
 
-    It shows all states, or the final states of the first 64 episodes, framed green for success and
-    red for failure. For a perception table it shows the first 64 pictures.
+    It shows all states, or the final states of 64 episodes, framed green for success and red for
+    failure, or 64 pictures: a sample even over splits, crossings and outcomes.
 
     Args:
         out: PNG to write; gallery.png in the folder by default.

@@ -11,6 +11,7 @@ from rich.console import Console
 from knotgym.datasets import (
     CardTable,
     image_card_tables,
+    in_words,
     read_manifest,
     read_table,
     shards,
@@ -21,9 +22,11 @@ from knotgym.prompting import show_transcripts
 from knotgym.runs import narrow_table
 from knotgym.states import read_states
 
-_LISTED = 24  # entries of a mapping that are printed, at most
+_WIDTH, _GAP = 80, 3  # characters of a line, and between columns
 # paths stay whole, to be copied
-_FACTS = TextWrapper(80, subsequent_indent=" " * 21, break_on_hyphens=False, break_long_words=False)
+_FACTS = TextWrapper(
+    _WIDTH, subsequent_indent=" " * 21, break_on_hyphens=False, break_long_words=False
+)
 
 
 def print_states(path: str, file: Path, console: Console) -> None:
@@ -68,39 +71,38 @@ def print_transcripts(path: str | Path, console: Console) -> bool:
 def _print_facts(facts: Mapping[str, Any], console: Console) -> None:
     """Print a line for each fact that is known."""
     for name, value in facts.items():
-        if text := _in_words(value):
+        if text := in_words(value):
             for line in _FACTS.wrap(f"{name:20} {text}"):
                 _say(console, line)
-
-
-def _in_words(value: Any) -> str:
-    """Format a value of a summary for reading; "" for None, "none" for one in a mapping."""
-    if isinstance(value, Mapping):
-        entries = [
-            f"{name} {_in_words(one) or 'none'}" for name, one in list(value.items())[:_LISTED]
-        ]
-        more = len(value) - len(entries)
-        return ", ".join(entries) + (f" and {more} more" if more else "")
-    if isinstance(value, list):
-        is_interval = bool(value) and isinstance(value[0], float)
-        return (" to " if is_interval else " and ").join(map(_in_words, value))
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "" if value is None else str(value)
 
 
 def _print_tables(tables: Mapping[str, CardTable], console: Console) -> None:
     for one in tables.values():
         if not one.rows:
             continue
-        shown = narrow_table(one.head, title=one.title, left=one.left)
-        for row in one.rows:
-            shown.add_row(*map(str, row))
-        console.print(shown)
+        title: str | None = one.title
+        for chosen in _parts(one):
+            shown = narrow_table([one.head[k] for k in chosen], title=title, left=one.left)
+            for row in one.rows:
+                shown.add_row(*(str(row[k]) for k in chosen))
+            console.print(shown)
+            title = None
         if one.says:
             _say(console, one.says)
 
 
+def _parts(table: CardTable) -> list[list[int]]:
+    """Deal the columns of a table to parts of 80 characters, each of which repeats the first."""
+    cells = zip(*([table.head, *table.rows]), strict=True)
+    widths = [max(len(str(cell)) for cell in column) + _GAP for column in cells]
+    parts = [[0]]
+    for k, width in enumerate(widths[1:], 1):
+        if len(parts[-1]) > 1 and sum(widths[one] for one in parts[-1]) + width > _WIDTH:
+            parts.append([0])
+        parts[-1].append(k)
+    return parts
+
+
 def _say(console: Console, line: str) -> None:
-    text = fill(line, 80, break_long_words=False, break_on_hyphens=False)
+    text = fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
     console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -2,6 +2,7 @@ from .cards.citation import code_span as code_span
 from .cards.citation import filled as filled
 from .cards.citation import plain as plain
 from .cards.fact_tables import CardTable as CardTable
+from .cards.fact_tables import in_words as in_words
 from .cards.fact_tables import table as table
 from .cards.image_card import finish_images as finish_images
 from .cards.image_card import image_card_tables as image_card_tables

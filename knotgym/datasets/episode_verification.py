@@ -28,6 +28,8 @@ from knotgym.topology import GaussCode, knot_type, label_many, pyknotid_code
 
 Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
 Replay = Callable[[Episodes, TaskConfig], Episodes]  # `control.verification.replay`
+# of the metadata: a word that nothing confirms, and that may be a stranger's
+_CLAIMED = ("author", "algorithm_name", "ref_min_score", "ref_max_score", "code_permalink")
 _BLOCK = 1024  # episodes played again between two reports of progress
 
 
@@ -131,6 +133,7 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "bytes_per_step": size / max(1, int(own["length"].sum())),
         "rope": dataset.attributes.get("rope"),
         "versions": dataset.attributes.get("versions"),
+        "claimed": {k: v for k in _CLAIMED if (v := (dataset.metadata or {}).get(k))} or None,
     }
 
 

@@ -1,8 +1,7 @@
 """Contact sheets: knot diagrams of states and of final states of episodes, and pictures."""
 
 import os
-from collections.abc import Sequence
-from itertools import islice
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -81,31 +80,64 @@ def state_tiles(states: States) -> list[Tile]:
 
 
 def episode_tiles(datasets: Sequence[Path]) -> list[Tile]:
-    """Return the knot diagrams of the final states of the first SHOWN episodes."""
+    """Return the knot diagrams of the final states of a sample of SHOWN episodes.
+
+    The sample is even over datasets, crossings of goals, and outcomes.
+    """
     from knotgym.rendering import OUTCOMES
 
-    tiles: list[Tile] = []
-    for dataset in datasets:
-        opened = columns_of(dataset)
-        (own, steps), last = opened.episodes, opened.episodes.last()[: SHOWN - len(tiles)]
-        codes = gauss_codes(steps["visits"][last], steps["signs"][last])
-        for row, code in enumerate(codes.tolist()):
-            outcome = "reached" if own["success"][row] else "failed"
-            captions = (code or "loop", f"{opened.name}  episode {row}", outcome)
-            points = steps["observation"][last[row]].astype(np.float64)
-            tiles.append(Tile(draw_diagram(points), captions, OUTCOMES[outcome]))
+    opened, tiles = [columns_of(dataset) for dataset in datasets], list[Tile]()
+    every, strata = list[tuple[int, int]](), list[tuple[int, int, bool]]()
+    for number, one in enumerate(opened):
+        own = one.episodes.episodes
+        crossings = (np.count_nonzero(own["goal_visits"], axis=1) // 2).tolist()
+        every += [(number, row) for row in range(own.rows)]
+        strata += [
+            (number, nx, bool(reached))
+            for nx, reached in zip(crossings, own["success"].tolist(), strict=True)
+        ]
+    for number, row in (every[k] for k in sample(strata)):
+        (own, steps), last = opened[number].episodes, opened[number].episodes.last()[row]
+        code, goal = (
+            str(gauss_codes(visits)[0]) or "loop"
+            for visits in (steps["visits"][[last]], own["goal_visits"][[row]])
+        )
+        outcome = "reached" if own["success"][row] else "failed"
+        name = f"{opened[number].name}  " if len(opened) > 1 else ""
+        captions = (code, f"{name}episode {row}", f"{outcome}, goal {goal}")
+        points = steps["observation"][last].astype(np.float64)
+        tiles.append(Tile(draw_diagram(points), captions, OUTCOMES[outcome]))
     return tiles
 
 
 def picture_tiles(table: str | os.PathLike[str]) -> list[Tile]:
-    """Return the first SHOWN pictures of a perception table."""
-    from knotgym.datasets.image_table import decode, read_rows  # here, as states need neither
+    """Return a sample of SHOWN pictures of a perception table, even over splits and nx."""
+    from knotgym.datasets.image_table import decode, read_table  # here, as states need neither
 
-    rows = read_rows(table, columns=["image", "gauss_code_chiral", "split"])
+    found = read_table(table, columns=["image", "gauss_code_chiral", "split", "nx"])
+    rows = sample([*zip(found["split"].to_pylist(), found["nx"].to_pylist(), strict=True)])
     return [
         Tile(
-            np.asarray(cv2.resize(decode(row["image"]), (_TILE, _TILE)), np.uint8),
-            (row["gauss_code_chiral"] or "loop", row["split"]),
+            np.asarray(cv2.resize(decode(row["image"]["bytes"]), (_TILE, _TILE)), np.uint8),
+            (row["gauss_code_chiral"] or "loop", f"{row['split']}  nx {row['nx']}"),
         )
-        for row in islice(rows, SHOWN)
+        for row in found.take(rows).to_pylist()
     ]
+
+
+def sample(strata: Sequence[Hashable], most: int = SHOWN) -> list[int]:
+    """Choose at most `most` rows, as many of each stratum as possible, evenly spaced in it.
+
+    >>> sample(["a", "b", "a", "a"], 2), sample([3, 3, 1], 9)
+    ([0, 1], [0, 1, 2])
+    """
+    rows: dict[Hashable, list[int]] = {}
+    for row, stratum in enumerate(strata):
+        rows.setdefault(stratum, []).append(row)
+    chosen, left = list[int](), min(most, len(strata))
+    # the smallest first, so that what they leave goes to the others
+    for number, own in enumerate(sorted(rows.values(), key=len)):
+        count = min(len(own), left // (len(rows) - number))
+        chosen += [own[k * len(own) // count] for k in range(count)]
+        left -= count
+    return sorted(chosen)

@@ -35,7 +35,7 @@ from knotgym.quality import UNITS
 from knotgym.states import IMAGE_SPLITS
 
 FORMAT = "knotgym-images"
-_FORMAT_VERSION = 2  # 2: ropes are drawn by distance
+VERSION = 2  # 2: ropes are drawn by distance
 _DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `row_line`
 GRADES = ("easy", "medium", "hard", "extreme")
 _ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be read
@@ -105,7 +105,7 @@ def parquet(table: Any) -> bytes:
     digest = hashlib.sha256()
     for row in _rows(table):
         digest.update(row_line(row))
-    named = {"format": FORMAT, "format_version": _FORMAT_VERSION, _DIGEST: digest.hexdigest()}
+    named = {"format": FORMAT, "format_version": VERSION, _DIGEST: digest.hexdigest()}
     metadata = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
     table, sink = table.replace_schema_metadata(metadata), arrow().BufferOutputStream()
     arrow("pyarrow.parquet").write_table(
@@ -278,10 +278,10 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         file = _opened(path)
         named = _named(file)
         found = named.get("format", "none"), named.get("format_version", "none")
-    if found != (FORMAT, _FORMAT_VERSION):
+    if found != (FORMAT, VERSION):
         raise InvalidFile(
             f"{path} has format {found[0]!r} version {found[1]}; this version reads {FORMAT!r}"
-            f" version {_FORMAT_VERSION}"
+            f" version {VERSION}"
         )
     with _faults_named(path):
         _require_schema(file, os.path.getsize(path))

@@ -155,7 +155,7 @@ def test_the_folder_has_card_citation_gallery_and_croissant(huggingface: Path) -
         path.name for path in huggingface.iterdir()
     }
     card = (huggingface / "README.md").read_text(encoding="utf-8")
-    assert re.search(r"nx 2, split train: \d+ distinct starts and \d+ goals, in \d+ pairs", card)
+    assert re.search(r"starts \d+, goals \d+, pairs \d+", card)
     assert "license: cc-by-4.0" in card and "| `goal_gauss_code` |" in card
     described = json.loads((huggingface / "croissant.json").read_text(encoding="utf-8"))
     assert described["license"].endswith("by/4.0/")
@@ -183,6 +183,17 @@ def test_cards_show_a_hostile_name_as_text(tmp_path: Path) -> None:
     assert "onerror" in body and not [one for one in MARKUP if one in body]
     (title,) = [one for one in citation_file(HOSTILE).splitlines() if one.startswith("title: ")]
     assert json.loads(title.partition(": ")[2]).startswith("knotgym: <img")
+
+
+@needs_arrow
+def test_a_card_says_what_the_dataset_shows(tmp_path: Path) -> None:
+    merge([EXPERT, str(TINY["random"])], tmp_path / "both.h5")
+    export(str(tmp_path / "both.h5"), tmp_path / "hub", "huggingface", replay)
+    card = (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")
+    assert "engine chain" in card and "mujoco, s" not in card and "MuJoCo" not in card
+    assert "| policies | expert 3, random 3 |" in card and "| success_rate | " in card
+    assert re.search(r"\| distinct \| starts \d, goals \d, pairs \d \|", card)
+    assert (tmp_path / "hub" / "gallery.png").is_file() and "](gallery.png)" in card
 
 
 def test_minaris_folder_is_a_repository_of_the_same_bytes(root: Path, tmp_path: Path) -> None:

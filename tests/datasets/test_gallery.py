@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from knotgym.datasets.gallery import Tile, contact_sheet
+from knotgym.datasets.gallery import Tile, contact_sheet, sample
 from knotgym.rendering import OUTCOMES
 
 
@@ -28,3 +28,11 @@ def test_a_caption_too_long_for_its_picture_is_written_smaller() -> None:
     short, long = (contact_sheet([Tile(image, (text, "b"))]) for text in ("1+a", code))
     assert long.shape == short.shape and not np.array_equal(long, short)
     assert (long[short.shape[0] - 12 :] != long[-1, 0]).any()
+
+
+def test_a_sample_has_every_stratum() -> None:
+    strata = ["a"] * 100 + ["b"] * 3 + ["c"] * 40
+    chosen = sample(strata, 23)
+    assert [sum(strata[row] == name for row in chosen) for name in "abc"] == [10, 3, 10]
+    assert chosen == sorted(set(chosen)) and min(chosen) == 0
+    assert sample([], 5) == [] and sample([1, 2], 5) == [0, 1]

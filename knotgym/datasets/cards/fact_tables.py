@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.cards.citation import plain
 
+_LISTED = 24  # entries of a mapping in words, at most
+
 
 class CardTable(NamedTuple):
     """A table.
@@ -79,3 +81,19 @@ def table(head: Sequence[object], rows: Iterable[Iterable[object]]) -> list[str]
     ['| nx | states |', '| --- | --- |', '| 3 | 40 |']
     """
     return [f"| {' | '.join(map(str, one))} |" for one in (head, ["---"] * len(head), *rows)]
+
+
+def in_words(value: Any) -> str:
+    """Format a value of a summary for reading; "" for None, "none" for one in a mapping."""
+    if isinstance(value, Mapping):
+        entries = [
+            f"{name} {in_words(one) or 'none'}" for name, one in list(value.items())[:_LISTED]
+        ]
+        more = len(value) - len(entries)
+        return ", ".join(entries) + (f" and {more} more" if more else "")
+    if isinstance(value, list):
+        is_interval = bool(value) and isinstance(value[0], float)
+        return (" to " if is_interval else " and ").join(map(in_words, value))
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "" if value is None else str(value)

@@ -11,7 +11,7 @@ dataset (`--to minari`) has everything that is needed to replay an episode. A fo
 ready to upload as it is: it has its card and Parquet files already.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,16 +26,16 @@ from knotgym.datasets.cards.citation import (
     yaml_string,
 )
 from knotgym.datasets.cards.croissant import write_croissant
-from knotgym.datasets.cards.fact_tables import table
-from knotgym.datasets.episode_dataset import columns_of
-from knotgym.datasets.episode_verification import Replay
-from knotgym.datasets.episodes import distinct
+from knotgym.datasets.cards.fact_tables import in_words, table
+from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
+from knotgym.datasets.episode_verification import Replay, show_episodes
 from knotgym.datasets.exports.parquet_tables import rows_of_steps, step_tables, write_parquet
-from knotgym.datasets.gallery import state_tiles, write_gallery
+from knotgym.datasets.gallery import episode_tiles, state_tiles, write_gallery
 from knotgym.datasets.image_table import arrow
 from knotgym.datasets.located import Located
 from knotgym.states import STATE_SPLITS, read_states
 
+_OF_FILES = ("path", "bytes", "bytes_per_step", "form")  # of files that aren't exported
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 
 
@@ -57,26 +57,39 @@ def to_huggingface(source: Located, folder: Path, _: Replay) -> str:
             rows.setdefault(config, {})[split], pages[config] = count, page
     if not rows:
         raise InvalidInput(f"{source.title} has no rows, so there is nothing to export")
-    if "states" in rows and source.states is not None:
+    if source.states is not None:
         tiles = state_tiles(read_states(source.states, images=False))
-        write_gallery(folder / "gallery.png", tiles)
+    else:
+        tiles = episode_tiles(source.episodes)
+    write_gallery(folder / "gallery.png", tiles)
     write_text(folder / "CITATION.cff", citation_file(source.title))
     counts = {config: sum(splits.values()) for config, splits in rows.items()}
+    datasets = [columns_of(path) for path in source.episodes]
+    engines = [one.task.engine for one in datasets]
+    if source.states is not None:
+        engines.append(read_states(source.states, images=False).engine)
     description = (
         f"{', '.join(f'{count} {config}' for config, count in counts.items())} of a closed rope"
-        f" in MuJoCo, labelled with Gauss codes; made by knotgym {knotgym.__version__}."
+        f" (engine {' and '.join(dict.fromkeys(engines))}), labelled with Gauss codes; made by"
+        f" knotgym {knotgym.__version__}."
     )
-    for one in map(columns_of, source.episodes):
-        starts, goals, pairs = distinct(one.episodes.episodes).values()
-        task = one.task
-        description += (
-            f" Episodes of {task.task}, nx {task.nx}, split {task.split}: {starts} distinct"
-            f" starts and {goals} goals, in {pairs} pairs."
-        )
-    write_text(folder / "README.md", _card(source.title, description, rows, pages))
+    if datasets:
+        pages["steps"] = f"{_facts(datasets)}\n\n{pages['steps']}"
+    write_text(folder / "README.md", _card(source.title, engines, description, rows, pages))
     write_croissant(folder, source.title, description)
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     return f"{size / 1e6:.1f} MB to upload"
+
+
+def _facts(datasets: Sequence[EpisodeDataset]) -> str:
+    """Return what `dataset show` says of episodes, a column for each dataset, in Markdown."""
+    every = [show_episodes(one) for one in datasets]
+    rows = [
+        (name, *(plain(in_words(one[name])) for one in every))
+        for name in every[0]
+        if name not in _OF_FILES and any(in_words(one[name]) for one in every)
+    ]
+    return "\n".join(table(("", *(plain(one.name) for one in datasets)), rows))
 
 
 def _tables(source: Located) -> Iterator[tuple[str, str, Iterable[Table]]]:
@@ -102,6 +115,7 @@ def _tables(source: Located) -> Iterator[tuple[str, str, Iterable[Table]]]:
 
 def _card(
     title: str,
+    engines: Iterable[str],
     description: str,
     rows: Mapping[str, Mapping[str, int]],
     pages: Mapping[str, str],
@@ -120,9 +134,10 @@ def _card(
         pretty_name=yaml_string(title),
         size=next((name for most, name in _SIZES if total < most), "1M<n<10M"),
         configs=configs,
+        engines=", ".join(dict.fromkeys(engines)),
         title=plain(title),
         description=description,
-        gallery="![pictures of the rope](gallery.png)" if "states" in rows else "",
+        gallery="![pictures of the rope](gallery.png)",
         first=next(iter(rows)),
         tables=tables[1:],
     )

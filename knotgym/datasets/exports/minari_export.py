@@ -59,7 +59,7 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
             copy_file(file, root / name / "data" / file.name)
         if not (data / METADATA).is_file():
             write_minari(columns_of(root / name), root / name / "data")
-    namespace = {"description": "Closed ropes in MuJoCo, goals that are Gauss codes."}
+    namespace = {"description": "Closed ropes, goals that are Gauss codes."}
     listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
     write_text(repository / "namespace_metadata.json", json.dumps(listed))
     write_text(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
