@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidInput, InvalidPolicy, one_line
 from knotgym.control.sampler import Ids, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
-from knotgym.rope import ROUNDING, ActionView, choices, nearest_beads
+from knotgym.rope import REAL, ROUNDING, ActionView, choices, nearest_beads
 
 Generators = Sequence[np.random.Generator]
 
@@ -21,13 +21,14 @@ class ActionPlayer(ABC):
     Attributes:
         batch: the episodes.
         name: of the policy, for error messages.
-        view: of the actions; that of the task, unless a subclass gives another one.
+        view, frame: of the actions; those of the task, unless a subclass gives others.
         planned: int64 (lanes,), 0: nothing is simulated.
         rngs: the generator of the episode in each lane.
     """
 
     def __init__(self, batch: EpisodeBatch, name: str, view: ActionView | None = None) -> None:
         self.batch, self.name, self.view = batch, name, view or batch.view
+        self.frame = batch.task.frame
         self.planned = np.zeros(batch.count, dtype=np.int64)
         self.rngs: list[np.random.Generator] = [np.random.default_rng(0)] * batch.count
         self._pulled = np.zeros(batch.count, dtype=bool)  # since the view last looked
@@ -47,7 +48,7 @@ class ActionPlayer(ABC):
         """Choose actions, and return the pulls that carry them out."""
         simulation, view = self.batch.simulation, self.view
         if view.name == "pull":
-            actions = _checked(self.choose(ids), view, self.name)
+            actions = self._in_world(ids)
             positions = simulation.rope.config.reach * actions[:, :3].astype(np.float64)
             beads = nearest_beads(simulation.points[ids], positions)
             return Pulls(ids, beads, actions[:, 3:])
@@ -56,7 +57,7 @@ class ActionPlayer(ABC):
         view.pulled(before, np.zeros(len(before), dtype=bool))
         deciding = ids[~view.busy[ids]]
         if len(deciding):
-            view.begin(_checked(self.choose(deciding), view, self.name), deciding)
+            view.begin(self._in_world(deciding), deciding)
         self._pulled[ids] = True
         beads, forces = view.pulls_of(ids)
         if view.name != "macro":
@@ -64,6 +65,13 @@ class ActionPlayer(ABC):
         # whether this pull is the first of its macro-action, then bead, target and side
         macros = np.column_stack([view.pulls[ids] == 0, view.macros[ids]])
         return Pulls(ids, beads, forces, macros)
+
+    def _in_world(self, ids: Ids) -> NDArray[np.float32]:
+        """Choose actions, check them, and map them into the world."""
+        actions = _checked(self.choose(ids), self.view, self.name)
+        if self.frame == "canonical":
+            actions = self.batch.world_actions(self.view, actions, ids).astype(np.float32)
+        return actions
 
 
 class RandomPolicy:
@@ -84,19 +92,20 @@ class _RandomPlayer(ActionPlayer):
     def __init__(self, batch: EpisodeBatch, name: str) -> None:
         super().__init__(batch, name)
         # all pulls of an episode, drawn when it begins
-        self._drawn = np.zeros((batch.count, batch.task.horizon, 6), dtype=np.float32)
-        self._pulls = batch.task.action == "pull"
-        if not self._pulls:
+        size = self.view.size
+        self._drawn = np.zeros((batch.count, batch.task.horizon, size), dtype=np.float32)
+        self._real = batch.task.action in REAL
+        if not self._real:
             self._counts = choices(batch.task.action, batch.task.beads)
 
     def begin(self, ids: Ids, rngs: Generators) -> None:
         super().begin(ids, rngs)
         for index, rng in zip(ids.tolist(), rngs, strict=True):
-            if self._pulls:
+            if self._real:
                 self._drawn[index] = rng.uniform(-1, 1, self._drawn.shape[1:])
 
     def choose(self, ids: Ids) -> NDArray[Any]:
-        if self._pulls:
+        if self._real:
             drawn: NDArray[Any] = self._drawn[ids, self.batch.steps[ids]]
             return drawn
         return np.stack([self.rngs[index].integers(self._counts) for index in ids.tolist()])
@@ -117,7 +126,7 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
         InvalidPolicy: an action isn't one of the view, such as six finite numbers in [-1, 1].
     """
     size = view.size
-    numbers = "finite numbers in [-1, 1]" if size == 6 else "whole numbers"
+    numbers = "finite numbers in [-1, 1]" if view.name in REAL else "whole numbers"
     wanted = f"policy {name} must give {size} {numbers} for an episode"
     if not (isinstance(actions, np.ndarray) and actions.dtype == np.float32):
         try:
@@ -129,7 +138,7 @@ def _checked(actions: Any, view: ActionView, name: str) -> NDArray[np.float32]:
             if len(row) != size:
                 raise InvalidPolicy(f"{wanted}, got {row.tolist()[:8]}")
         actions = np.stack(rows)
-    if size == 6:
+    if view.name in REAL:
         bad = ~(np.abs(actions) <= 1 + ROUNDING).all(axis=1)
         if bad.any():
             raise InvalidPolicy(f"{wanted}, got {actions[bad][0].tolist()}")

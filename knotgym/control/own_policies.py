@@ -10,8 +10,9 @@
 Actions are those of the task's action view, by default six numbers in [-1, 1]. Episodes are played
 side by side, so each gets its own deep copy of the object; a class is called once, without
 arguments, to make the object to copy. Random draws should come from the episode's generator, or the
-run can't be repeated. A `control.sampler.Policy` acts in many episodes at once. A module may list
-the files that it reads, such as weights, in `FILES`; results hold their digests.
+run can't be repeated. A model of a library acts by `loaders.as_policy`, and a
+`control.sampler.Policy` acts in many episodes at once. A module may list the files that it reads,
+such as weights, in `FILES`; results hold their digests.
 """
 
 import copy
@@ -23,6 +24,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,8 @@ from knotgym.common import InvalidPolicy, KnotgymError, one_line
 from knotgym.control.basic_policies import ActionPlayer, Generators
 from knotgym.control.sampler import Ids, Player, Policy, Pulls
 from knotgym.envs import EpisodeBatch, TaskConfig
+from knotgym.loaders import RowPolicy
+from knotgym.rope import ActionView
 
 
 class OwnPolicy:
@@ -102,6 +106,33 @@ class _OwnPlayer(ActionPlayer):
         return actions
 
 
+class _Rows:
+    """A model of a library, see `loaders.as_policy`."""
+
+    def __init__(self, given: RowPolicy, name: str) -> None:
+        self.name, self._given = name, given
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        """The same task as the model sees it."""
+        given = self._given
+        # a decision is carried out by pulls, which are what the environment gets
+        action = "pull" if given.action == "decision" else given.action
+        return replace(task, observation=given.observation, frame=given.frame, action=action)
+
+    def player(self, batch: EpisodeBatch) -> ActionPlayer:
+        return _RowPlayer(batch, self._given, self.name)
+
+
+class _RowPlayer(ActionPlayer):
+    def __init__(self, batch: EpisodeBatch, given: RowPolicy, name: str) -> None:
+        super().__init__(batch, name, ActionView(given.action, batch.simulation))
+        self._given = given
+
+    def choose(self, ids: Ids) -> Any:
+        with _user_code(self.name):
+            return self._given.actions(self.batch.observations(ids))
+
+
 class _Guarded:
     """A user's `Policy`, whose errors are one line."""
 
@@ -151,6 +182,8 @@ def load_own(name: str) -> Policy:
         raise InvalidPolicy(f"no policy {name}: {one_line(error)}") from error
     except (Exception, SystemExit) as error:
         raise _invalid(name, error) from error
+    if isinstance(given, RowPolicy):
+        return _Rows(given, name)
     if callable(getattr(given, "player", None)) and not inspect.isclass(given):
         return _Guarded(given, name)
     return OwnPolicy(given, name)

@@ -4,6 +4,7 @@ from .environment import task_config as task_config
 from .episode_batch import EpisodeBatch as EpisodeBatch
 from .marked import CanonicalFrames as CanonicalFrames
 from .marked import Marked as Marked
+from .marked import frames_of as frames_of
 from .marked import join as join
 from .marked import mark as mark
 from .marked import split as split
@@ -30,3 +31,4 @@ from .tasks import OBSERVATIONS as OBSERVATIONS
 from .tasks import TaskConfig as TaskConfig
 from .tasks import max_nx as max_nx
 from .tasks import register_task as register_task
+from .tasks import require_frame as require_frame

@@ -285,6 +285,8 @@ class EpisodeBatch:
         Raises:
             InvalidInput: an action is invalid; no rope has moved.
         """
+        if self.task.frame == "canonical":
+            actions = self.world_actions(self.view, actions, ids)
         if self.task.action == "pull":
             beads, _ = self.simulation.read_actions(actions, ids)
             forces = np.clip(np.asarray(actions, dtype=np.float64)[:, 3:], -1.0, 1.0)
@@ -300,6 +302,18 @@ class EpisodeBatch:
             total.terminated[rows], total.truncated[rows] = last.terminated, last.truncated
             rows = rows[self.view.busy[ids[rows]]]
         return total
+
+    def world_actions(self, view: ActionView, actions: ArrayLike, ids: Ids) -> NDArray[Any]:
+        """Map actions of a view from the canonical frames of ropes into the world.
+
+        Raises:
+            InvalidInput: an action is invalid.
+        """
+        from knotgym.envs.marked import frames_of
+
+        points = self.simulation.points[ids]
+        checked, frames = view.check(actions, ids), frames_of(points, self.goals_of(ids))
+        return frames.world_actions(view.name, checked, points, self.simulation.rope.config.reach)
 
     def tow_bound(self, index: int, share: float = 1.0) -> TowBound | None:
         """Return where rope `index` must stay, at a share of the `tow_limit`; None without one."""

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.rope import LONGEST, NEAR, nearest_beads
 from knotgym.topology import GaussCode, find_crossings
 
 Array = NDArray[np.float64]
@@ -57,6 +58,16 @@ class CanonicalFrames(NamedTuple):
         back = np.roll(seen[:, ::-1], 1, axis=1)
         return np.where(self.reverse[:, None, None], back, seen)
 
+    def states(self, points: Array, goal_points: ArrayLike) -> Floats:
+        """Return observations of the kind "state" in the frame, float32 (n, 6 beads), metres.
+
+        Each of rope and goal lies about its own centre.
+        """
+        goals = np.broadcast_to(np.asarray(goal_points, dtype=np.float64), points.shape)
+        centred = self._replace(centres=goals.mean(axis=1))
+        both = np.stack([self.points(points), centred.points(goals)], axis=1)
+        return both.reshape(len(points), -1).astype(np.float32)
+
     def vectors(self, vectors: ArrayLike) -> Array:
         """Map vectors (n, ..., 3) of the world, such as forces, into the frame."""
         mapped: Array = np.einsum("nij,n...j->n...i", self.axes, np.asarray(vectors, np.float64))
@@ -72,6 +83,58 @@ class CanonicalFrames(NamedTuple):
         """Map beads (n,), of `count` per rope, from the world into the frame, or back."""
         own = np.asarray(beads, dtype=np.int64)
         return np.where(self.reverse, count - 1 - own, own)
+
+    def macros(self, actions: NDArray[Any], count: int) -> NDArray[np.int64]:
+        """Map actions (n, 3) of the view "macro" from the world into the frame, or back."""
+        beads = [self.renumber(actions[:, k], count) for k in (0, 1)]
+        return np.stack([*beads, (self.sides(2 * actions[:, 2] - 1) + 1) // 2], axis=1)
+
+    def places(self, beads: ArrayLike, points: Array) -> Array:
+        """Return where beads (n,) of the world's ropes (n, beads, 3) lie in the frame, metres."""
+        own = self.renumber(beads, points.shape[1])
+        places: Array = self.points(points)[np.arange(len(own)), own]
+        return places
+
+    def decisions(
+        self, beads: ArrayLike, forces: ArrayLike, made: ArrayLike, points: Array
+    ) -> Floats:
+        """Return the actions of the view "decision" in the frame.
+
+        Args:
+            beads: int (n,), beads of the world.
+            forces: (n, LONGEST, 3) in the world, in units of the largest force.
+            made: (n, LONGEST), above 0 for the pulls that are made.
+            points: float64 (n, beads, 3), the ropes in the world, metres.
+
+        Returns:
+            float32 (n, 43), clipped to [-1, 1].
+        """
+        flat = self.vectors(forces).reshape(len(points), -1)
+        parts = [self.places(beads, points) / NEAR, flat, np.asarray(made)]
+        return np.concatenate(parts, axis=1).clip(-1, 1).astype(np.float32)
+
+    def world_actions(
+        self, view: str, actions: NDArray[Any], points: Array, reach: float
+    ) -> NDArray[Any]:
+        """Map actions of a view from the frame into the world; numbers are clipped to [-1, 1].
+
+        Args:
+            view: "pull", "macro" or "decision".
+            actions: (n, 6), (n, 3) or (n, 43).
+            points: as of `decisions`.
+            reach: of the rope, metres.
+        """
+        if view == "macro":
+            return self.macros(actions, points.shape[1])
+        found = np.array(actions, dtype=np.float64)
+        vectors = found[:, 3 : 6 if view == "pull" else 3 + 3 * LONGEST]
+        vectors[:] = self.world_vectors(vectors.reshape(len(found), -1, 3)).reshape(vectors.shape)
+        rows = np.arange(len(found))
+        unit = reach if view == "pull" else NEAR
+        beads = nearest_beads(self.points(points), unit * found[:, :3])
+        own = points[rows, self.renumber(beads, points.shape[1])]
+        found[:, :3] = (own if view == "pull" else own - self.centres) / unit
+        return found.clip(-1, 1).astype(np.float32)
 
     def sides(self, sides: ArrayLike) -> NDArray[np.int64]:
         """Map sides (n,), +1 over and -1 under, from the world into the frame, or back."""
@@ -139,6 +202,11 @@ def mark(points: ArrayLike, goals: Sequence[GaussCode], *, canonical: bool = Tru
     if not canonical:
         frames = frames._replace(axes=np.broadcast_to(np.eye(3), frames.axes.shape))
     return Marked(frames.points(ropes), marks, code, goal, frames)
+
+
+def frames_of(points: ArrayLike, goals: Sequence[GaussCode]) -> CanonicalFrames:
+    """Return the canonical frames of ropes; for arguments see `mark`."""
+    return mark(points, goals).frames
 
 
 def join(parts: Marked) -> Floats:

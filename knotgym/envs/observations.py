@@ -193,6 +193,11 @@ def observe(
     seen: dict[str, NDArray[Any]] = {}
     if task.observation != "state":
         seen["pixels"] = _stacked(pictures()) if task.layout == "stacked" else pictures()
+    if task.observation == "state" and task.frame == "canonical":
+        from knotgym.envs.marked import frames_of
+
+        frames = frames_of(points, plain_codes(goal_visits))
+        return frames.states(np.asarray(points, dtype=np.float64), goal_points)
     if task.observation != "pixels":
         seen["state"] = _state(points, goal_points)
     return seen if task.observation == "both" else seen[task.observation]

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from knotgym.rope import RopeConfig
 
 OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
-ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
+ACTIONS = ("pull", "bead", "macro", "decision")  # see `knotgym.rope.action_views`
+FRAMES = ("world", "canonical")  # see `require_frame`
 MIN_BEADS, MAX_BEADS = 50, 1000
 # parameters of the rope that its states depend on, and those that the keyword `rope` can't set
 _SHAPE = "length", "radius"
@@ -78,6 +79,17 @@ def max_nx(beads: int) -> int:
     return 11 * beads // 100  # a rope of 100 beads hardly has room for more
 
 
+def require_frame(frame: str, observation: str, action: str) -> None:
+    """Raise InvalidInput if observations or actions of these kinds have no canonical frame."""
+    if frame not in FRAMES:
+        raise InvalidInput(f"no frame {frame!r}; there is {', '.join(FRAMES)}")
+    if frame == "canonical" and (observation not in ("state", "marked") or action == "bead"):
+        raise InvalidInput(
+            'frame "canonical" goes with observation "state" or "marked" and any action but "bead",'
+            f" whose forces are of the world; got {observation!r} and {action!r}"
+        )
+
+
 @configuration
 class TaskConfig:
     """Settings of an environment.
@@ -102,8 +114,12 @@ class TaskConfig:
             of their own (beads, integrator_steps) or that states depend on otherwise. The states
             must fit: their ropes have the same length and radius.
         observation: observation: pixels, state, both, symbolic or marked.
-        action: "pull", six numbers; "bead", a bead and binned forces; or "macro", a bead led past a
-            strand by up to ten pulls. See `knotgym.rope.action_views`.
+        action: "pull", six numbers; "bead", a bead and binned forces; "macro", a bead led past a
+            strand by up to ten pulls; or "decision", a bead and the forces of up to ten pulls. See
+            `knotgym.rope.action_views`.
+        frame: of actions and of the observation state: "world", or "canonical", the rope's own
+            frame, in which all images of a state by the task's symmetries look alike. marked is
+            always seen in it.
         max_goals: use only the first N goal states of the split, in file order; all by default.
         image_size: side of each half of the picture (rope and goal), in pixels.
         views: camera views in the picture, comma-separated: top, left, front.
@@ -140,6 +156,7 @@ class TaskConfig:
     rope: dict[str, Real] | None = None
     observation: Annotated[str, choice(*OBSERVATIONS)] = "pixels"
     action: Annotated[str, choice(*ACTIONS)] = "pull"
+    frame: Annotated[str, choice(*FRAMES)] = "world"
     max_goals: Count | None = None
     horizon: Count = 50
     hold: Count = 1
@@ -170,6 +187,7 @@ class TaskConfig:
                 )
             _ = self.rope_config  # refuses values out of range
         require_depth(self.depth, self.renderer)
+        require_frame(self.frame, self.observation, self.action)
         if max(self.crossings) > max_nx(self.beads):
             raise InvalidInput(
                 f"nx must be from 1 to {max_nx(self.beads)} on {self.beads} beads, got {self.nx}"

@@ -12,12 +12,14 @@ into a file of NumPy's format, which is mapped into memory:
 The key is a digest of everything that decides the pictures. You may delete the files.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib.format import open_memmap
@@ -35,6 +37,10 @@ from knotgym.common import (
 from knotgym.datasets import EpisodeDataset, gauss_code
 from knotgym.envs import OBSERVATIONS
 
+if TYPE_CHECKING:
+    from knotgym.envs import CanonicalFrames
+    from knotgym.topology import GaussCode
+
 Ids = NDArray[np.int64]
 _AT_ONCE = 256  # pictures drawn between two writes
 _BLOCK = 1024  # states gathered at once, about what a processor's cache holds
@@ -43,12 +49,20 @@ _BLOCK = 1024  # states gathered at once, about what a processor's cache holds
 class DrawnFrames:
     """The frames of one dataset as one kind of observation."""
 
-    def __init__(self, dataset: EpisodeDataset, observation: str, picture: Any, cache: Any) -> None:
+    def __init__(
+        self,
+        dataset: EpisodeDataset,
+        observation: str,
+        picture: Any,
+        cache: Any,
+        canonical: bool = False,
+    ) -> None:
         """Open the frames; with a cache, draw all pictures that its folder doesn't have yet.
 
         Args:
             dataset: columns.
             observation: "pixels", "state", "both", "symbolic" or "marked".
+            canonical: whether vertices are seen in the ropes' own frames.
             picture: a `PictureConfig`; None for that of the environment.
             cache: folder for pictures; None to draw them when they are asked for.
 
@@ -61,6 +75,7 @@ class DrawnFrames:
                 f"observation must be one of {', '.join(OBSERVATIONS)}, got {observation!r}"
             )
         self._dataset, self.observation, self._picture = dataset, observation, picture
+        self._canonical = canonical
         self._rows = dataset.episodes.steps.rows
         self._count = self._rows + dataset.episodes.episodes.rows
         self._file = None
@@ -94,8 +109,9 @@ class DrawnFrames:
         every = [(ids.ravel(), np.repeat(goals, ids.size // max(1, len(goals)))) for ids in shown]
         found: dict[str, list[NDArray[Any]]] = {}
         for name in self.names:
-            if name == "marked":
-                found[name] = [self._marked(*pair) for pair in every]
+            if name == "marked" or self._canonical:
+                seen = self._marked if name == "marked" else self._canonical_states
+                found[name] = [seen(*pair) for pair in every]
                 continue
             if name != "pixels":
                 found[name] = [self._beside(name, *pair) for pair in every]
@@ -110,13 +126,13 @@ class DrawnFrames:
         """Return frames as they are, the halves of observations; for arguments see `observe`.
 
         Raises:
-            InvalidInput: the observation is "marked", whose frame depends on rope and goal.
+            InvalidInput: the frame of the observations depends on rope and goal.
         """
-        if self.observation == "marked":
+        if self.observation == "marked" or self._canonical:
             raise InvalidInput(
-                "a marked observation has no halves: its frame depends on rope and goal; choose"
-                " observation 'pixels', 'state', 'both' or 'symbolic', or leave out apart and"
-                " negatives"
+                "a marked observation has no halves, nor has one in the canonical frame, which"
+                " depends on rope and goal; choose another observation or frame, or leave out apart"
+                " and negatives"
             )
         found = {name: self._halves(name, [ids.ravel() for ids in shown]) for name in self.names}
         return self._shaped(found, shown)
@@ -189,17 +205,37 @@ class DrawnFrames:
 
         return cut(self._codes(ids))[:, None]
 
+    def points(self, ids: Ids) -> NDArray[np.float64]:
+        """Return the vertices of frames, float64 (n, beads, 3), metres."""
+        return self._column(ids, "observation", "goal_points").astype(np.float64)
+
+    def _goal_codes(self, goals: Ids) -> list[GaussCode]:
+        return [gauss_code(visits) for visits in self._codes(goals)]
+
     def _marked(self, ropes: Ids, goals: Ids) -> NDArray[np.float32]:
         from knotgym.envs import join, mark
 
-        points = self._column(ropes, "observation", "goal_points").astype(np.float64)
-        return join(mark(points, [gauss_code(visits) for visits in self._codes(goals)]))
+        return join(mark(self.points(ropes), self._goal_codes(goals)))
+
+    def frames_of(self, ropes: Ids, goals: Ids, canonical: bool) -> CanonicalFrames:
+        """Return the frames of ropes (n,) with goals (n,): canonical, or centred alone."""
+        from knotgym.envs import CanonicalFrames, frames_of
+
+        if canonical:
+            return frames_of(self.points(ropes), self._goal_codes(goals))
+        axes = np.broadcast_to(np.eye(3), (len(ropes), 3, 3))
+        centres = self.points(ropes).mean(axis=1)
+        return CanonicalFrames(axes, centres, np.zeros(len(ropes), dtype=bool))
+
+    def _canonical_states(self, ropes: Ids, goals: Ids) -> NDArray[np.float32]:
+        frames = self.frames_of(ropes, goals, True)
+        return frames.states(self.points(ropes), self.points(goals))
 
     def _drawn(self, ids: Ids) -> NDArray[np.uint8]:
         # imported here, so that loading vertices doesn't need OpenCV
         from knotgym.envs import alone
 
-        points = self._column(ids, "observation", "goal_points").astype(np.float64)
+        points = self.points(ids)
         of = self._dataset.episodes.offsets
         episodes = np.searchsorted(of, np.minimum(ids, self._rows - 1), side="right") - 1
         episodes = np.where(ids >= self._rows, ids - self._rows, episodes)

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput, Table
 from knotgym.datasets import codes_held, columns_of, goals_reached, ranges
-from knotgym.envs import ACTIONS, Situation, outcome, reached
+from knotgym.envs import ACTIONS, Situation, outcome, reached, require_frame
 from knotgym.loaders.drawn_frames import DrawnFrames, Ids
 from knotgym.loaders.windows import Window, other_codes, returns
-from knotgym.rope import decode_actions, force_choices
+from knotgym.rope import LONGEST, decode_actions, force_choices, nearest_beads
 
 
 class Opening(TypedDict, total=False):
@@ -29,6 +29,7 @@ class Opening(TypedDict, total=False):
     observation: str | None
     picture: Any
     action: str | None
+    frame: str | None
     relabel: str | None
     labels: bool
     cache: Any
@@ -41,10 +42,10 @@ class Transitions:
 
     Opening maps the columns and reads hardly any of them; only relabel reads all codes.
 
-    In the view "macro" a transition is a macro-action. It leads from the state in which the
-    macro-action began to that in which the next one began, or to the segment's last; its reward is
-    the sum over the pulls between, of which only the last can have one. States before the first
-    macro-action are left out, and so are segments without any.
+    In the views "macro" and "decision" a transition is a macro-action. It leads from the state in
+    which the macro-action began to that in which the next one began, or to the segment's last; its
+    reward is the sum over the pulls between. States before the first macro-action are left out, and
+    so are segments without any.
 
     Attributes:
         dataset: the columns.
@@ -53,7 +54,7 @@ class Transitions:
         goal_step: int64 (S,), which state of the episode is the goal; -1 for the episode's own
             goal.
         starts: int64 (S + 1,), the first transition of each segment, then N.
-        action: view of the actions, see `knotgym.rope.action_views`.
+        action, frame: view and frame of the actions, see `knotgym.rope.action_views`.
         window: steps, chunks, stacks, histories and sampled goals of `batch`.
     """
 
@@ -63,6 +64,7 @@ class Transitions:
         observation: str | None = None,
         picture: Any = None,
         action: str | None = None,
+        frame: str | None = None,
         relabel: str | None = None,
         labels: bool = False,
         cache: Any = None,
@@ -77,7 +79,10 @@ class Transitions:
                 environment's.
             picture: a `knotgym.rendering.camera.PictureConfig` to render with; None for the
                 environment's pictures.
-            action: "pull", "bead" or "macro"; None for the environment's.
+            action: "pull", "bead", "macro" or "decision"; None for the environment's.
+            frame: "world", or "canonical" for actions and vertices in the rope's own frame, see
+                `TaskConfig`; None for the environment's. Actions are in the frame of the state in
+                which they begin.
             relabel: None for episodes as they are. "last": the goal becomes the last new code that
                 an episode reached, and the episode ends there. "all": one such segment for every
                 code that it reached. An episode that never leaves its first code gives none.
@@ -99,6 +104,7 @@ class Transitions:
             "observation": observation,
             "picture": picture,
             "action": action,
+            "frame": frame,
             "relabel": relabel,
             "labels": labels,
             "cache": cache,
@@ -107,10 +113,16 @@ class Transitions:
         }
         self.task, self.window = self.dataset.task, window
         self.action = self.task.action if action is None else action
+        self.frame = self.task.frame if frame is None else frame
+        self._led = self.action in ("macro", "decision")  # a transition is a macro-action
         self._labels, self._relabelled, self._reward = labels, relabel is not None, reward
         self._check()
         self._frames = DrawnFrames(
-            self.dataset, observation or self.task.observation, picture, cache
+            self.dataset,
+            observation or self.task.observation,
+            picture,
+            cache,
+            self.frame == "canonical",
         )
         episodes = self.dataset.episodes
         if relabel is None:
@@ -123,7 +135,7 @@ class Transitions:
         self._offsets = episodes.offsets
         first = self._offsets[self.episode]
         counts, states = lengths, ranges(first, lengths + 1)
-        if self.action == "macro":
+        if self._led:
             # transitions begin where macro-actions do; the last state of a segment ends the last
             begun = np.flatnonzero(episodes.steps["macro_start"])
             at, end = np.searchsorted(begun, first), np.searchsorted(begun, first + lengths)
@@ -143,12 +155,16 @@ class Transitions:
         chunk = window is not None and window.chunk is not None
         refusals = {
             f"no action {self.action!r}; there is {', '.join(ACTIONS)}": self.action not in ACTIONS,
-            "the expert's actions are pulls: use labels without action 'macro'": (
-                self.action == "macro" and self._labels
+            f"the expert's actions are pulls: use labels without action {self.action!r}": (
+                self._led and self._labels
             ),
             f"{path} doesn't record macro-actions: use action 'pull' or 'bead', or collect it with"
-            " a policy that acts in macro-actions": (
-                self.action == "macro" and "macro_start" not in steps
+            " a policy that acts in macro-actions": self._led and "macro_start" not in steps,
+            "actions that follow one another are seen from where each begins: leave out chunk and"
+            " history, or use frame 'world' and another action than 'decision'": (
+                (self.frame == "canonical" or self.action == "decision")
+                and window is not None
+                and (window.chunk is not None or window.history is not None)
             ),
             "the expert's actions lead to the episode's own goal: use labels without relabel": (
                 self._labels and self._relabelled
@@ -169,6 +185,9 @@ class Transitions:
         for refusal, refused in refusals.items():
             if refused:
                 raise InvalidInput(refusal)
+        require_frame(
+            self.frame, self._opening["observation"] or self.task.observation, self.action
+        )
 
     def __reduce__(self) -> Any:
         """Pickle what was opened, so that each process maps the file itself."""
@@ -195,7 +214,7 @@ class Transitions:
 
     @cached_property
     def actions(self) -> NDArray[Any]:
-        """float32 (N, 6); in other views int64 (N, 4) or (N, 3)."""
+        """float32 (N, 6) or (N, 43); in other views int64 (N, 4) or (N, 3); see `batch`."""
         return self._actions("expert_action" if self._labels else "action")
 
     @cached_property
@@ -203,13 +222,49 @@ class Transitions:
         """The actions that were taken, where `actions` are the expert's."""
         return self._actions("action") if self._labels else self.actions
 
+    def _seen_from(self, rows: Ids, goals: Ids) -> dict[str, NDArray[Any]]:
+        """Return the actions of transitions in the frames of their first states.
+
+        Args:
+            rows: (n,), transitions.
+            goals: (n,), the frames that show their goals.
+
+        Returns:
+            actions, and for decisions beads int64 (n,) and whole bool (n,), see `arrays`.
+        """
+        steps, before = self.dataset.episodes.steps, self._before[rows]
+        if self.frame == "world" and self.action != "decision":
+            return {"actions": self.actions[rows]}
+        frames = self._frames.frames_of(before, goals, self.frame == "canonical")
+        points = self._frames.points(before)
+        if self.action == "macro":
+            return {"actions": frames.macros(self.actions[rows], points.shape[1])}
+        if self.action == "pull":
+            found, reach = self.actions[rows].astype(np.float64), self.task.rope_config.reach
+            beads = nearest_beads(points, reach * found[:, :3])
+            found[:, :3] = frames.places(beads, points) / reach
+            found[:, 3:] = frames.vectors(found[:, 3:])
+            return {"actions": found.clip(-1, 1).astype(np.float32)}
+        beads, after = steps["bead"][before].astype(np.int64), self._after[rows]
+        each = before[:, None] + np.arange(LONGEST)
+        inside = np.minimum(each, after[:, None] - 1)
+        # a macro-action ends where the next begins, or before a pull that is part of none
+        made = ((each < after[:, None]) & (steps["macro_side"][inside] != 0)).cumprod(axis=1) > 0
+        forces = np.where(made[..., None], steps["force"][inside], 0)
+        ended = before + made.sum(axis=1) == after
+        return {
+            "actions": frames.decisions(beads, forces, np.where(made, 1, -1), points),
+            "beads": frames.renumber(beads, points.shape[1]),
+            "whole": ended | made.all(axis=1),
+        }
+
     def _actions(self, name: str) -> NDArray[Any]:
         steps, at = self.dataset.episodes.steps, self._before
         if self.action == "macro":
             led = (steps[f"macro_{part}"][at].astype(np.int64) for part in ("bead", "target"))
             return np.stack([*led, (steps["macro_side"][at].astype(np.int64) + 1) // 2], axis=1)
         pulls = steps[name][at]
-        if self.action == "pull":
+        if self.action in ("pull", "decision"):
             return pulls
         if name == "action":
             beads = steps["bead"][at].astype(np.int64)
@@ -228,7 +283,7 @@ class Transitions:
             own = np.cumsum(self.goal_step + 1) - (self.goal_step + 1) - first
             shift = np.repeat(own, np.diff(self.starts))
             before, after = before + shift, after + shift
-        if self.action != "macro":
+        if not self._led:
             return rewards[before]
         between = np.stack([before, after], axis=1).ravel()
         return np.add.reduceat(rewards, between)[::2] if len(between) else np.zeros(0)
@@ -293,7 +348,7 @@ class Transitions:
 
     @cached_property
     def pulls(self) -> Ids:
-        """int64 (N,), pulls of each transition: 1 unless the view is "macro"."""
+        """int64 (N,), pulls of each transition: 1 unless they are macro-actions."""
         return self._after - self._before
 
     def observations(self, segment: int, start: int = 0, stop: int | None = None) -> Any:
@@ -364,7 +419,7 @@ class Transitions:
         seen = alone([*shown, goals]) if apart else observe(shown, goals)
         batch = {
             "observations": seen[0],
-            "actions": self.actions[rows],
+            **self._seen_from(rows, goals),
             "rewards": found.rewards,
             "next_observations": seen[1],
             "terminals": found.terminals,

@@ -1,6 +1,9 @@
 from .action_views import ActionView as ActionView
 from .actions import FORCE_BINS as FORCE_BINS
 from .actions import FORCE_CHOICES as FORCE_CHOICES
+from .actions import LONGEST as LONGEST
+from .actions import NEAR as NEAR
+from .actions import REAL as REAL
 from .actions import action_space as action_space
 from .actions import choices as choices
 from .actions import chosen_forces as chosen_forces
@@ -31,7 +34,6 @@ from .interface import ROUNDING as ROUNDING
 from .interface import Simulation as Simulation
 from .kinematics import backward as backward
 from .macro_actions import ARRIVED as ARRIVED
-from .macro_actions import LONGEST as LONGEST
 from .macro_actions import STRIDE as STRIDE
 from .macro_actions import Haul as Haul
 from .macro_actions import MacroAction as MacroAction

@@ -4,7 +4,13 @@
     "bead"    int (4,): the bead, and choices of fx, fy, fz, see `actions`; one pull
     "macro"   int (3,): the bead to lead, the bead whose strand it passes, and 0 for under or 1 for
               over; as many pulls as it takes
+    "decision" float32 (43,) in [-1, 1]: a position, for the bead nearest to it, relative to the
+              rope's centre and in units of a third of a metre; the forces of up to LONGEST pulls of
+              that bead; and for each of those pulls a number, at most 0 from the first that isn't
+              made any more (the first is always made)
 
+A decision is what a macro-action came to, without looking in between. Unlike its name, it can be
+averaged, perturbed and turned, so that learners of continuous actions learn it.
 A macro-action is a pass without chance, carried out by the `WaypointFollower` until the
 bead has reached its last waypoint, the episode has ended, or LONGEST pulls were made. A change of
 code doesn't end it: a crossing that has only just been made comes undone in the next one.
@@ -16,16 +22,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.rope.actions import CHOICES, choices, chosen_forces
-from knotgym.rope.interface import Simulation
-from knotgym.rope.macro_actions import LONGEST, WaypointFollower
+from knotgym.rope.actions import (
+    CHOICES,
+    DECISION,
+    LONGEST,
+    NEAR,
+    choices,
+    chosen_forces,
+    nearest_beads,
+    quantized,
+)
+from knotgym.rope.interface import ROUNDING, Simulation
+from knotgym.rope.macro_actions import WaypointFollower
 
 
 class ActionView:
     """Carries out agents' actions on the ropes of a simulation, pull by pull.
 
     Attributes:
-        name: "pull", "bead" or "macro".
+        name: "pull", "bead", "macro" or "decision".
         size: how many numbers an action has.
         busy: bool (count,), whether a rope's action has pulls left.
         pulls: int64 (count,), pulls of each rope's current or last action.
@@ -37,24 +52,33 @@ class ActionView:
         self.name, self._simulation = view, simulation
         count, beads = simulation.points.shape[:2]
         self._counts = choices(view, beads) if view in CHOICES else None
-        self.size = 6 if self._counts is None else len(self._counts)
-        # wide enough for every view; those of macro-actions are kept by the controller
-        self._actions: NDArray[np.float64] = np.zeros((count, 6))
+        self.size = {"pull": 6, "decision": DECISION}.get(view) or len(choices(view, beads))
+        # those of macro-actions are kept by the controller
+        self._actions: NDArray[np.float64] = np.zeros((count, self.size))
+        self._lengths = np.ones(count, dtype=np.int64)  # pulls that an action has, at most
         self._controller = WaypointFollower(count)
         self.busy = np.zeros(count, dtype=bool)
         self.pulls = np.zeros(count, dtype=np.int64)
         self.macros = np.zeros((count, 3), dtype=np.int64)
 
     def check(self, actions: ArrayLike, ids: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the actions of the ropes `ids` as float64 (n, 6), (n, 4) or (n, 3).
+        """Return the actions of the ropes `ids` as float64 (n, size).
 
         Raises:
             InvalidInput: they have another shape, or a number is out of range.
         """
         a = np.asarray(actions, dtype=np.float64)
-        if self._counts is None:
+        if self.name == "pull":
             self._simulation.read_actions(a, ids)
             return a
+        if self._counts is None:
+            fits = a.shape == (len(ids), self.size)
+            if not fits or not (np.abs(a) <= 1 + ROUNDING).all():
+                raise InvalidInput(
+                    f"an action of the view {self.name!r} is {self.size} numbers in [-1, 1]; got"
+                    + (" others" if fits else f" shape {a.shape} for {len(ids)} ropes")
+                )
+            return np.clip(a, -1, 1)
         if a.shape != (len(ids), self.size):
             raise InvalidInput(
                 f"an action of the view {self.name!r} is {self.size} whole numbers; got"
@@ -83,7 +107,14 @@ class ActionView:
         chosen = self.check(actions, ids)
         self.busy[ids], self.pulls[ids] = True, 0
         if self.name != "macro":
-            self._actions[ids, : chosen.shape[1]] = chosen
+            self._actions[ids] = chosen
+        if self.name == "decision":
+            points = self._simulation.points[ids]
+            places = points.mean(axis=1) + NEAR * chosen[:, :3]
+            self._actions[ids, 0] = nearest_beads(points, places)
+            made = chosen[:, 4 + 3 * LONGEST :] > 0  # the pulls after the first
+            self._lengths[ids] = 1 + made.cumprod(axis=1).sum(axis=1)
+        if self.name != "macro":
             return
         self.macros[ids] = chosen
         # an agent's 0 and 1 become the side -1 and +1 of `macro_actions.Pass`
@@ -99,13 +130,17 @@ class ActionView:
         if self.name == "bead":
             forces = chosen_forces(self._actions[ids, 1:4])
             return self._actions[ids, 0].astype(np.int64), forces.astype(np.float32)
+        if self.name == "decision":
+            forces = self._actions[ids, 3 : 3 + 3 * LONGEST].reshape(len(ids), LONGEST, 3)
+            own = quantized(forces[np.arange(len(ids)), self.pulls[ids]])
+            return self._actions[ids, 0].astype(np.int64), own.astype(np.float32)
         self._controller.arrive(self._simulation.points, ids)
         return self._controller.beads[ids], self._controller.forces(self._simulation.points, ids)
 
     def pulled(self, ids: NDArray[np.int64], ended: NDArray[np.bool_]) -> None:
         """Record that the ropes `ids` made a pull, and whether it `ended` their episodes."""
         self.pulls[ids] += 1
-        self.busy[ids] = False
+        self.busy[ids] = (self.pulls[ids] < self._lengths[ids]) & ~ended
         if self.name == "macro":
             # waypoints that the pull reached are passed now, so that an action that is over ends
             # with this pull and not with one more

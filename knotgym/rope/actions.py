@@ -35,6 +35,11 @@ FORCE_BINS = 127  # a quantized force component is a whole multiple of 1 / 127 o
 # that are binned and replayed blindly, 43 still end in the same code with 11 choices, 29 with 5, 48
 # with 31; after one action the farthest bead is 3 mm off with 11, 8 mm with 5, 1 mm with 31.
 FORCE_CHOICES = 11
+# A pass takes 9 on average (notes/experiments.md); why 10 is the most, no record says.
+LONGEST = 10  # pulls of a macro-action or of a decision, at most
+NEAR = 1 / 3  # metres from the rope's centre that 1 stands for in a decision; ropes are 0.2 m wide
+DECISION = 3 + 4 * LONGEST  # numbers of a decision
+REAL = "pull", "decision"  # views whose actions are numbers in [-1, 1]
 # Values of each whole number of an action, by view; 0 stands for the number of beads.
 CHOICES = {"bead": (0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES), "macro": (0, 0, 2)}
 
@@ -141,6 +146,7 @@ def choices(view: str, beads: int) -> NDArray[np.int64]:
 
 def action_space(view: str, beads: int) -> spaces.Space[NDArray[Any]]:
     """Return the space of the actions of a view, see `action_views`."""
-    if view == "pull":
-        return cast("spaces.Space[NDArray[Any]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
+    if view in REAL:
+        size = 6 if view == "pull" else DECISION
+        return cast("spaces.Space[NDArray[Any]]", spaces.Box(-1.0, 1.0, (size,), np.float32))
     return spaces.MultiDiscrete(choices(view, beads))

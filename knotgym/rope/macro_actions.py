@@ -22,8 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.rope.actions import FORCE_BINS, quantized
 from knotgym.rope.model import Array
 
-# A pass takes 9 on average (notes/experiments.md); why 10 is the most, no record says.
-LONGEST = 10  # actions of a macro-action, at most
 _WAYPOINTS = 3  # per macro-action, see `_waypoints`
 KINDS = ("pass", "curl", "spread", "shift")
 
