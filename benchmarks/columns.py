@@ -3,7 +3,7 @@
     python benchmarks/columns.py
 
 The set repeats 400 random episodes of 50 pulls. Rates are per CPU second, the file in the operating
-system's cache. The table of docs/loading.md is from here.
+system's cache. The table of docs/offline-rl.md is from here.
 """
 
 import argparse

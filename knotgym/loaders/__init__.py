@@ -5,13 +5,15 @@ Every loader takes a dataset as a Minari id, a folder, an episode file (compact 
 `minari.MinariDataset`, or the output folder of `knotgym generate` (for its demonstrations of the
 train split); or a list of them, which is read into memory as one. The other arguments are
 
-    observation     "pixels", "state", "both" or "symbolic"; None for the observation of the
-                    dataset's environment
+    observation     "pixels", "state", "both", "symbolic" or "marked"; None for the observation of
+                    the dataset's environment
     picture         a `knotgym.rendering.camera.PictureConfig`, to render pictures with another
                     size, camera, colours or views, with or without depth
-    action          "pull", "bead" or "macro", a view of the actions (`knotgym.rope.action_views`);
-                    None for that of the dataset's environment. "macro" needs a dataset that records
-                    macro-actions
+    action          "pull", "bead", "macro" or "decision", a view of the actions
+                    (`knotgym.rope.action_views`); None for that of the dataset's environment. The
+                    last two need a dataset that records macro-actions
+    frame           "world" or "canonical", of actions and vertices (`knotgym.TaskConfig`); None for
+                    that of the dataset's environment. `as_policy` turns actions back
     relabel         hindsight relabelling, "last" or "all": a code that was reached becomes the goal
                     (see `Transitions`)
     labels          True to use the expert's actions instead of those taken, if the dataset has them

@@ -1,10 +1,11 @@
+from .converters import arrays as arrays
+from .converters import statistics as statistics
 from .converters import to_d3rlpy as to_d3rlpy
 from .converters import to_tensordict as to_tensordict
 from .converters import torch_dataset as torch_dataset
 from .perception import images as images
 from .row_policy import RowPolicy as RowPolicy
 from .row_policy import as_policy as as_policy
-from .rows import arrays as arrays
 from .sequences import Sequences as Sequences
 from .symmetries import Symmetries as Symmetries
 from .symmetries import multiplied as multiplied

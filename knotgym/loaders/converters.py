@@ -1,4 +1,7 @@
-"""Convert datasets for other libraries: torch Dataset, d3rlpy ReplayBuffer, TensorDict."""
+"""Whole datasets as arrays, and for other libraries: torch Dataset, d3rlpy buffer, TensorDict.
+
+Arrays have one row per transition and the keys of D4RL and OGBench.
+"""
 
 import importlib
 import os
@@ -12,22 +15,107 @@ from numpy.typing import NDArray
 from knotgym.common import (
     InvalidInput,
     MissingExtra,
+    Stream,
     atomic_write,
+    generator,
     install_command,
     require_output,
 )
-from knotgym.loaders.rows import drawn_generator, rows
 from knotgym.loaders.transitions import Opening, Transitions
+from knotgym.rope import DECISION, REAL
 
 # d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0 (which knotgym supports), and an extra would pin
 # it for everyone who installs all extras
-_AT_ONCE = 4096  # transitions written to mapped files at once
+_AT_ONCE = 4096  # transitions read at once
 _INSTALL = {
     "datasets": install_command("huggingface"),
     "torch": install_command("torch"),
     "tensordict": install_command("torchrl"),
     "d3rlpy": "pip install d3rlpy (it pins Gymnasium 1.0.0, which knotgym supports)",
 }
+
+
+def arrays(dataset: Any, **opening: Unpack[Opening]) -> dict[str, Any]:
+    """Load all N transitions of a dataset, in the order of its episodes.
+
+    Args:
+        dataset, opening: see `knotgym.loaders`.
+
+    Returns:
+        observations, next_observations: uint8 (N, views * size, 2 size, 3 or 4), float32
+            (N, 6 beads), dicts of both, or int16 (N, 2, symbols). Each picture is held twice,
+            which takes 200 kB per transition at size 128 with one view and no depth. With
+            `stack`, an axis of that length follows N.
+        actions: float32 (N, 6), or (N, 43) in the view "decision"; int64 (N, 4) in "bead" and
+            (N, 3) in "macro". With `chunk`, an axis of that length follows N, and action_mask, bool
+            (N, chunk), says which actions the episode has; the others are zeros.
+        beads, whole: in the view "decision" only: int64 (N,), the bead that is pulled, numbered as
+            in the frame; and bool (N,), False where a pull of another kind cut the decision short.
+        rewards: float64 (N,).
+        pulls: int64 (N,), of macro-actions and decisions, and with a window: pulls from one
+            observation to the next, to discount by.
+        terminals, timeouts: bool (N,); exactly one of them is true in the last row of an episode.
+        discounts: float64 (N,), with a window only: what to multiply the value of the next
+            observation with.
+        history, next_history: actions (N, history, 6), with `history` only: those that led to the
+            observation and to the next one, the latest last. history_mask and next_history_mask,
+            bool (N, history), say which actions the episode has; the others are zeros.
+        negatives: (N, negatives, ...), with `negatives` only: the halves of observations that show
+            a goal.
+    """
+    return _rows(Transitions(dataset, **opening))
+
+
+def _rows(transitions: Transitions) -> dict[str, Any]:
+    """Load opened transitions; return what `arrays` does."""
+    loaded = transitions.batch(np.arange(len(transitions)), rng=_drawn_generator(transitions))
+    if transitions.leads:
+        loaded.setdefault("pulls", transitions.pulls)
+    return loaded
+
+
+def _drawn_generator(transitions: Transitions) -> np.random.Generator | None:
+    """Return the generator that the goals of all transitions are drawn from; None for none."""
+    goals = transitions.window.goals if transitions.window else None
+    return None if goals is None else generator(Stream.SAMPLED_GOALS, goals.seed)
+
+
+def statistics(dataset: Any, **opening: Unpack[Opening]) -> dict[str, dict[str, NDArray[Any]]]:
+    """Return what to normalize observations and actions by; give it the train split alone.
+
+    Args:
+        dataset, opening: see `knotgym.loaders`; observations are no pictures.
+
+    Returns:
+        "observations" and "actions" -> "mean", "std", "min" and "max" of each of their numbers,
+        float32 (...). A number that never changes has std 1, so that one can divide by it.
+
+    Raises:
+        InvalidInput: there are pictures, or no transitions.
+    """
+    transitions = Transitions(dataset, **opening)
+    goals, count = _drawn_generator(transitions), len(transitions)
+    if not count:
+        raise InvalidInput(f"{transitions.dataset.path} has no transitions to take statistics of")
+    found: dict[str, list[Any]] = {"observations": [], "actions": []}
+    for first in range(0, count, _AT_ONCE):
+        block = transitions.batch(np.arange(first, min(first + _AT_ONCE, count)), rng=goals)
+        for name, parts in found.items():
+            if isinstance(block[name], dict) or block[name].dtype == np.uint8:
+                raise InvalidInput("pictures need no statistics: divide them by 255")
+            values = block[name].astype(np.float64)
+            parts.append([values.sum(0), (values**2).sum(0), values.min(0), values.max(0)])
+    return {name: _moments(parts, count) for name, parts in found.items()}
+
+
+def _moments(parts: list[Any], count: int) -> dict[str, NDArray[Any]]:
+    """Return the statistics of all blocks from the sums and bounds of each."""
+    total, squares, low, high = zip(*parts, strict=True)
+    mean = sum(total) / count
+    std = np.sqrt(np.maximum(sum(squares) / count - mean**2, 0))
+    std = np.where(std > 1e-6, std, 1)
+    both = {"mean": mean, "std": std, "min": np.min(low, axis=0), "max": np.max(high, axis=0)}
+    return {name: np.asarray(value, dtype=np.float32) for name, value in both.items()}
 
 
 def torch_dataset(dataset: Any, **opening: Unpack[Opening]) -> Any:
@@ -56,7 +144,8 @@ def torch_dataset(dataset: Any, **opening: Unpack[Opening]) -> Any:
 def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
     """Make a `d3rlpy.dataset.ReplayBuffer` of all transitions.
 
-    Actions are pulls: d3rlpy has no actions of several whole numbers. Pictures are channels first;
+    Actions are pulls or decisions: d3rlpy has no actions of several whole numbers. Pictures are
+    channels first;
     "both" is a tuple of pixels and state. For several steps or stacks use d3rlpy's own transition
     pickers and frame stacks.
 
@@ -69,21 +158,21 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
 
     Raises:
         MissingExtra: d3rlpy isn't installed.
-        InvalidInput: there is a window, or the action isn't "pull".
+        InvalidInput: there is a window, or the action is neither "pull" nor "decision".
     """
     d3rlpy = import_client("d3rlpy")
     if opening.get("window") is not None:
         raise InvalidInput("d3rlpy has windows of its own: leave out window, use its pickers")
-    if (action := opening.get("action")) not in (None, "pull"):
-        raise InvalidInput(
-            f"d3rlpy has no actions of several whole numbers: use action 'pull', got {action!r}"
-        )
-    opening["action"] = "pull"
     transitions = Transitions(dataset, **opening)
+    if transitions.action not in REAL:
+        raise InvalidInput(
+            "d3rlpy has no actions of several whole numbers: use action 'pull' or 'decision', got"
+            f" {transitions.action!r}"
+        )
     episodes = []
     for segment in range(transitions.segments):
         part = slice(*transitions.starts[segment : segment + 2])
-        actions = transitions.actions[part]
+        actions = transitions.seen_actions(np.arange(part.start, part.stop))["actions"]
         rewards = transitions.rewards[part, None].astype(np.float32)
         terminated = bool(transitions.terminals[part][-1])
         if not terminated:
@@ -100,7 +189,7 @@ def to_d3rlpy(dataset: Any, **opening: Unpack[Opening]) -> Any:
         d3rlpy.dataset.InfiniteBuffer(),
         episodes=episodes,
         action_space=d3rlpy.ActionSpace.CONTINUOUS,
-        action_size=6,
+        action_size=6 if transitions.action == "pull" else DECISION,
     )
 
 
@@ -131,7 +220,7 @@ def to_tensordict(
     tensordict = import_client("tensordict")
     transitions = Transitions(dataset, **opening)
     if folder is None:
-        return _tensors(tensordict, transitions, rows(transitions), slice(None))
+        return _tensors(tensordict, transitions, _rows(transitions), slice(None))
     require_output(folder, folder=True, reads=[transitions.dataset.path])
     with atomic_write(folder, overwrite=False) as part:
         _map(tensordict, transitions, part)
@@ -140,7 +229,7 @@ def to_tensordict(
 
 def _map(tensordict: Any, transitions: Transitions, folder: Path) -> None:
     """Write the tensors of all transitions to mapped files in a new folder."""
-    goals, count, mapped = drawn_generator(transitions), len(transitions), None
+    goals, count, mapped = _drawn_generator(transitions), len(transitions), None
     for first in range(0, max(1, count), _AT_ONCE):
         some = slice(first, min(first + _AT_ONCE, count))
         columns = transitions.batch(np.arange(some.start, some.stop), rng=goals)
@@ -170,6 +259,7 @@ def _tensors(
     def seen(observations: Any) -> dict[str, NDArray[Any]]:
         return observations if isinstance(observations, dict) else {"observation": observations}
 
+    added |= {name: columns[name] for name in ("beads", "whole") if name in columns}
     episode = np.repeat(np.arange(transitions.segments), np.diff(transitions.starts))
     return tensordict.TensorDict(
         {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, InvalidPolicy
 from knotgym.envs import ACTIONS, OBSERVATIONS, require_frame, split
-from knotgym.rope import NEAR
+from knotgym.rope import DECISION, NEAR
 
 # Rows that a model is given at a time: a network's sums depend on their number, and an episode must
 # not depend on those beside it.
@@ -43,19 +43,20 @@ class RowPolicy:
         return found
 
     def _of_block(self, observations: NDArray[Any]) -> NDArray[Any]:
-        found = self.predict(observations.copy())
-        # copied, because the model may return the same array again
-        if not isinstance(found, tuple):
-            return np.array(found)
-        beads, rest = (np.array(part) for part in found)
-        beads = beads.argmax(axis=1) if beads.ndim == 2 else beads.astype(np.int64)
+        # copied, because the model may change what it gets and return the same array again
+        found = np.array(self.predict(observations.copy()))
+        if self.action != "decision" or found.ndim != 2 or found.shape[1] <= DECISION:
+            return found
+        rest = DECISION - 3  # all but a position, which the likeliest bead's takes
+        beads = found[:, :-rest].argmax(axis=1)
         if self.observation == "marked":
             points = split(observations).points
         else:
             points = observations.reshape(len(observations), 2, -1, 3)[:, 0]
             points = points - points.mean(axis=1, keepdims=True)
         places = points[np.arange(len(beads)), beads] / NEAR
-        return np.concatenate([places, rest], axis=1).clip(-1, 1).astype(np.float32)
+        decided = np.concatenate([places, found[:, -rest:]], axis=1)
+        return decided.clip(-1, 1).astype(np.float32)
 
 
 def as_policy(
@@ -75,8 +76,8 @@ def as_policy(
 
     Args:
         model: a function from observations, an array (n, ...), to actions (n, ...); or a torch
-            module, or an ONNX session. For decisions it may return a pair instead: the bead, int
-            (n,) or logits (n, beads), and the other 40 numbers of the decision.
+            module, or an ONNX session. A decision may begin with a number for each bead, of which
+            the largest is pulled, instead of a position: (n, beads + 40).
         action, frame, observation: as of `arrays`, when the model's data were loaded.
 
     Raises:
@@ -100,16 +101,14 @@ def _function_of(model: Any) -> Callable[[Any], Any]:
 
         def of_arrays(observations: NDArray[Any]) -> Any:
             with torch.inference_mode():
-                found = network(torch.from_numpy(observations))
-            return tuple(map(np.asarray, found)) if isinstance(found, tuple) else np.asarray(found)
+                return network(torch.from_numpy(observations)).numpy()
 
         return of_arrays
     if hasattr(model, "get_inputs") and hasattr(model, "run"):
         name = model.get_inputs()[0].name
 
         def of_session(observations: NDArray[Any]) -> Any:
-            found = model.run(None, {name: observations})
-            return found[0] if len(found) == 1 else tuple(found)
+            return model.run(None, {name: observations})[0]
 
         return of_session
     if not callable(model):

@@ -13,12 +13,8 @@ whose force leaves [-1, 1] is dropped: after a turn, a strong pull may have a la
 
 Observations may be vertices ("state"), codes ("symbolic") or pictures; pictures and actions of the
 view "bead" have images only under quarter turns and mirrors, and switching and reversing change
-their colours, so `drawn` has `of_pictures`. "marked" needs none: it shows all images of a state
-alike. `canonical` has the symmetries that do so for "state": learn from `applied` batches, and act
-by `inverse`.
-
-    frame = Symmetries.canonical(observations)
-    actions = frame.inverse().actions(policy(frame.observations(observations)))
+their colours, so `drawn` has `of_pictures`. The frame "canonical" of loaders and environments shows
+all images of a state alike, and so does "marked": there is nothing to draw.
 
 After a change run `pytest tests/loaders/test_symmetries.py`: an image of a step must be the step of
 the image.
@@ -32,9 +28,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.envs import SYMBOLS, each, mark
+from knotgym.envs import SYMBOLS, each
 from knotgym.rope import chosen_forces, force_choices
-from knotgym.topology import Symmetry, label_many, plain_code
+from knotgym.topology import Symmetry, plain_code
 
 Array = NDArray[Any]
 _OBSERVATIONS = ("observations", "next_observations", "negatives")
@@ -79,33 +75,6 @@ class Symmetries(Symmetry):
         if of_pictures:
             flags[1:] = False
         return cls(turn, flags[0], flags[1], flags[2] & reverse)
-
-    @classmethod
-    def canonical(cls, observations: ArrayLike) -> "Symmetries":
-        """Return the symmetries that bring ropes into the frame that "marked" shows them in.
-
-        All images of a state look alike there, so a learner meets a single one of them.
-
-        Args:
-            observations: float32 (n, 6 beads), of the kind state.
-        """
-        seen = np.asarray(observations)
-        if seen.ndim != 2 or seen.dtype.kind != "f" or seen.shape[1] % 6:
-            raise InvalidInput(
-                "the rope's frame is found in observations of the kind state, (n, 6 beads); got"
-                f" {seen.dtype} {seen.shape}"
-            )
-        ropes, goals = seen.reshape(len(seen), 2, -1, 3).astype(np.float64).swapaxes(0, 1)
-        axes, _, reverse = mark(ropes, label_many(goals)).frames
-        # axes are a turn after x -> -x, where they mirror; that turn's first column is (cos, sin)
-        mirror = np.linalg.det(axes[:, :2, :2]) < 0
-        x, y = np.where(mirror, -1.0, 1.0) * axes[:, :2, 0].T
-        return cls(np.arctan2(y, x), mirror, axes[:, 2, 2] < 0, reverse)
-
-    def inverse(self) -> "Symmetries":
-        """Return the symmetries that undo these."""
-        # mirrored, a turn goes the other way
-        return self._replace(turn=np.where(self.reflect, self.turn, -self.turn))
 
     def take(self, rows: Any) -> "Symmetries":
         """Return the symmetries of some samples, by an index of any kind."""
@@ -213,6 +182,8 @@ class Symmetries(Symmetry):
     def actions(self, actions: Array) -> Array:
         """Map actions (n, ..., 6), (n, ..., 4) or (n, ..., 3) of the views pull, bead and macro."""
         if actions.dtype.kind == "f":
+            if actions.shape[-1] != 6:
+                raise InvalidInput("decisions have no images here: load them in frame 'canonical'")
             # position and force are two vectors, moved alike
             moved = self.vectors(actions.reshape(*actions.shape[:-1], 2, 3))
             return moved.reshape(actions.shape)

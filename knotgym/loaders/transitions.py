@@ -55,6 +55,7 @@ class Transitions:
             goal.
         starts: int64 (S + 1,), the first transition of each segment, then N.
         action, frame: view and frame of the actions, see `knotgym.rope.action_views`.
+        leads: whether an action is several pulls of a bead, "macro" or "decision".
         window: steps, chunks, stacks, histories and sampled goals of `batch`.
     """
 
@@ -114,7 +115,7 @@ class Transitions:
         self.task, self.window = self.dataset.task, window
         self.action = self.task.action if action is None else action
         self.frame = self.task.frame if frame is None else frame
-        self._led = self.action in ("macro", "decision")  # a transition is a macro-action
+        self.leads = self.action in ("macro", "decision")  # a transition is a macro-action
         self._labels, self._relabelled, self._reward = labels, relabel is not None, reward
         self._check()
         self._frames = DrawnFrames(
@@ -135,7 +136,7 @@ class Transitions:
         self._offsets = episodes.offsets
         first = self._offsets[self.episode]
         counts, states = lengths, ranges(first, lengths + 1)
-        if self._led:
+        if self.leads:
             # transitions begin where macro-actions do; the last state of a segment ends the last
             begun = np.flatnonzero(episodes.steps["macro_start"])
             at, end = np.searchsorted(begun, first), np.searchsorted(begun, first + lengths)
@@ -156,10 +157,10 @@ class Transitions:
         refusals = {
             f"no action {self.action!r}; there is {', '.join(ACTIONS)}": self.action not in ACTIONS,
             f"the expert's actions are pulls: use labels without action {self.action!r}": (
-                self._led and self._labels
+                self.leads and self._labels
             ),
             f"{path} doesn't record macro-actions: use action 'pull' or 'bead', or collect it with"
-            " a policy that acts in macro-actions": self._led and "macro_start" not in steps,
+            " a policy that acts in macro-actions": self.leads and "macro_start" not in steps,
             "actions that follow one another are seen from where each begins: leave out chunk and"
             " history, or use frame 'world' and another action than 'decision'": (
                 (self.frame == "canonical" or self.action == "decision")
@@ -222,12 +223,12 @@ class Transitions:
         """The actions that were taken, where `actions` are the expert's."""
         return self._actions("action") if self._labels else self.actions
 
-    def _seen_from(self, rows: Ids, goals: Ids) -> dict[str, NDArray[Any]]:
+    def seen_actions(self, rows: Ids, goals: Ids | None = None) -> dict[str, NDArray[Any]]:
         """Return the actions of transitions in the frames of their first states.
 
         Args:
             rows: (n,), transitions.
-            goals: (n,), the frames that show their goals.
+            goals: (n,), the frames that show their goals; None for those of their segments.
 
         Returns:
             actions, and for decisions beads int64 (n,) and whole bool (n,), see `arrays`.
@@ -235,6 +236,7 @@ class Transitions:
         steps, before = self.dataset.episodes.steps, self._before[rows]
         if self.frame == "world" and self.action != "decision":
             return {"actions": self.actions[rows]}
+        goals = self._goals(self._segments(rows)) if goals is None else goals
         frames = self._frames.frames_of(before, goals, self.frame == "canonical")
         points = self._frames.points(before)
         if self.action == "macro":
@@ -283,7 +285,7 @@ class Transitions:
             own = np.cumsum(self.goal_step + 1) - (self.goal_step + 1) - first
             shift = np.repeat(own, np.diff(self.starts))
             before, after = before + shift, after + shift
-        if not self._led:
+        if not self.leads:
             return rewards[before]
         between = np.stack([before, after], axis=1).ravel()
         return np.add.reduceat(rewards, between)[::2] if len(between) else np.zeros(0)
@@ -419,7 +421,7 @@ class Transitions:
         seen = alone([*shown, goals]) if apart else observe(shown, goals)
         batch = {
             "observations": seen[0],
-            **self._seen_from(rows, goals),
+            **self.seen_actions(rows, goals),
             "rewards": found.rewards,
             "next_observations": seen[1],
             "terminals": found.terminals,

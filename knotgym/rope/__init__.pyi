@@ -1,4 +1,5 @@
 from .action_views import ActionView as ActionView
+from .actions import DECISION as DECISION
 from .actions import FORCE_BINS as FORCE_BINS
 from .actions import FORCE_CHOICES as FORCE_CHOICES
 from .actions import LONGEST as LONGEST

@@ -25,9 +25,7 @@ from ..scripts import ROOT, run_script
 FOLDER = ROOT / "examples"
 SCRIPTS = [
     FOLDER / "to_lerobot.py",
-    FOLDER / "learners" / "chunked.py",
-    FOLDER / "learners" / "clone.py",
-    FOLDER / "learners" / "goal_conditioned.py",
+    FOLDER / "learners" / "flow.py",
     FOLDER / "learners" / "offline_rl.py",
     FOLDER / "learners" / "online_ppo.py",
     FOLDER / "perception" / "photos.py",
@@ -36,8 +34,6 @@ SCRIPTS = [
     FOLDER / "perception" / "transcribe.py",
 ]
 MODULES = [
-    FOLDER / "learners" / "decisions.py",
-    FOLDER / "learners" / "protocol.py",
     FOLDER / "perception" / "pictures.py",
 ]  # what the scripts share
 

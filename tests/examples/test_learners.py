@@ -1,54 +1,45 @@
-"""Learners of other libraries train, save and are evaluated; needs -m clients and the libraries."""
+"""Learners and recipes of docs/offline-rl.md train and are evaluated; needs -m clients."""
 
 from __future__ import annotations
 
-import importlib.util
+import ast
 import json
-import os
+import re
+import sys
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
+from synthetic_episodes import TINY
 
-from knotgym.control import rollouts
-from knotgym.datasets import columns_of
-from knotgym.generate import read_scores
+from knotgym.datasets import MinariMetadata, open_episodes, publish
 
 from ..scripts import ROOT, run_script
 from ..small_job import knotgym
 
 FOLDER = ROOT / "examples" / "learners"
-CHECKOUT = os.environ.get("KNOTGYM_OGBENCH", "")  # of OGBench, whose agents can't be installed
-TINY = ("--steps", 2, "--batch", 4, "--task", "unknot", "--nx", 2, "--episodes", 1)
-
+PAGE = (ROOT / "docs/offline-rl.md").read_text(encoding="utf-8")
+ID = "knotgym/tie-nx2/noisy-bench-v0"
 pytestmark = pytest.mark.clients
-no_d3rlpy = pytest.mark.skipif(
-    importlib.util.find_spec("d3rlpy") is None, reason="d3rlpy isn't installed"
-)
-no_torch = pytest.mark.skipif(
-    importlib.util.find_spec("torch") is None, reason="torch isn't installed"
-)
-no_ogbench = pytest.mark.skipif(
-    not CHECKOUT or importlib.util.find_spec("jax") is None,
-    reason="jax isn't installed, or KNOTGYM_OGBENCH names no checkout",
-)
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("played")
-    words = ("--task", "tie", "--nx", 2, "--policy", "expert", "--observation", "state")
-    assert knotgym("collect", *words, "--episodes", 3, "--workers", 1, "--quiet", "--out", out) == 0
-    return out / "knotgym/tie-nx2/expert-v0"
+@pytest.fixture
+def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Enter a folder whose Minari root has a few of the expert's episodes under the recipes' id."""
+    tiny = open_episodes(TINY["expert"])
+    metadata = MinariMetadata(dataset_id=ID, algorithm_name="noisy", description="Few.")
+    publish([tiny.episodes], tiny.task, metadata, tmp_path / "minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
-def check_scores(folder: Path, name: str) -> None:
-    """Check the evaluation file, which `benchmarks/results.py` reads."""
-    (row,) = read_scores([folder / "evaluation.json"])
-    assert (row["policy"], row["task"], row["nx"], row["episodes"]) == (name, "unknot", 2, 1)
-    assert row["training"]["steps"] == 2 and row["training"]["episodes"] == 6
-    assert row["training"]["cpu_seconds"] > 0
+def check_plays(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluate a policy as the page does, and check that its rate is written."""
+    monkeypatch.delitem(sys.modules, policy, raising=False)
+    words = ("--policy", f"{policy}:act", "--task", "tie", "--nx", 2, "--states", "bench")
+    words += ("--engine", "chain", "--episodes", 2, "--out", "scores.json")
+    assert knotgym("evaluate", *words, "--workers", 1, "--quiet") == 0
+    assert json.loads(Path("scores.json").read_text())["episodes"] == 2
 
 
 def test_ppo_in_one_file_trains_and_acts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,57 +52,57 @@ def test_ppo_in_one_file_trains_and_acts(tmp_path: Path, monkeypatch: pytest.Mon
     assert knotgym("evaluate", *task, *words, "--workers", 1, "--quiet") == 0
 
 
-@no_d3rlpy
-@pytest.mark.parametrize(
-    "learner", ["discrete-bc", "discrete-cql", "bc", "td3bc", "iql", "cql", "dt"]
-)
-def test_a_learner_of_d3rlpy_is_trained_and_measured(
-    learner: str, dataset: Path, tmp_path: Path
+def recipes() -> dict[str, tuple[str, str]]:
+    """Return the two files of each recipe of the page, by the library that it imports first."""
+    files = re.findall(r"```python\n# recipe: (\w+)\.py\n(import (\w+).*?)```", PAGE, re.S)
+    pairs = zip(files[::2], files[1::2], strict=True)
+    assert [one[0] for one in files] == ["learn", "model"] * (len(files) // 2)
+    return {learn[2]: (learn[1], model[1]) for learn, model in pairs}
+
+
+@pytest.mark.parametrize("library", ["d3rlpy", "torch"])
+def test_a_recipe_of_the_page_trains_and_plays(
+    library: str, room: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    dense = ("--width", 0, "--frame", "world") if learner == "iql" else ()
-    words = (learner, dataset, dataset, *TINY, *dense, "--out", tmp_path / "out")
-    run_script(FOLDER / "offline_rl.py", *words)
-    check_scores(tmp_path / "out", f"d3rlpy-{learner}")
-    assert (tmp_path / "out" / "model.pt").is_file()
+    pytest.importorskip(library)
+    learn, model = recipes()[library]
+    statements = (ast.walk(ast.parse(part)) for part in (learn, model))
+    assert max(sum(isinstance(one, ast.stmt) for one in part) for part in statements) <= 15
+    few = re.sub(r"\b[34]000\b", "2", learn)
+    assert few != learn
+    exec(compile(few, "learn.py", "exec"), {})
+    (room / "model.py").write_text(model)
+    check_plays("model", monkeypatch)
 
 
-@no_torch
-def test_chunked_learners_are_trained_and_measured(dataset: Path, tmp_path: Path) -> None:
-    for learner in ("flow", "qc"):
-        words = (learner, dataset, dataset, *TINY, "--out", tmp_path / learner)
-        flow = () if learner == "flow" else ("--flow", tmp_path / "flow" / "flow.pt")
-        run_script(FOLDER / "chunked.py", *words, *flow)
-        check_scores(tmp_path / learner, f"torch-{learner}")
-
-
-@no_torch
-@pytest.mark.parametrize("frame", ["rope", "world"])
-def test_decisions_read_from_an_expert_and_acted_out_are_its_pulls(
-    frame: str, dataset: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("learner", ["BC", "TD3PlusBC", "IQL", "AWAC"])
+def test_a_learner_of_d3rlpy_trains_and_plays(
+    learner: str, room: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.syspath_prepend(str(FOLDER))
-    from decisions import ChunkPolicy, nearest, read
-
-    rows = read([str(dataset)], frame)
-
-    class Remembering(ChunkPolicy):
-        def choose(self, indices: list[int], seen: Any, points: Any) -> tuple[Any, Any]:
-            offsets = np.abs(seen[:, None] - rows.observations).max(axis=2)
-            return nearest(rows.chunks[offsets.argmin(axis=1)], points)
-
-    own = columns_of(dataset)
-    played = rollouts(Remembering("remembering", frame), own.task, own.episodes.episodes)
-    assert np.array_equal(played.steps["bead"], own.episodes.steps["bead"])
+    pytest.importorskip("d3rlpy")
+    out = room / f"of_{learner.lower()}.d3"
+    words = ("--steps", 2, "--batch", 4, "--out", out)
+    run_script(FOLDER / "offline_rl.py", learner, ID, *words)
+    check_plays(out.stem, monkeypatch)
 
 
-@no_ogbench
-@pytest.mark.parametrize("learner", ["gcbc", "gcivl", "gciql", "crl", "hiql"])
-def test_an_agent_of_ogbench_is_trained_and_measured(
-    learner: str, dataset: Path, tmp_path: Path
-) -> None:
-    words = (learner, dataset, dataset, *TINY, "--ogbench", CHECKOUT, "--out", tmp_path / "out")
-    run_script(FOLDER / "goal_conditioned.py", *words)
-    check_scores(tmp_path / "out", f"ogbench-{learner}")
-    told = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    assert told["learners"][f"ogbench-{learner}"]["library"].startswith("OGBench's agents, jax ")
-    assert (tmp_path / "out" / "agent.msgpack").stat().st_size > 0
+def test_a_flow_policy_trains_and_plays(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    run_script(FOLDER / "flow.py", ID, "--steps", 2, "--out", room / "flow.pt")
+    check_plays("flow", monkeypatch)
+
+
+def test_an_onnx_session_and_a_torch_module_act(room: Path) -> None:
+    torch, runtime = pytest.importorskip("torch"), pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    import numpy as np
+
+    from knotgym.loaders import as_policy
+
+    network = torch.nn.Sequential(torch.nn.Linear(609, 43), torch.nn.Tanh())
+    torch.onnx.export(
+        network, (torch.zeros(32, 609),), "model.onnx", input_names=["seen"], dynamo=False
+    )
+    seen = np.random.default_rng(0).normal(size=(5, 609)).astype(np.float32)
+    both = [as_policy(network), as_policy(runtime.InferenceSession("model.onnx"))]
+    np.testing.assert_allclose(*(one.actions(seen) for one in both), atol=1e-5)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from synthetic_episodes import TINY
 
 from knotgym.common import InvalidInput
-from knotgym.envs import mark
 from knotgym.loaders import arrays
 from knotgym.loaders.symmetries import Symmetries, multiplied
 from knotgym.rope import CHAIN, MUJOCO, Rope, backward
@@ -122,25 +121,6 @@ def test_a_set_is_multiplied_and_strong_pulls_are_dropped() -> None:
     assert 0 < len(larger["actions"]) < 40 * count and np.abs(larger["actions"]).max() <= 1 + 1e-6
     same = multiplied(batch, 3, np.random.default_rng(5), of_pictures=True)
     assert len(same["actions"]) == 3 * count
-
-
-def test_images_of_a_state_look_alike_in_the_rope_s_frame_and_actions_turn_back() -> None:
-    states, rng = read_states(shipped(), images=False), np.random.default_rng(7)
-    ropes = rng.choice(np.flatnonzero(states.nx > 1), (COUNT, 2))
-    seen = states.points[ropes].reshape(COUNT, -1)
-    frame = Symmetries.canonical(seen)
-    images = Symmetries.drawn(COUNT, rng, reverse=False).observations(seen)
-    shown = Symmetries.canonical(images).observations(images)
-    np.testing.assert_allclose(frame.observations(seen), shown, atol=1e-12)
-    pulls = rng.uniform(-1, 1, (COUNT, 6))
-    np.testing.assert_allclose(frame.inverse().actions(frame.actions(pulls)), pulls, atol=1e-12)
-    # vertices are those of the observation marked, whose origin is the rope's centre
-    rope = frame.observations(seen).reshape(COUNT, 2, 100, 3)[:, 0]
-    goals = label_many(states.points[ropes[:, 1]])
-    marked = mark(states.points[ropes[:, 0]], goals).points
-    np.testing.assert_allclose(rope - rope.mean(axis=1, keepdims=True), marked, atol=1e-12)
-    with pytest.raises(InvalidInput, match="of the kind state"):
-        Symmetries.canonical(np.zeros((3, 2, 64), dtype=np.int16))
 
 
 def without(name: str) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from knotgym.loaders import (
     Transitions,
     Window,
     arrays,
+    statistics,
     to_d3rlpy,
     to_tensordict,
     torch_dataset,
@@ -360,3 +361,19 @@ def test_several_datasets_load_as_one(tmp_path: Path) -> None:
     written(tmp_path / "hold.h5", episodes([3]), replace(TASK, hold=2))
     with pytest.raises(InvalidInput, match=r"must have one hold: .*one.h5 has 1, .*hold.h5 has 2"):
         arrays([two[0], tmp_path / "hold.h5"])
+
+
+def test_statistics_are_those_of_the_arrays(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("knotgym.loaders.converters._AT_ONCE", 5)
+    held = arrays(path)
+    found = statistics(path)
+    for name in ("observations", "actions"):
+        np.testing.assert_allclose(found[name]["mean"], held[name].mean(axis=0), atol=1e-6)
+        spread = held[name].std(axis=0)
+        kept = spread > 1e-4
+        np.testing.assert_allclose(found[name]["std"][kept], spread[kept], rtol=1e-3)
+        assert (found[name]["std"] > 0).all()
+        assert np.array_equal(found[name]["min"], held[name].min(axis=0))
+        assert np.array_equal(found[name]["max"], held[name].max(axis=0))
+    with pytest.raises(InvalidInput, match="pictures need no statistics"):
+        statistics(TINY["expert"], observation="pixels")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -14,8 +12,9 @@ from synthetic_episodes import TINY
 from knotgym.common import InvalidInput, InvalidPolicy
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes, open_episodes
-from knotgym.envs import KnotEnv, TaskConfig
+from knotgym.envs import TaskConfig, observe
 from knotgym.loaders import Transitions, Window, arrays, as_policy
+from knotgym.topology import Symmetry, label
 
 VIEWS = [("state", "canonical"), ("state", "world"), ("marked", "canonical"), ("marked", "world")]
 own_policy: Any = None  # played as test_views:own_policy
@@ -59,7 +58,7 @@ def test_a_bead_may_be_chosen_by_logits(played_back: Any) -> None:
 
     def remember(seen: np.ndarray) -> Any:
         row = nearest(data["observations"], seen)
-        return np.eye(100)[data["beads"][row]], data["actions"][row, 3:]
+        return np.hstack([np.eye(100)[data["beads"][row]], data["actions"][row, 3:]])
 
     found = played_back(as_policy(remember)).steps
     assert np.array_equal(found["bead"], open_episodes(TINY["expert"]).episodes.steps["bead"])
@@ -113,9 +112,6 @@ def test_an_environment_takes_the_same_two_words(observation: str, action: str) 
 
 
 def test_the_canonical_frame_shows_all_images_of_a_state_alike() -> None:
-    from knotgym.envs.observations import observe
-    from knotgym.topology import Symmetry, label
-
     stored = open_episodes(TINY["expert"]).episodes
     rope = stored.steps["observation"][:1].astype(np.float64)
     goal = stored.episodes["goal_points"][:1].astype(np.float64)
