@@ -49,8 +49,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=4000)
     parser.add_argument("--out", type=Path, required=True, help="TorchScript file")
     given = parser.parse_args()
-    view = {"observation": "marked", "action": "decision", "frame": "canonical"}
-    data = arrays(given.datasets, **view)
+    data = arrays(given.datasets, observation="marked", action="decision", frame="canonical")
     seen, actions = (torch.from_numpy(data[name]) for name in ("observations", "actions"))
     torch.manual_seed(0)
     flow = Flow()

@@ -29,8 +29,7 @@ parser.add_argument("--device", default="cpu:0")
 parser.add_argument("--out", type=Path, required=True, help="file of the model to write")
 given = parser.parse_args()
 d3rlpy.seed(given.seed)
-view = {"observation": "marked", "action": "decision", "frame": "canonical"}
-buffer = to_d3rlpy(given.datasets, **view)
+buffer = to_d3rlpy(given.datasets, observation="marked", action="decision", frame="canonical")
 kind = getattr(d3rlpy.algos, f"{given.learner}Config")
 layers = d3rlpy.models.VectorEncoderFactory([512, 512], use_layer_norm=True, dropout_rate=0.1)
 parts = {name: layers for name in kind.__dataclass_fields__ if name.endswith("encoder_factory")}

@@ -36,8 +36,8 @@ def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def check_plays(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Evaluate a policy as the page does, and check that its rate is written."""
     monkeypatch.delitem(sys.modules, policy, raising=False)
-    words = ("--policy", f"{policy}:act", "--task", "tie", "--nx", 2, "--states", "bench")
-    words += ("--engine", "chain", "--episodes", 2, "--out", "scores.json")
+    task = ("--task", "tie", "--nx", 2, "--states", "bench", "--engine", "chain")
+    words = ("--policy", f"{policy}:act", *task, "--episodes", 2, "--out", "scores.json")
     assert knotgym("evaluate", *words, "--workers", 1, "--quiet") == 0
     assert json.loads(Path("scores.json").read_text())["episodes"] == 2
 
@@ -104,5 +104,6 @@ def test_an_onnx_session_and_a_torch_module_act(room: Path) -> None:
         network, (torch.zeros(32, 609),), "model.onnx", input_names=["seen"], dynamo=False
     )
     seen = np.random.default_rng(0).normal(size=(5, 609)).astype(np.float32)
-    both = [as_policy(network), as_policy(runtime.InferenceSession("model.onnx"))]
-    np.testing.assert_allclose(*(one.actions(seen) for one in both), atol=1e-5)
+    session = as_policy(runtime.InferenceSession("model.onnx"))
+    right = as_policy(network).actions(seen)
+    np.testing.assert_allclose(session.actions(seen), right, atol=1e-5)
