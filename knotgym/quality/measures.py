@@ -85,7 +85,12 @@ def base_spacing(
 ) -> float:
     """Return the distance along the drawing from the base bead to the nearest crossing, pixels.
 
-    The base bead is the one between the vertices `base` and `base + 1`; a crossing on it gives 0.
+    Args:
+        points: float64 (beads, 3), metres.
+        crossings: those of the points.
+        base: the base bead is the one between the vertices `base` and `base + 1`; a crossing on it
+            gives 0.
+        config: picture in which to measure.
     """
     if not crossings.nx:
         return float(config.size)

@@ -116,10 +116,15 @@ class Spectra(NamedTuple):
 def pairs_within(
     points: Array, others: Array | None = None, limit: float = NEAR
 ) -> list[tuple[int, int, float]]:
-    """Find the pairs of configurations (n, beads, 3) that a symmetry brings within a limit, metres.
+    """Find the pairs of configurations that a symmetry brings close to each other.
 
-    Without `others`, `points` are compared with themselves, each pair once. Returns row, other row
-    and distance of each pair, sorted.
+    Args:
+        points: float64 (n, beads, 3), metres.
+        others: float64 (m, beads, 3); None to compare the points with each other, each pair once.
+        limit: largest distance, metres.
+
+    Returns:
+        Row, other row and distance of each pair, sorted.
     """
     a = Spectra.of(points)
     b = a if others is None else Spectra.of(others)

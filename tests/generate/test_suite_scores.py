@@ -1,5 +1,4 @@
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import as_text, report
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.episodes.suite_scores import read_scores, score_table
+from knotgym.generate.episodes.suite_scores import read_scores
 from knotgym.runs import cluster_interval, identity
 
 STARTS = 8
@@ -89,20 +88,17 @@ def test_what_was_played_otherwise_is_never_in_one_row(
     files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 2, 80, 192)]
     changed(files[1], *place, value=value)
     assert sorted(row["episodes"] for row in read_scores(files)) == [64, 192]
-    page = score_table(read_scores(files))
-    assert len([line for line in page if line.startswith("| random |")]) == 2
 
 
-def test_budgets_and_rules_that_differ_stand_in_the_table(tmp_path: Path) -> None:
-    page = score_table(read_scores([told(tmp_path / "a", 1, 16, 64, budget=7, horizon=20)]))
-    assert any("| random | horizon=20; planner.budget=7 |" in line for line in page)
+def test_budgets_and_rules_that_differ_are_named(tmp_path: Path) -> None:
+    (row,) = read_scores([told(tmp_path / "a", 1, 16, 64, budget=7, horizon=20)])
+    assert row["settings"] == "horizon=20; planner.budget=7"
 
 
 def test_a_learner_s_training_stands_beside_its_scores(tmp_path: Path) -> None:
     path = told(tmp_path / "a", 1, 16, 64)
     changed(path, "learners", value={"random": {"seconds": 766}})
-    page = "\n".join(score_table(read_scores([path])))
-    assert re.search(r"\| random \|.*\| 766 \|$", page, re.M)
+    assert read_scores([path])[0]["training"] == {"seconds": 766}
 
 
 @pytest.mark.parametrize(

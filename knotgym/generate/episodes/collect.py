@@ -188,6 +188,11 @@ def _dataset_folder(config: CollectConfig, out: Path | None) -> Path:
 def require_collectable(config: CollectConfig, out: Path | None, options: RunOptions) -> None:
     """Require that a collection's output doesn't exist and no interrupted run left work.
 
+    Args:
+        config: which episodes.
+        out: Minari root to write to; None for Minari's own.
+        options: what to do with what is there.
+
     Raises:
         Occupied: it does, and `options` don't say what to do with it.
     """

@@ -42,7 +42,14 @@ _TRAINING = ("weights_sha256", "seconds", "episodes")
 
 
 def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, film: bool) -> Kept:
-    """Play a block of episodes; keep their steps only to film them."""
+    """Play a block of episodes.
+
+    Args:
+        policy, task: the setup.
+        numbers: of the episodes.
+        seed: of the evaluation.
+        film: whether to keep their steps.
+    """
     seeds = [episode_seed(seed, number, Stream.EVALUATION_EPISODE) for number in numbers]
     return rollouts(make_policy(policy), task, seeds, keep=STEPS if film else None).columns()
 
@@ -179,7 +186,13 @@ def evaluate(
 def report(
     config: EvaluateConfig, results: Sequence[Result], made_by: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the content of the result file; `made_by` is the run's identity."""
+    """Return the content of the result file.
+
+    Args:
+        config: what was evaluated.
+        results: one for each setup.
+        made_by: the run's identity.
+    """
     learners = {
         one.policy: {name: card[name] for name in _TRAINING if name in card}
         for one in config.policies
@@ -214,7 +227,16 @@ def as_text(report: dict[str, Any]) -> str:
 
 
 def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.uint8]]:
-    """Return the frames of a film of an episode, with all of its views and each pull."""
+    """Return the frames of a film of an episode, with all of its views and each pull.
+
+    Args:
+        episodes: with their steps.
+        task: that they were played in.
+        row: which of them.
+
+    Returns:
+        RGB pictures of one size, uint8, one for each state.
+    """
     from knotgym.rendering import film_frames
 
     one = episodes.select([row])

@@ -121,6 +121,11 @@ def first_difference(episodes: Episodes, recording: Recording) -> int | None:
 def replay(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> Result:
     """Make a block of a collection's episodes from their recording.
 
+    Args:
+        config: the collection, whose id names the recording.
+        numbers: of the episodes.
+        path: file of recordings.
+
     Raises:
         InvalidFile: there is no such recording, or it has fewer episodes.
     """

@@ -89,7 +89,13 @@ def evaluation_in(path: Path) -> Iterator[tuple[Any, list[Result]]]:
 
 
 def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:
-    """Print a row per setup, and a matrix if there are several nx, in at most 80 columns."""
+    """Print a row per setup, and a matrix if there are several nx, in at most 80 columns.
+
+    Args:
+        results: one for each setup.
+        console: where to print.
+        engine: that the episodes were played with; named if it isn't the reference.
+    """
     reached = any(one.steps is not None for one in results)
     table = narrow_table(
         (*_SETUP, "success", "95 % interval", *(["steps"] if reached else []), "return"),

@@ -10,7 +10,7 @@ Every dataset is an ordinary collection, see `collect`, or its pulls come from a
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -42,7 +42,6 @@ from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.generate.episodes.recordings import Recording, first_difference, recordings
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_config import BENCH, SIZES, SUITE, SuiteConfig
-from knotgym.generate.episodes.suite_scores import read_scores, score_table
 from knotgym.rope import ENGINES
 from knotgym.runs import Progress, RunOptions
 from knotgym.states import minari_root
@@ -57,9 +56,6 @@ def make_suite(
 ) -> Path:
     """Make the missing datasets and a card for all existing ones; return the card's folder.
 
-    The card's table of results is of the files of `knotgym evaluate --out` in the folder
-    `evaluations` next to it.
-
     Args:
         config: which datasets.
         out: Minari root to write to; None for Minari's own.
@@ -69,8 +65,8 @@ def make_suite(
 
     Raises:
         Occupied: a dataset, a card or an interrupted run is in the way.
-        InvalidInput, InvalidFile: an existing dataset was made by another run, or it or an
-            evaluation can't be read; or nothing that is asked for is recorded.
+        InvalidInput, InvalidFile: an existing dataset was made by another run or can't be
+            read; or nothing that is asked for is recorded.
         Failed: this machine gets other episodes than recorded. The datasets and the card are
             finished.
     """
@@ -80,7 +76,6 @@ def make_suite(
     root = Path(out) if out is not None else minari_root()
     folder, known = root / "knotgym", recordings() if config.recorded else {}
     wanted = _recorded(config, known) if config.recorded else [*config.sets()]
-    results = read_scores(sorted((folder / "evaluations").glob("*.json")))
     for one in wanted:  # before anything is made
         require_collectable(one, root, options)
     _require_own_card(folder, options)
@@ -89,7 +84,7 @@ def make_suite(
         progress.say(f"set {number} of {len(wanted)}: {one.dataset_id}, {size}")
         collect(one, root, options, progress=progress, recorded=one.dataset_id in known)
     sets = _described(config, root)
-    _write_card(sets, results, config.seed, folder)
+    _write_card(sets, config.seed, folder)
     progress.say(f"{folder}: {len(wanted)} sets, README.md, suite.json")
     agreement = {one.dataset_id: sets[one.dataset_id]["recorded"] for one in wanted}
     differing = [f"{name} {how}" for name, how in agreement.items() if how.startswith("differs")]
@@ -189,16 +184,13 @@ def describe_set(made: Path) -> dict[str, Any]:
     }
 
 
-def _write_card(
-    sets: Mapping[str, Any], results: Sequence[Mapping[str, Any]], seed: int, folder: Path
-) -> None:
+def _write_card(sets: Mapping[str, Any], seed: int, folder: Path) -> None:
     report = {
         "format": _FORMAT,
         "format_version": 1,
         "knotgym": knotgym.__version__,
         "seed": seed,
         "sets": sets,
-        "results": list(results),
     }
     folder.mkdir(parents=True, exist_ok=True)
     texts = json.dumps(report, indent=1, sort_keys=True) + "\n", _card_of(report)
@@ -224,7 +216,6 @@ def _card_of(report: Mapping[str, Any]) -> str:
         for measured, protocol in reference_scores().items()
         for setup, one in protocol["cells"].items()
     ]
-    none = ["None yet: no evaluation file lies in `evaluations`."]
     return filled(
         "suite_card.md",
         count=len(sets),
@@ -236,5 +227,4 @@ def _card_of(report: Mapping[str, Any]) -> str:
         references=table(
             ("states and engine", "set-up", "random", "expert", "episodes"), references
         ),
-        results=score_table(report["results"]) if report["results"] else none,
     )

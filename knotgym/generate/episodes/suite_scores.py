@@ -1,4 +1,4 @@
-"""Read files of `knotgym evaluate --out` and tabulate their scores."""
+"""Read the scores in files of `knotgym evaluate --out`."""
 
 import hashlib
 import json
@@ -8,7 +8,6 @@ from typing import Any
 
 from knotgym.common import InvalidFile, as_json
 from knotgym.control import PolicyConfig
-from knotgym.datasets import plain, table
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, evaluation_in
 from knotgym.runs import cluster_interval
@@ -45,25 +44,6 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
                 raise InvalidFile(f"{path} repeats episodes of {', '.join(map(str, cell))}")
             same.append(row)
     return [_together(found[key]) for key in sorted(found, key=str)]
-
-
-def score_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a Markdown table with a line for each row of `read_scores`."""
-    head = (
-        *("policy", "settings", "files", "code", "states", "split", "task", "nx", "success, %"),
-        *("interval", "episodes", "trained for, s"),
-    )
-    body = []
-    for row in rows:
-        low, high = row["interval"]
-        files = [row[name][:8] for name in ("policy_sha256", "code_sha256")]
-        states = f"{row['states']} ({row['states_sha256'][:8]})"
-        texts = row["policy"], row["settings"], *files, states, row["split"], row["task"]
-        rate = f"{100 * row['success_rate']:.1f}", f"{100 * low:.0f} to {100 * high:.0f}"
-        seconds = row["training"].get("seconds")
-        trained = "" if seconds is None else f"{seconds:,.0f}"
-        body.append((*map(plain, texts), row["nx"], *rate, row["episodes"], trained))
-    return table(head, body)
 
 
 def _rows(evaluation: Mapping[str, Any], results: Iterable[Result]) -> Iterator[dict[str, Any]]:

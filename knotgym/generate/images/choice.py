@@ -71,7 +71,13 @@ class Chooser:
         }
 
     def consider(self, frames: Result, row: int, split: str) -> bool:
-        """Choose or refuse a frame of `frames.frames_of`; return whether it is chosen."""
+        """Choose or refuse a frame; return whether it is chosen.
+
+        Args:
+            frames: as `frames.frames_of` returns them.
+            row: which of them.
+            split: that its rope is of.
+        """
         key = split, int(frames["nx"][row])
         if self._quota.get(key, 0) <= self._have[key]:
             return self._refuse("quota full")

@@ -195,7 +195,13 @@ def _dataset_id(nx: int, split: str, knot: str) -> str:
 def where_demonstrated(
     config: GenerateConfig, states: States, sets: Sequence[Demonstrated]
 ) -> dict[str, NDArray[Any]]:
-    """Return the columns of provenance that locate the states' demonstrations."""
+    """Return the columns of provenance that locate the states' demonstrations.
+
+    Args:
+        config: of the run.
+        states: the set.
+        sets: its demonstrations.
+    """
     dataset = [""] * len(states)
     trajectory, step = (states.source[name].copy() for name in ("trajectory", "step"))
     for nx, split, episodes in sets:
@@ -209,7 +215,14 @@ def where_demonstrated(
 def publish_demonstrations(
     sets: Sequence[Demonstrated], config: GenerateConfig, root: Path, states: Path
 ) -> None:
-    """Publish each set as a Minari dataset below `root`, with the file of its states."""
+    """Publish each set as a Minari dataset.
+
+    Args:
+        sets: the demonstrations.
+        config: of the run.
+        root: Minari root to write below.
+        states: file of the states that they were reset from.
+    """
     knot = type_of(config.knot)
     for nx, split, episodes in sets:
         metadata = MinariMetadata(

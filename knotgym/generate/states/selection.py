@@ -34,9 +34,12 @@ class Selection:
     def offer(self, rows: Table, row: int, *, lenient: bool = False) -> bool:
         """Keep a row if it is new; return whether it is kept.
 
-        By default it must differ from all kept rows under every symmetry, see
-        `states.near_duplicates`. If `lenient`, it must do so only from those that show its code, up
-        to chirality; from others with as many crossings only as it lies.
+        Args:
+            rows: candidates.
+            row: which of them.
+            lenient: by default it must differ from all kept rows under every symmetry, see
+                `states.near_duplicates`; if lenient, only from those that show its code, up to
+                chirality, and from others with as many crossings only as it lies.
         """
         points = rows["points"][row]
         code = GaussCode.parse(str(rows["gauss_code_chiral"][row]))

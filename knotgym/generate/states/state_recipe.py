@@ -41,6 +41,12 @@ def make_states(
 
     A shard makes its journal instead, and returns that.
 
+    Args:
+        config: which states.
+        out: the folder.
+        options: how the run is executed.
+        progress: shows what is done.
+
     Raises:
         Occupied, InvalidInput, InvalidFile: as `runs.runner.run` raises.
         Failed: states are missing, although `config.attempts` are used up.
