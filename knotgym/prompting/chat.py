@@ -33,6 +33,7 @@ from knotgym.common import (
     configuration,
     install_command,
     one_line,
+    printable,
 )
 
 KEY = "OPENAI_API_KEY"
@@ -310,7 +311,7 @@ class Chat:
             choice, usage = (choices or whole["choices"])[0], whole.get("usage") or {}
             message = choice["message"]
             content, refusal = message.get("content"), message.get("refusal")
-            finish = self._clean(str(choice.get("finish_reason") or ""))[:_SHOWN]
+            finish = self._short(str(choice.get("finish_reason") or ""))
             tokens = tuple(_count(usage.get(f"{of}_tokens")) for of in ("prompt", "completion"))
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
             # some servers send their errors with status 200
@@ -335,7 +336,7 @@ class Chat:
         return whole.replace(self._secret, "[key]") if self._secret else whole
 
     def _short(self, text: str) -> str:
-        return " ".join(self._clean(text).split())[:_SHOWN]
+        return printable(" ".join(self._clean(text).split())[:_SHOWN])
 
 
 def _divided(content: Any, marks: tuple[str, ...]) -> tuple[str, str]:

@@ -17,6 +17,7 @@ from knotgym.cli import main
 from knotgym.common import InvalidFile, InvalidInput, MissingFile, Occupied
 from knotgym.datasets import Episodes
 from knotgym.runs import staging_folder
+from knotgym.states import shipped
 
 from .conftest import CLONE, READER, TASK, published, train, weights
 
@@ -91,7 +92,7 @@ def test_nothing_to_learn_from_is_one_line(played: Episodes, tmp_path: Path) -> 
         train([published(tmp_path, played.select([]))], tmp_path / "new", READER)
     with pytest.raises(InvalidInput, match="no episode reached its goal"):
         train([published(tmp_path, played.select([2]), name="b")], tmp_path / "new", CLONE)
-    with pytest.raises(MissingFile, match="no such file"):
+    with pytest.raises(MissingFile, match="no episodes at"):
         train([tmp_path / "no"], tmp_path / "new", READER)
 
 
@@ -176,3 +177,48 @@ def test_a_learner_is_evaluated_where_it_was_trained_unless_told_otherwise(
         assert status("forged.json", "--overwrite") == expected, forged
         shown = "".join(capsys.readouterr())
         assert "Traceback" not in shown and "\x1b" not in shown
+
+
+@pytest.mark.parametrize("what", ["macro-actions", "success", "states"])
+def test_a_training_is_not_resumed_with_another_file(
+    what: str, played: Episodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from knotgym.learn.training import Training
+
+    out, save = tmp_path / "out", Training.save
+    config, data, states = CLONE, [published(tmp_path, played)], tmp_path / "states.h5"
+    if what == "states":
+        shutil.copy(shipped("readable"), states)
+        config, data = replace(CLONE, demonstrations=2, states=str(states)), []
+
+    def swap() -> None:
+        if what == "states":
+            shutil.copy(shipped("bench"), states)
+            return
+        other = played.select([0, 1, 2])
+        if what == "success":
+            other.episodes["success"][:] = True
+        else:
+            other.steps["macro_side"][:] *= -1
+        shutil.rmtree(tmp_path / "knotgym")
+        published(tmp_path, other)
+
+    def save_and_stop(training: Training, path: Path) -> None:
+        save(training, path)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Training, "save", save_and_stop)
+    with pytest.raises(KeyboardInterrupt):
+        train(data, out, config)
+    monkeypatch.undo()
+    kept = shutil.copytree(tmp_path, tmp_path.with_name(f"{what}-kept"))
+    train(data, out, config, resume=True)
+    swap()
+    with pytest.raises(InvalidInput, match="source"):  # it is finished, with others
+        train(data, out, config, resume=True)
+    shutil.rmtree(tmp_path)
+    shutil.copytree(kept, tmp_path)
+    swap()
+    with pytest.raises(InvalidInput, match="source"):  # it was killed
+        train(data, out, config, resume=True)
+    assert not out.exists()

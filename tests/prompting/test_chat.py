@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.common import Failed, InvalidInput
+from knotgym.common import Failed, InvalidInput, printable
 from knotgym.prompting.chat import Chat, ChatConfig
 
 from .chat_server import Answer, ChatServer
@@ -163,13 +163,14 @@ def test_a_server_that_never_answers_ends_the_run_with_its_reason() -> None:
         (403, {"message": "your input was flagged", "code": "moderation"}),
         (413, {"message": "too large", "type": "size"}),
         (422, {"message": "no such picture", "code": "picture"}),
+        (451, {"message": "gone\x1b[2J\x00", "code": "law\x1b"}),
     ],
 )
 def test_a_rejected_request_is_a_refusal(status: int, error: dict[str, str]) -> None:
     reply, server = asked(always(("status", (status, {}, json.dumps({"error": error})))))
-    code = error.get("code", error.get("type"))
     assert (reply.fault, reply.text, len(server.requests)) == ("refusal", "", 1)
-    assert reply.rejected == f"{status} {code}: {error['message']}"
+    said = f"{status} {error.get('code', error.get('type'))}: {error['message']}"
+    assert reply.rejected == printable(said)
     assert (reply.prompt_tokens, reply.completion_tokens) == (0, 0)
 
 
