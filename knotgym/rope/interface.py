@@ -40,13 +40,24 @@ class Simulation(ABC):
     """
 
     engine: ClassVar[str]
+    # parameters that it carries out beyond those of the published rope; others are refused
+    parameters: ClassVar[frozenset[str]] = frozenset()
     points: Array
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
-        """Start with `count` plain loops; `threads` 0 uses every core."""
+        """Start with `count` plain loops; `threads` 0 uses every core.
+
+        Raises:
+            InvalidInput: fewer than 1 rope, or a parameter that the engine doesn't know.
+        """
         if count < 1:
             raise InvalidInput(f"a simulation needs at least 1 rope, got {count}")
         self.rope = rope or Rope()
+        if unknown := sorted(self.rope.config.added.keys() - self.parameters):
+            raise InvalidInput(
+                f"the engine {self.engine} knows no {', '.join(unknown)}: {type(self).__name__}"
+                " must carry it out and list it in `parameters`"
+            )
         self.count = count
         self.applied_shares: Array = np.ones(count)
         self.threads = Threads(threads)

@@ -36,7 +36,8 @@ _CLOSURES: dict[str, tuple[float, ...]] = {
 }
 # The rope that ships, of which a fingerprint is the hash with the values that differ from it. A
 # parameter that isn't here counts once it differs from its default, so a new one whose default
-# changes no motion leaves every file readable.
+# changes no motion leaves every file readable; an engine that carries it out lists it in its
+# `parameters`.
 _PUBLISHED: dict[str, Any] = {
     "format": 1,  # increase whenever the same configuration would move differently
     "beads": 100,
@@ -103,14 +104,23 @@ class RopeConfig:
         return self.length / self.beads
 
     @property
+    def added(self) -> dict[str, Any]:
+        """Parameters that the published rope doesn't have, where they differ from their default."""
+        own = {field.name: (getattr(self, field.name), field.default) for field in fields(self)}
+        return {
+            name: value
+            for name, (value, default) in own.items()
+            if name not in _PUBLISHED and value != default
+        }
+
+    @property
     def fingerprint(self) -> str:
         """Hash of what differs from the published rope, 16 hexadecimal digits.
 
         Files hold that of the rope they were made with.
         """
-        usual = {**{field.name: field.default for field in fields(self)}, **_PUBLISHED}
-        own = {name: value for name, value in asdict(self).items() if value != usual[name]}
-        text = json.dumps({**_PUBLISHED, **own}, sort_keys=True)
+        known = {name: value for name, value in asdict(self).items() if name in _PUBLISHED}
+        text = json.dumps({**_PUBLISHED, **known, **self.added}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

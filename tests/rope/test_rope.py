@@ -13,8 +13,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, NonNegative, configuration
+from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.closed_curves import _add_solution, clearance
+from knotgym.rope.interface import Simulation
 from knotgym.rope.model import Rope, RopeConfig, rope_of, sub_chains
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states import read_states, shipped
 from knotgym.topology import label
 
@@ -54,6 +57,17 @@ def test_a_new_parameter_leaves_files_readable_where_it_changes_nothing(
     gym.make("knotgym/Tie-v0", nx=1, engine="chain").reset(seed=0)
     assert Rubbing(length=2.0).fingerprint == RopeConfig(length=2.0).fingerprint
     assert len({Rubbing(friction=x).fingerprint for x in (0.0, 0.1, 0.2)}) == 3
+
+
+@pytest.mark.parametrize("engine", [ChainSimulation, MujocoSimulation])
+def test_an_engine_refuses_a_parameter_that_it_does_not_carry_out(
+    monkeypatch: pytest.MonkeyPatch, engine: type[Simulation]
+) -> None:
+    engine(1, Rope(Rubbing()))
+    with pytest.raises(InvalidInput, match=f"{engine.engine} knows no friction"):
+        engine(1, Rope(Rubbing(friction=0.3)))
+    monkeypatch.setattr(engine, "parameters", frozenset({"friction"}))
+    engine(1, Rope(Rubbing(friction=0.3)))
 
 
 def test_model_has_the_published_sizes(rope: Rope) -> None:

@@ -1,6 +1,7 @@
 """PD and DT codes, against SnapPy, spherogram and KnotInfo's tables (run with -m clients)."""
 
 import json
+import re
 from collections import Counter
 from importlib.resources import files
 from pathlib import Path
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from knotgym.common import InvalidInput
 from knotgym.rope import MujocoSimulation
 from knotgym.states import read_states, shipped
+from knotgym.topology import notation
 from knotgym.topology.crossings import label_many
 from knotgym.topology.diagrams import parts, uniform_code, with_chirality
 from knotgym.topology.gauss import GaussCode
@@ -312,6 +314,19 @@ def test_snappy_certifies_every_hard_unknot() -> None:
 )
 def test_other_programs_write_the_left_handed_trefoil(text: str) -> None:
     assert knot_type(parse_code(text)) == "3_1" and parse_code(text).chirality is not None
+
+
+def test_a_notation_is_a_row_of_the_table_of_readers(monkeypatch: pytest.MonkeyPatch) -> None:
+    row = re.compile(r"Kinks:\d+"), lambda tight, _: GaussCode.parse(kinks_of(int(tight[6:])))
+    monkeypatch.setattr(notation, "_READERS", (row, *notation._READERS))
+    (text,) = split_codes(["Kinks:3 # curls"])
+    assert str(parse_code(text)) == kinks_of(3) and parse_code("[4,6,2]") == from_dt([4, 6, 2])
+    with pytest.raises(InvalidInput, match="cannot read the visit"):
+        parse_code("Kinks:x")
+
+
+def kinks_of(count: int) -> str:
+    return ",".join(f"{k}+,{k}-" for k in range(1, count + 1))
 
 
 def test_a_list_has_a_code_a_line() -> None:
