@@ -192,6 +192,11 @@ class Table(Mapping[str, NDArray[Any]]):
             self._columns[c.name] = found
         self.schema = schema.sized(**sizes).only(*self._columns)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # functions don't travel: a lambda can't be pickled
+        plain = tuple(column._replace(derived=None) for column in self.schema.columns)
+        return Table, (self.schema._replace(columns=plain), self._columns)
+
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self._columns[name]
 
@@ -501,7 +506,7 @@ def _shared_schema(tables: Sequence[Table]) -> Schema:
     first, *others = (schema.sized(**most) for schema in schemas)
     for other in others:
         for one, found in zip(first.columns, other.columns, strict=True):
-            if (one, first.shape(one)) != (found, other.shape(found)):
+            if (one.dtype, first.shape(one)) != (found.dtype, other.shape(found)):
                 raise InvalidInput(
                     f"tables to append differ: {one.name} is {one.dtype} {first.shape(one)} in one"
                     f" and {found.dtype} {other.shape(found)} in another"

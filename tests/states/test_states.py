@@ -1,6 +1,7 @@
 """The state file gives back what was written, and refuses what it cannot read in one line."""
 
 import os
+import pickle
 import subprocess
 import sys
 from collections import Counter
@@ -32,6 +33,13 @@ def test_states_come_back_as_written(states: States, states_path: str) -> None:
     read = read_states(states_path)
     assert table_digest(read.table) == table_digest(states.table) == read.digest
     assert read.attributes == states.attributes
+
+
+def test_states_are_pickled_whole(states: States) -> None:
+    again = pickle.loads(pickle.dumps(states))
+    assert table_digest(again.table) == table_digest(states.table)
+    merged = merge_states([again.take(slice(0, 3)), states.take(slice(3, 30))])
+    assert table_digest(merged.table) == table_digest(states.table)
 
 
 def test_states_without_images_are_not_written(states_path: str, tmp_path: Path) -> None:
