@@ -1,5 +1,6 @@
 """Photos as rows of a perception table: what is written is read back, and verified."""
 
+import base64
 import json
 import tarfile
 from pathlib import Path
@@ -14,6 +15,8 @@ from knotgym.datasets.exports.exporters import export
 from knotgym.datasets.image_rows import PictureRow, appearance_of, record
 from knotgym.datasets.image_table import COLUMNS, decode, parquet, read_rows, table_of
 from knotgym.datasets.image_verification import row_faults
+from knotgym.datasets.located import Located
+from knotgym.datasets.page.page_data import page_data, page_html
 from knotgym.rendering import AppearanceConfig, Photo, take, tilted
 from knotgym.states import read_states, shipped
 
@@ -90,6 +93,21 @@ def test_croissant_describes_every_factor_of_a_photo(
     named = {one["name"].split("/")[-1] for one in table["field"]}
     assert {f"photo.{factor}" for factor in rows[0]["photo"]} <= named
     assert "photographed" in described["rai:dataLimitations"]
+
+
+def test_a_page_has_the_labels_of_each_photo(folder: Path, rows: list[dict[str, Any]]) -> None:
+    data = page_data("photos", Located(folder, pictures=folder))
+    assert data["called"] == "pictures" and data["says"] == "3 pictures"
+    for shown, row in zip(data["states"], rows, strict=True):
+        assert len(shown["at"]) == len(shown["x"]) == row["nx"]
+        line = np.reshape(row["line"], (-1, 3))[:, :2]
+        assert np.allclose(np.reshape(shown["line"], (-1, 2)), line, rtol=1e-3, atol=0.1)
+        for (x, y), (over, _, _) in zip(shown["at"], shown["x"], strict=True):
+            before, part = line[int(over)], over % 1  # the line passes each crossing
+            here = before + part * (line[(int(over) + 1) % len(line)] - before)
+            assert np.hypot(*(here - (x, y))) < 2
+        assert base64.b64decode(shown["masks"].partition(",")[2]) == row["strands"]
+    assert "drawPicture" in page_html(data)
 
 
 def test_coco_has_a_mask_for_each_strand_and_keypoints_for_each_crossing(

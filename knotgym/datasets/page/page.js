@@ -2,7 +2,7 @@
 
 const by = (id) => document.getElementById(id);
 const state = { tab: "", row: -1, episode: -1, step: 0, place: 0, walking: false, spinning: false,
-  playing: false, marked: true, speed: 1, camera: topView(), filmCamera: topView() };
+  playing: false, marked: true, photo: true, strands: true, masks: false, speed: 1, camera: topView(), filmCamera: topView() };
 
 // use textContent only, so that nothing in a file can become markup
 function made(kind, text = "", properties = {}) {
@@ -120,6 +120,7 @@ function measure(form, rows) {
 
 const shortened = (x) => (Number.isFinite(x) ? String(Number(x.toPrecision(3))) : "–");
 const byNumber = (a, b) => a - b;
+const byDifficulty = (a, b) => DATA.grades.indexOf(a) - DATA.grades.indexOf(b);
 
 function handOf(row) {
   const signs = new Set(row.x.map((crossing) => crossing[2]));
@@ -169,7 +170,7 @@ function startStates() {
     chips(form, states, "nx", (row) => row.nx, byNumber),
     chips(form, states, "split", (row) => row.split),
     chips(form, states, "chirality", handOf),
-    ...DATA.words.map((name) => chips(form, states, name, (row) => row[name])),
+    ...DATA.words.map((name) => chips(form, states, name, (row) => row[name], byDifficulty)),
     search(form, "code", (row) => `${row.plain} ${row.code}`),
   ];
   const chosen = measure(form, states);
@@ -177,7 +178,7 @@ function startStates() {
     const keeps = [...tests, chosen.keeps()];
     order = states.filter((row) => keeps.every((keep) => keep(row))).sort(chosen.order);
     by("sheet").replaceChildren(...order.map((row) => cards.get(row)));
-    by("shown").textContent = `${order.length} of ${states.length} states`;
+    by("shown").textContent = `${order.length} of ${states.length} ${DATA.called}`;
   };
   form.onfilter();
   turnable(by("stage"), state.camera, showState);
@@ -192,6 +193,11 @@ function startStates() {
   tool(tools, "Spin", () => keys.s(), false).id = "spin";
   tool(tools, "Top view", () => keys.t());
   tool(tools, "Crossings", () => keys.c(), true).id = "mark";
+  if (!states.some((row) => row.image)) return;
+  tool(tools, "Picture", () => keys.p(), true).id = "photo";
+  if (!states.some((row) => row.masks)) return;
+  tool(tools, "Strands", () => keys.l(), true).id = "strands";
+  tool(tools, "Masks", () => keys.m(), false).id = "masks";
 }
 
 function openState(index, byHand) {
@@ -204,7 +210,7 @@ function openState(index, byHand) {
     shown.parentElement.setAttribute("aria-current", current);
     if (current && !byHand) shown.scrollIntoView({ block: "nearest" });
   }
-  by("state-name").textContent = `State ${row.row}, ${row.nx} ${row.nx === 1 ? "crossing" : "crossings"}`;
+  by("state-name").textContent = `${row.image ? "Picture" : "State"} ${row.row}, ${row.nx} ${row.nx === 1 ? "crossing" : "crossings"}`;
   by("state-code").replaceChildren(...chipsOf(row.x));
   const measures = DATA.measures.map(({ name, unit }, k) => {
     const values = states.map((other) => other.q[k]).filter(Number.isFinite), cell = made("span");
@@ -243,16 +249,85 @@ function showState() {
   visits.forEach((visit, k) => {
     if (walking && visit.place <= state.place) lit = k;
   });
-  drawRope(pen, row.points, see, true);
-  if (state.marked) drawCrossings(pen, row.points, row.x, see, lit < 0 ? 0 : visits[lit].label);
-  if (walking) drawMarker(pen, row.points, Math.min(state.place, DATA.beads - 1e-3), see);
+  if (row.image && state.photo) drawPicture(pen, row, Math.min(wide, high));
+  else drawRope(pen, row.points, see, true);
+  if (row.image && state.photo) { /* its labels are drawn with it */ }
+  else if (state.marked) drawCrossings(pen, row.points, row.x, see, lit < 0 ? 0 : visits[lit].label);
+  if (walking && !(row.image && state.photo)) drawMarker(pen, row.points, Math.min(state.place, DATA.beads - 1e-3), see);
   [...by("state-code").children].forEach((chip, k) => {
     chip.classList.toggle("passed", k <= lit);
     chip.classList.toggle("lit", k === lit);
   });
   by("place").value = state.place;
-  for (const [id, on] of [["walk", state.walking], ["spin", state.spinning], ["mark", state.marked]])
-    by(id).setAttribute("aria-pressed", on);
+  for (const [id, on] of [["walk", state.walking], ["spin", state.spinning], ["mark", state.marked],
+    ["photo", state.photo], ["strands", state.strands], ["masks", state.masks]])
+    if (by(id)) by(id).setAttribute("aria-pressed", on);
+}
+
+// ---- pictures, with the labels that their table has
+
+const images = new Map();
+
+function loaded(source) {
+  if (!images.has(source)) images.set(source, made("img", "", { onload: () => showState(), src: source }));
+  const image = images.get(source);
+  return image.complete && image.naturalWidth ? image : null;
+}
+
+// the strands' pixels, which hold their numbers, in colours
+function tinted(row) {
+  const image = loaded(row.masks);
+  if (!image || row.tinted) return row.tinted;
+  const canvas = made("canvas", "", { width: image.naturalWidth, height: image.naturalHeight });
+  const pen = canvas.getContext("2d");
+  pen.drawImage(image, 0, 0);
+  const pixels = pen.getImageData(0, 0, canvas.width, canvas.height);
+  for (let at = 0; at < pixels.data.length; at += 4) {
+    const strand = pixels.data[at], colour = colourOf(strand);
+    for (let k = 0; k < 3; k += 1) pixels.data[at + k] = parseInt(colour.slice(1 + 2 * k, 3 + 2 * k), 16);
+    pixels.data[at + 3] = strand ? 170 : 0;
+  }
+  pen.putImageData(pixels, 0, 0);
+  row.tinted = canvas;
+  return canvas;
+}
+
+function drawPicture(pen, row, side) {
+  const image = loaded(row.image);
+  if (!image) return;
+  const scale = side / image.naturalWidth;
+  pen.drawImage(image, 0, 0, side, side);
+  const masks = state.masks && row.masks ? tinted(row) : null;
+  if (masks) pen.drawImage(masks, 0, 0, side, side);
+  if (state.strands && row.line) drawLine(pen, row, scale);
+  if (state.marked) visitsOf(row.x).filter((visit) => visit.over).forEach(({ label, sign }) => {
+    const [x, y] = row.at[label - 1].map((value) => value * scale);
+    pen.beginPath();
+    pen.arc(x, y, 11, 0, 2 * Math.PI);
+    pen.lineWidth = 2;
+    pen.strokeStyle = sign > 0 ? "#0a7" : "#d35";
+    pen.stroke();
+    pen.font = "bold 13px sans-serif";
+    pen.lineWidth = 3;
+    pen.strokeStyle = "#fff";
+    pen.strokeText(label, x + 12, y - 8);
+    pen.fillStyle = "#111";
+    pen.fillText(label, x + 12, y - 8);
+  });
+}
+
+// the rope's middle, a colour for each piece between two visits of crossings
+function drawLine(pen, row, scale) {
+  const places = visitsOf(row.x).map((visit) => visit.place), count = row.line.length / 2;
+  pen.lineWidth = 2;
+  for (let k = 0; k < count; k += 1) {
+    const next = (k + 1) % count, passed = places.filter((place) => place <= k + 0.5).length;
+    pen.beginPath();
+    pen.moveTo(row.line[2 * k] * scale, row.line[2 * k + 1] * scale);
+    pen.lineTo(row.line[2 * next] * scale, row.line[2 * next + 1] * scale);
+    pen.strokeStyle = colourOf(1 + (passed % Math.max(1, places.length)));
+    pen.stroke();
+  }
 }
 
 // ---- episodes
@@ -281,6 +356,7 @@ function startEpisodes() {
     return [episode, button];
   }));
   const tests = [
+    chips(form, rows, "nx", (episode) => (episode.goal ? episode.goal.split(",").length / 2 : 0), byNumber),
     chips(form, rows, "split", (episode) => episode.split),
     chips(form, rows, "goal", (episode) => outcomeOf(episode.success)),
     chips(form, rows, "policy", (episode) => episode.policy),
@@ -448,6 +524,9 @@ const keys = {
   ArrowDown: () => state.tab === "episodes" && nextEpisode(1),
   ArrowUp: () => state.tab === "episodes" && nextEpisode(-1),
   c() { state.marked = !state.marked; show(); },
+  p() { state.photo = !state.photo; show(); },
+  l() { state.strands = !state.strands; show(); },
+  m() { state.masks = !state.masks; show(); },
   s() { state.spinning = !state.spinning; if (state.spinning && !state.camera.tilt) state.camera.tilt = 0.9; show(); },
   t() { state.spinning = false; Object.assign(inStates() ? state.camera : state.filmCamera, topView()); show(); },
   "?": () => by("help").showModal(),
@@ -476,7 +555,7 @@ function start() {
   by("notices").textContent = DATA.notices.join(" ");
   facts(by("about"), DATA.about.map(([name, value]) => [name, unfolding(value)]));
   by("rejected-box").hidden = !Object.keys(DATA.rejected).length;
-  const has = [["states", "States", states.length], ["episodes", "Episodes", DATA.episodes.length], ["run", "Run", 1]];
+  const has = [["states", DATA.called[0].toUpperCase() + DATA.called.slice(1), states.length], ["episodes", "Episodes", DATA.episodes.length], ["run", "Run", 1]];
   for (const [id, name, count] of has)
     if (count) {
       const tab = tool(by("tabs"), name, () => openTab(id));

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidFile, InvalidInput, as_json
 from knotgym.datasets.episode_dataset import EpisodeDataset, columns_of
 from knotgym.datasets.episodes import gauss_codes
-from knotgym.datasets.image_table import points_of, read_table
+from knotgym.datasets.image_table import GRADES, points_of, read_table, shards, stored_columns
 from knotgym.datasets.located import Located
 from knotgym.datasets.manifest import read_manifest
 from knotgym.quality import UNITS
@@ -53,6 +53,7 @@ def page_data(title: str, given: Located) -> dict[str, Any]:
     data: dict[str, Any] = {
         **{name: [] for name in ("measures", "words", "states", "episodes")},
         **{"title": title, "unit": _UNIT, "points": "", "rejected": {}, "notices": notices},
+        **{"grades": GRADES, "called": "pictures" if given.pictures else "states"},
         **{"radius": rope.radius, "maxForce": rope.max_force, "beads": rope.beads},
     }
     if given.episodes:
@@ -69,7 +70,10 @@ def page_data(title: str, given: Located) -> dict[str, Any]:
         data |= _pictures(given.pictures, notices, about)
     data["colours"] = ["#" + bytes(colour).hex() for colour in bead_colours(data["beads"])]
     data["about"] = [[name, _cut(value)] for name, value in about.items() if value]
-    counts = [(len(data["states"]), "state"), (len(data["episodes"]), "episode")]
+    counts = [
+        (len(data["states"]), data["called"].removesuffix("s")),
+        (len(data["episodes"]), "episode"),
+    ]
     contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
     if not contents:
         raise InvalidInput(f"{title} has no rows, so there is nothing to show")
@@ -138,22 +142,27 @@ def _states(file: Path, notices: list[str], about: dict[str, Any]) -> dict[str, 
 
 def _pictures(source: Path, notices: list[str], about: dict[str, Any]) -> dict[str, Any]:
     """Collect a perception table: states with their pictures."""
-    table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image"])
+    stored = stored_columns(shards(source)[0])
+    labels = ["crossings", *(name for name in ("line", "strands") if name in stored)]
+    table = read_table(source, columns=[*_SHOWN, "points", "quality", "grade", "image", *labels])
     rows = _sampled(len(table), MOST_PICTURES)
     _notice(notices, rows, len(table), "pictures")
     taken = table.take(rows)
-    columns = {name: taken[name].to_pylist() for name in (*_SHOWN, "grade", "image")}
+    columns = {name: taken[name].to_pylist() for name in _SHOWN}
     measured = taken["quality"].to_pylist()
     quality = {
         name: (UNITS.get(name, ""), [one[name] for one in measured])
         for name in (measured or [{}])[0]
     }
     found = _shapes(rows, {**columns, "points": points_of(taken)}, quality)
-    for shown, grade, image in zip(
-        found["states"], columns["grade"], columns["image"], strict=True
+    for shown, row in zip(
+        found["states"], taken.select(["grade", "image", *labels]).to_pylist(), strict=True
     ):
-        encoded = base64.b64encode(image["bytes"]).decode("ascii")
-        shown |= {"grade": grade, "image": f"data:image/png;base64,{encoded}"}
+        shown |= {"grade": row["grade"], "image": _picture(row["image"])}
+        shown["at"] = [[_number(one["x"]), _number(one["y"])] for one in row["crossings"]]
+        if "line" in row:  # x, y and depth of each bead
+            line = np.reshape(row["line"], (-1, 3))[:, :2].ravel()
+            shown |= {"line": [_number(n) for n in line], "masks": _picture(row["strands"])}
     about |= {"pictures": len(table), "configuration": read_manifest(source)[0].get("config")}
     return {**found, "words": ["grade"]}
 
@@ -264,6 +273,10 @@ def _encoded(points: Array) -> str:
     limits = np.iinfo(np.int16)
     whole = np.rint(laid).clip(limits.min, limits.max).astype("<i2")
     return base64.b64encode(whole.tobytes()).decode("ascii")
+
+
+def _picture(stored: Mapping[str, bytes]) -> str:
+    return f"data:image/png;base64,{base64.b64encode(stored['bytes']).decode('ascii')}"
 
 
 def _notice(notices: list[str], rows: Sequence[int], count: int, what: str) -> None:
