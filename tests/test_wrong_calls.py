@@ -16,7 +16,7 @@ import knotgym
 from knotgym.adapters import goal_env, sb3_vec_env
 from knotgym.common import KnotgymError
 from knotgym.control import PolicyConfig, make_policy, register_policy
-from knotgym.datasets import matching_rows, open_episodes, read_table
+from knotgym.datasets import open_episodes, read_table, select
 from knotgym.envs import KnotEnv, KnotVectorEnv, TaskConfig
 from knotgym.loaders import (
     GoalSampling,
@@ -169,7 +169,7 @@ def test_a_wrong_call_is_one_clear_line(
 
 
 NEEDED: list[tuple[str, Callable[[], Any], str]] = [
-    ("polars", lambda: matching_rows("nx = 3", {}), ".[select]"),
+    ("polars", lambda: select("readable", "no.h5", where="nx = 3"), ".[select]"),
     ("pygame", lambda: KnotEnv("tie", render_mode="human"), "pygame"),
     ("pyarrow", lambda: read_table(DATA), ".[huggingface]"),
     ("torch", lambda: images(DATA, kind="torch"), ".[torch]"),

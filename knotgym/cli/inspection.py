@@ -15,18 +15,14 @@ from knotgym.control import dataset_faults, replay
 from knotgym.datasets import (
     Located,
     differences,
-    episode_tiles,
     expanded,
     locate,
     open_episodes,
-    page_data,
-    page_html,
-    picture_tiles,
     read_manifest,
     read_table,
-    state_tiles,
     try_files,
-    write_gallery,
+    write_page,
+    write_sheet,
 )
 from knotgym.generate import film as film_of
 from knotgym.rendering import film_frames, require_film, write_film
@@ -87,28 +83,16 @@ def gallery(named: str, out: Path, overwrite: bool) -> str:
     """Write a contact sheet; return a one-line summary."""
     found = locate(named)
     _require_picture_or_page(out, ".png", overwrite, found)
-    if found.pictures:
-        tiles, what = picture_tiles(found.pictures), "pictures"
-        count = len(read_table(found.pictures, columns=["nx"]))
-    elif found.states:
-        tiles, what = state_tiles(read_states(found.states, images=False)), "states"
-        count = len(tiles)
-    else:
-        tiles, what = episode_tiles(found.episodes), "episodes, each at its end"
-        count = sum(open_episodes(one).episodes.episodes.rows for one in found.episodes)
     with atomic_write(out, overwrite=overwrite) as temporary:
-        write_gallery(temporary, tiles)
-    return f"{len(tiles)} of {count} {what}" if len(tiles) < count else f"{count} {what}"
+        return write_sheet(temporary, found)
 
 
 def page(named: str, out: Path, overwrite: bool) -> str:
     """Write an HTML page for browsing a dataset; return a one-line summary."""
     found = locate(named)
     _require_picture_or_page(out, ".html", overwrite, found)
-    data = page_data(found.title, found)
     with atomic_write(out, overwrite=overwrite) as temporary:
-        temporary.write_text(page_html(data), encoding="utf-8")
-    return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
+        return write_page(temporary, found)
 
 
 def _require_picture_or_page(out: Path, suffix: str, overwrite: bool, found: Located) -> None:

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Hashable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from knotgym.datasets.episode_dataset import columns_of
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.rendering import draw_diagram
-from knotgym.states import States
+from knotgym.states import States, read_states
+
+if TYPE_CHECKING:
+    from knotgym.datasets.located import Located
 
 SHOWN = 64  # maximum number of episodes or pictures in a gallery
 _WHITE = (225, 225, 225)
@@ -59,6 +62,23 @@ def write_gallery(path: str | os.PathLike[str], tiles: Sequence[Tile]) -> None:
         ".png", contact_sheet(tiles)[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6]
     )
     Path(path).write_bytes(bytes(data))
+
+
+def write_sheet(path: Path, found: "Located") -> str:
+    """Write the contact sheet of states, episodes or pictures; return a one-line summary."""
+    if found.pictures:
+        from knotgym.datasets.image_table import read_table
+
+        tiles, what = picture_tiles(found.pictures), "pictures"
+        count = len(read_table(found.pictures, columns=["nx"]))
+    elif found.states:
+        tiles, what = state_tiles(read_states(found.states, images=False)), "states"
+        count = len(tiles)
+    else:
+        tiles, what = episode_tiles(found.episodes), "episodes, each at its end"
+        count = sum(columns_of(one).episodes.episodes.rows for one in found.episodes)
+    write_gallery(path, tiles)
+    return f"{len(tiles)} of {count} {what}" if len(tiles) < count else f"{count} {what}"
 
 
 def state_tiles(states: States) -> list[Tile]:

@@ -38,11 +38,11 @@ def images(
         return PictureDataset(path, split, max_nx)
     if kind != "huggingface":
         raise InvalidInput(f"kind must be one of torch, huggingface, got {kind!r}")
-    from knotgym.datasets import file_stem, shards
+    from knotgym.datasets import shards
 
     library = import_client("datasets")
     files: dict[str, list[str]] = {}
     for shard in shards(path, split):
         files.setdefault(shard.name.partition("-")[0], []).append(str(shard))
-    wanted = None if split is None else file_stem(split)
+    wanted = None if split is None else next(iter(files))
     return library.load_dataset("parquet", data_files=files, split=wanted)

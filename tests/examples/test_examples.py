@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.datasets import COLUMNS, PictureRow, parquet, read_rows, record, row_faults, table_of
+from knotgym.control import verify
+from knotgym.datasets import COLUMNS, PictureRow, drawn, read_rows
 from knotgym.generate import ImagesConfig, make_images
 from knotgym.rendering import AppearanceConfig
 from knotgym.rope import Rope
@@ -128,10 +129,9 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     whole |= {"policy": "", **dict.fromkeys(("reflect", "switch", "reverse"), False)}
     sources = [whole | {"rope": number, "row": number} for number in range(len(ropes))]
     rows = [
-        record(PictureRow(points, "test", source), AppearanceConfig())
-        for points, source in zip(ropes, sources, strict=True)
+        PictureRow(points, "test", source) for points, source in zip(ropes, sources, strict=True)
     ]
-    (tmp_path / "table.parquet").write_bytes(parquet(table_of(rows)))
+    (tmp_path / "table.parquet").write_bytes(drawn(rows, AppearanceConfig())["parquet"].tobytes())
     page = tmp_path / "misread.png"
     run_script(FOLDER / "perception" / "trace.py", tmp_path / "table.parquet", "--page", page)
     told = capsys.readouterr().out.splitlines()
@@ -151,17 +151,18 @@ def test_line_drawings_are_transcribed_to_pd_codes(
     source |= dict.fromkeys(("reflect", "switch", "reverse"), False)
     look = AppearanceConfig(style="knotbench", vary=("turn",))
     rows = [
-        record(PictureRow(points, "test", source | {"rope": row, "row": row}), look)
+        PictureRow(points, "test", source | {"rope": row, "row": row})
         for row, points in enumerate(states.points[chosen])
     ]
-    (tmp_path / "table.parquet").write_bytes(parquet(table_of(rows)))
-    assert not list(row_faults(next(read_rows(tmp_path / "table.parquet"))))
+    (tmp_path / "table.parquet").write_bytes(drawn(rows, look)["parquet"].tobytes())
+    assert verify(tmp_path / "table.parquet") == []
     answers = tmp_path / "answers.jsonl"
     script = FOLDER / "perception" / "transcribe.py"
     run_script(script, tmp_path / "table.parquet", "--out", answers)
     shown = capsys.readouterr().out.splitlines()
     assert shown[-1].split() == ["all", "4", "100.0", "%", "100.0", "%"]
-    for line, row in zip(answers.read_text().splitlines(), rows, strict=True):
+    stored = read_rows(tmp_path / "table.parquet")
+    for line, row in zip(answers.read_text().splitlines(), stored, strict=True):
         own = json.loads(line)
         assert own["pd_code"] == row["pd_code"] and own["right"]
         assert parse_code(own["answer"]).nx == row["nx"]

@@ -16,7 +16,6 @@ from knotgym.datasets import (
     content_digest,
     differences,
     merge,
-    metadata_of,
     open_episodes,
     select,
     write_episodes,
@@ -180,13 +179,12 @@ def test_a_dataset_holds_the_digests_of_what_made_it(
     own_policy: CollectConfig, tmp_path: Path
 ) -> None:
     folder = collect(own_policy, tmp_path / "out", QUIET)
-    stored = metadata_of(open_episodes(folder))
-    assert stored is not None
-    assert stored.digests["states"] == {"own": sha256(tmp_path / "states.h5")}
+    digests = (open_episodes(folder).metadata or {})["digests"]
+    assert digests["states"] == {"own": sha256(tmp_path / "states.h5")}
     file = "collected_policy.py"
-    assert stored.digests["policies"] == {"collected_policy:act": {file: sha256(tmp_path / file)}}
-    assert stored.digests["rope"] == RopeConfig().fingerprint
-    assert stored.digests["versions"]["code"]
+    assert digests["policies"] == {"collected_policy:act": {file: sha256(tmp_path / file)}}
+    assert digests["rope"] == RopeConfig().fingerprint
+    assert digests["versions"]["code"]
 
 
 def test_ids_tell_every_setting_that_changes_the_data() -> None:

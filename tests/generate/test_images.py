@@ -21,7 +21,6 @@ from knotgym.datasets import (
     decode,
     image_faults,
     parquet,
-    points_of,
     read_rows,
     read_table,
     record,
@@ -90,7 +89,7 @@ def test_every_check_passes(folder: Path) -> None:
 
 
 def test_no_two_rows_are_near_duplicates(folder: Path) -> None:
-    points = points_of(read_table(folder))
+    points = np.reshape(read_table(folder)["points"].to_pylist(), (CONFIG.count, -1, 3))
     assert len(points) == CONFIG.count
     for k in range(len(points) - 1):
         assert distances(points[k], points[k + 1 :]).min() >= NEAR

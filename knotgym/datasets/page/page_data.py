@@ -41,6 +41,13 @@ _LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 _SCRIPTS = ("rope.js", "plots.js", "page.js")
 
 
+def write_page(path: Path, found: Located) -> str:
+    """Write the page of datasets; return a one-line summary."""
+    data = page_data(found.title, found)
+    path.write_text(page_html(data), encoding="utf-8")
+    return " ".join([f"{data['says']}, {path.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
+
+
 def page_data(title: str, given: Located) -> dict[str, Any]:
     """Collect everything that the page of datasets shows; the result can be written as JSON.
 
