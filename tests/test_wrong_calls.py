@@ -87,7 +87,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: make(depth=True, renderer="mujoco"), "depth needs renderer 'opencv'"),
     (lambda: make(nx=7), "no states with nx = 7 in split 'train'"),
     (lambda: make(task="plait"), "task must be one of unknot, tie, convert"),
-    (lambda: make(states="nope.h5"), "no knotgym-states file at nope.h5"),
+    (lambda: make(states="nope.h5"), "no such file: nope.h5, nor a Minari dataset of this id"),
     (lambda: make(split="val"), "split must be one of train, test, train-code, test-code, got"),
     (lambda: make(observation="rgb"), "observation must be one of pixels, state, both"),
     (lambda: make(action="push"), "action must be one of pull, bead, macro, decision, got 'push'"),
