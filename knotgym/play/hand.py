@@ -8,6 +8,7 @@ nothing that a browser sends is used as a path, a name to import, or a size.
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -140,7 +141,8 @@ class HandTab:
                 self._client.add_notification("knotgym", one_line(error), auto_close_seconds=10)
                 self._auto.value = False
             self._closed.wait(max(0.0, 1 / _FRAMES - (time.monotonic() - began)))
-        self._keep()
+        with suppress(KnotgymError, OSError):  # what was noted is stored by the next session
+            self._keep()
 
     def _act(self) -> None:
         wish, self.wish = self.wish, None
@@ -198,8 +200,9 @@ class HandTab:
         """Record the episode, unless it was recorded already or a policy helped."""
         session = self.session
         if self._recorder is not None and session.number not in self._kept:
-            self._kept.add(session.number)
             self._recorder.finish(session.number, session.pulls)
+            # not before, so that an episode that couldn't be stored is tried again
+            self._kept.add(session.number)
 
     def _select(self, step: int) -> None:
         self._selected = (self._selected + step) % len(self.session.points)

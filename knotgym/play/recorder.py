@@ -140,6 +140,8 @@ class Recorder:
         """
         stored = bool(pulls) and not any(pull.helped for pull in pulls)
         if stored:
+            # with the last pull, in case the dataset can't be written now
+            self.note(number, pulls)
             with self._lock:
                 self._store(number, pulls)
         self.note(number, [])

@@ -1,5 +1,7 @@
 """A hand-played episode: undo leaves no trace, and what is recorded is what a person pulled."""
 
+import errno
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -102,6 +104,25 @@ def test_a_killed_session_loses_nothing_and_stores_nothing_twice(
     with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
         assert recorder.recovered == 0
     assert stored(recorder) == 2 and not staging_folder(recorder.folder).exists()
+
+
+def test_an_episode_whose_storing_failed_has_its_last_pull_when_it_is_recovered(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    played(session)
+    monkeypatch.setattr("knotgym.play.recorder.publish", full)
+    with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
+        recorder.note(0, session.pulls[:-1])  # the tab notes all but the one that ends an episode
+        with pytest.raises(OSError, match="No space"):
+            recorder.finish(0, session.pulls)
+    monkeypatch.undo()
+    with Recorder(TASK, 4, ID, root=tmp_path) as recorder:
+        assert recorder.recovered == 1
+    beads = open_episodes(recorder.folder).episodes.steps["bead"][: len(PULLS)]
+    assert beads.tolist() == [bead for bead, _ in PULLS]
 
 
 def test_an_episode_in_which_a_policy_pulled_is_never_stored(
