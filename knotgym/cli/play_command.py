@@ -2,8 +2,7 @@
 
 import importlib.util
 import time
-from contextlib import ExitStack, suppress
-from functools import partial
+from contextlib import suppress
 
 from knotgym.cli.collect_command import MINARI_ROOT
 from knotgym.cli.options import Given, command, extra
@@ -35,26 +34,16 @@ def play(given: Given) -> None:
     """
     if importlib.util.find_spec("viser") is None:
         raise MissingExtra("viser", install_command("play"), "knotgym play")
-    from knotgym.play import HandTab, Page, Recorder
+    from knotgym.play import serve
     from knotgym.runs import compile_first
 
     config, progress = given.config(PageConfig), given.progress
     compile_first(progress, config.task.engine)
-    with ExitStack() as stack:
-        recorder = None
-        if given["record"]:
-            task = config.task
-            mark = "" if task.split == "train" else f"-{task.split}"
-            wanted = given["id"] or f"knotgym/{task.task}-nx{task.nx}/human{mark}-v0"
-            recorder = stack.enter_context(
-                Recorder(task, config.seed, wanted, config.player, given["out"])
-            )
-            progress.say(f"episodes are recorded in {recorder.folder}")
-            if recorder.recovered:
-                progress.say(f"stored {recorder.recovered} episodes of an interrupted session")
-        tab = partial(HandTab, config=config, recorder=recorder)
-        page = stack.enter_context(Page(config, tab))
-        progress.say(f"open {page.address} in a browser; Ctrl-C ends it")
-        with suppress(KeyboardInterrupt):
-            while True:
-                time.sleep(3600)
+    task, dataset = config.task, ""
+    if given["record"]:
+        mark = "" if task.split == "train" else f"-{task.split}"
+        dataset = given["id"] or f"knotgym/{task.task}-nx{task.nx}/human{mark}-v0"
+    with serve(config, progress.say, dataset, given["out"]), suppress(KeyboardInterrupt):
+        progress.stage("the page is served")
+        while True:
+            time.sleep(3600)

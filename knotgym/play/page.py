@@ -13,13 +13,17 @@ import socket
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import replace
+from functools import partial
 from http import HTTPStatus
+from pathlib import Path
 from typing import Any, Self
 
 from knotgym.common import Failed, one_line
+from knotgym.play.hand import HandTab
 from knotgym.play.page_config import PageConfig
+from knotgym.play.recorder import Recorder
 
 _MOST_TABS = 16  # ropes at a time
 _HOST = "127.0.0.1"
@@ -105,6 +109,35 @@ class Page:
             player = self.players.pop(number, None)
         if player is not None:
             player.close()
+
+
+@contextmanager
+def serve(
+    config: PageConfig, say: Callable[[str], None], record: str = "", root: Path | None = None
+) -> Iterator[Page]:
+    """Serve the page of a task, on which the rope is pulled by hand, until the block ends.
+
+    Args:
+        config: task, seed, policy and port.
+        say: gets the lines that tell what to open and where episodes are recorded.
+        record: id of the dataset in which episodes are recorded; "" for none.
+        root: folder of datasets; None for Minari's own.
+
+    Raises:
+        Failed, InvalidInput, InvalidFile: as `Page` and `Recorder`.
+    """
+    with ExitStack() as stack:
+        recorder = None
+        if record:
+            recorder = Recorder(config.task, config.seed, record, config.player, root)
+            stack.enter_context(recorder)
+            say(f"episodes are recorded in {recorder.folder}")
+            if recorder.recovered:
+                say(f"stored {recorder.recovered} episodes of an interrupted session")
+        tab = partial(HandTab, config=config, recorder=recorder)
+        page = stack.enter_context(Page(config, tab))
+        say(f"open {page.address} in a browser; Ctrl-C ends it")
+        yield page
 
 
 @contextmanager
