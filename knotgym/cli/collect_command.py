@@ -49,7 +49,9 @@ def collect(given: Given) -> None:
     if given.get("dataset_id"):
         pairs = [tuple(one[0] if len(one) == 1 else one for one in map(_listed, several))]
     else:
-        pairs = [*dict.fromkeys(product(*map(_listed, several)))]
+        every = [*product(*map(_listed, several))]
+        # settings may hold anything, also what can't be hashed; it is refused below
+        pairs = [pair for number, pair in enumerate(every) if pair not in every[:number]]
     seen = "" if given.has("task.observation") else "state"
     configs = [
         named(

@@ -47,7 +47,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     (folder / "text").write_text("neither JSON nor a table\n", encoding="utf-8")
     (folder / "list.json").write_text("[1]", encoding="utf-8")
     (folder / "mood.toml").write_text("mood = 1\n", encoding="utf-8")
-    names = ("fifo", "text", "list.json", "mood.toml", "new", "absent")
+    (folder / "dicts").write_text('{"task": {"task": {}}}', encoding="utf-8")
+    names = ("fifo", "text", "list.json", "mood.toml", "dicts", "new", "absent")
     return {**{name: str(folder / name) for name in names}, "states": str(shipped("hard-unknots"))}
 
 
@@ -177,6 +178,7 @@ REFUSED = [
     ("collect --budget=3", "--budget is a setting: --set policy.expert.budget=... or"),
     ("evaluate --noise 0.2", "--noise is a setting: --set policy.noise=..."),
     ("collect --set horizon", "--set takes name=value, such as task.horizon=30, got 'horizon'"),
+    ("collect --settings {dicts}", "task.task must be text or a list, got {}"),
     ("collect --set mood=1", "has no field 'mood'; it has task, policy"),
     ("collect --set task.mood=1", "has no field 'task.mood'; it has task, nx"),
     ("collect --set task.horizon=x", "--set task.horizon takes a whole number, got 'x'"),

@@ -7,6 +7,7 @@ import importlib.util
 import shutil
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,9 @@ from knotgym.datasets import (
     read_rows,
     read_table,
     record,
+    select,
     shards,
+    split,
     table_of,
 )
 from knotgym.generate.images.image_recipe import make_images
@@ -142,6 +145,9 @@ def test_missing_and_torn_files_are_found(folder: Path, tmp_path: Path) -> None:
     torn = tmp_path / "torn.parquet"
     torn.write_bytes(shards(folder)[0].read_bytes()[:-100])
     assert len(list(image_faults(torn))) == 1
+    for cut in (partial(select, sample=1), partial(split, parts="a=0.5,b=0.5")):
+        with pytest.raises(InvalidFile, match=r"torn.parquet"):
+            cut(torn, out=tmp_path / "out.parquet")
 
 
 def test_a_foreign_parquet_file_is_refused(folder: Path, tmp_path: Path) -> None:
