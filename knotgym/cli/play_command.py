@@ -44,6 +44,6 @@ def play(given: Given) -> None:
         mark = "" if task.split == "train" else f"-{task.split}"
         dataset = given["id"] or f"knotgym/{task.task}-nx{task.nx}/human{mark}-v0"
     with serve(config, progress.say, dataset, given["out"]), suppress(KeyboardInterrupt):
-        progress.stage("the page is served")
+        progress.__exit__()  # what is left isn't progress, of which it would tell for ever
         while True:
             time.sleep(3600)
