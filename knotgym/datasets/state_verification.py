@@ -44,7 +44,6 @@ from knotgym.rope import (
     simulation,
 )
 from knotgym.states import (
-    BY_VERTICES,
     SOURCES,
     STATE_SPLITS,
     STATES,
@@ -81,7 +80,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         yield f"states.h5: {error}"
         return
     rope, needed = Rope(rope_of(beads)), {*_NEEDED}
-    if states.attributes.get("form") == BY_VERTICES:  # they have no measures
+    if states.by_vertices:  # they have no measures
         needed = {name for name in needed if not name.startswith("quality/")}
     sources = {SOURCES.get(name) for name in states.source.get("policy", ())}
     if all(one is not None and one.draws_actions for one in sources):

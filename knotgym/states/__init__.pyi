@@ -26,7 +26,6 @@ from .splits import keep_duplicates_together as keep_duplicates_together
 from .splits import overlap as overlap
 from .splits import split as split
 from .spread import spread_of as spread_of
-from .state_file import BY_VERTICES as BY_VERTICES
 from .state_file import States as States
 from .state_file import merge_states as merge_states
 from .state_file import read_states as read_states

@@ -43,7 +43,7 @@ from knotgym.states.schema import (
 )
 from knotgym.topology import DIAGRAM, UNKNOWN, GaussCode, canonical, same_spot
 
-BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
+_BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
 _OF_EPISODES = ("dataset", "trajectory", "drawing")  # of `source`; most rows have none of them
 _OVERLAP = 0.003  # metres; strands that push against each other in the simulator overlap less
 
@@ -176,6 +176,11 @@ class States:
         return {n.removeprefix(prefix): self.table[n] for n in self.table if n.startswith(prefix)}
 
     @property
+    def by_vertices(self) -> bool:
+        """Whether the file holds vertices alone, so that there are no measures and no replays."""
+        return self.attributes.get("form") == _BY_VERTICES
+
+    @property
     def engine(self) -> str:
         """The engine that the provenance is replayed with, see `knotgym.rope.engines`."""
         return str(self.attributes.get("engine", MUJOCO))
@@ -282,7 +287,7 @@ def _laid(table: Table, attributes: Mapping[str, Any], *, images: bool) -> State
             "source/seed": table["source/trajectory"][:, None] * np.array([1, 0, 0, 0, 0]),
         }
         more = _derived(columns, ["image"]) if images else {}
-        return States.of({**columns, **more}, {**attributes, "form": BY_VERTICES})
+        return States.of({**columns, **more}, {**attributes, "form": _BY_VERTICES})
     except ValueError as error:
         raise InvalidFile(f"a state can't be laid from its vertices: {error}") from error
 
