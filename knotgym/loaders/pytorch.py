@@ -1,4 +1,4 @@
-"""A torch dataset over `Transitions`. Importing this needs torch."""
+"""Torch datasets over `Transitions` and streams. Importing this needs torch."""
 
 from collections.abc import Sequence
 from operator import itemgetter
@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.utils.data import Dataset
+from torch.utils.data import Dataset, IterableDataset
 
 from knotgym.common import Stream, generator
 from knotgym.envs import each
+from knotgym.loaders.episode_stream import EpisodeStream
 from knotgym.loaders.transitions import Transitions
 
 _SEVERAL = ("pulls", "negatives")  # of one transition
@@ -46,6 +47,10 @@ class TransitionDataset(Dataset[dict[str, Any]]):
             name if name in _SEVERAL else name.removesuffix("s"): each(column, _tensor)
             for name, column in several.items()
         }
+
+
+class TorchStream(EpisodeStream, IterableDataset[dict[str, Any]]):
+    """An `EpisodeStream` that a DataLoader takes, with `batch_size=None`."""
 
 
 def _tensor(seen: NDArray[Any]) -> torch.Tensor:

@@ -298,7 +298,9 @@ class Transitions:
         codes, held = codes_held(self.dataset.episodes, self.task.tow_limit)
         shown = np.where(codes[after] == codes[goal], held[after], 0)
         count, visits = ranges(np.ones_like(lengths), lengths), steps["visits"]
-        # a segment ends at its goal: no state before is beyond the bound on towing or has failed
+        # A segment ends at its goal: no state before is beyond the bound on towing or has failed.
+        # Nor is any late, though of several datasets loaded as one the first says the horizon.
+        count = np.minimum(count, self.task.horizon - 1)
         seen = Situation(visits[after], visits[goal], shown, self.task.hold, count)
         found = np.zeros(len(after) + len(lengths))
         found[np.arange(len(after)) + np.repeat(np.arange(len(lengths)), lengths)] = outcome(

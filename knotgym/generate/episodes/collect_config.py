@@ -1,12 +1,17 @@
 """The configuration of `knotgym collect`; nothing here computes: the command line reads it."""
 
+from __future__ import annotations
+
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from knotgym.common import Count, Seed, Whole, choice, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.rope import MUJOCO
+
+if TYPE_CHECKING:
+    from knotgym.datasets import Episodes
 
 # Stored by `knotgym collect` by default: vertices, from which loaders draw pictures of any kind.
 OBSERVATION = "state"
@@ -56,6 +61,13 @@ class CollectConfig:
     def policy_task(self) -> TaskConfig:
         """The environment with the observation that the policy gets."""
         return replace(self.task, observation=self.policy_observation or self.task.observation)
+
+    def played(self, numbers: range, seed: int) -> Episodes:
+        """Play some of the episodes that a collection with this seed has, by their numbers."""
+        from knotgym.datasets import episodes_of
+        from knotgym.generate.episodes.collect import play
+
+        return episodes_of(play(replace(self, seed=seed), numbers))
 
 
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
