@@ -358,6 +358,7 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
         "datasets.episode_dataset",
         "datasets.image_table",
         "generate.episodes.recordings",
+        "generate.episodes.entries",
         "control.planning.moves",
     )
     modules = [importlib.import_module(f"knotgym.{module}") for module in written]

@@ -17,6 +17,7 @@ from knotgym.generate import EvaluateConfig
     ),
     extra("out", Path),
     extra("video", Path),
+    extra("record", Path),
     lines=False,
 )
 def evaluate(given: Given) -> None:
@@ -35,6 +36,7 @@ def evaluate(given: Given) -> None:
         out: JSON file to write.
         video: Film of the first episodes of each setup: .gif, or with the extra video .mp4 or
             .webm.
+        record: Entry to write: every pull, so that `knotgym dataset verify` replays the score.
     """
     from knotgym.generate import evaluate
 
@@ -45,7 +47,8 @@ def evaluate(given: Given) -> None:
             for name in given["policy"]
         ]
     config = given.config(EvaluateConfig, more)
-    evaluate(config, given.run, out=given["out"], video=given["video"], progress=given.progress)
+    outputs = {name: given[name] for name in ("out", "video", "record")}
+    evaluate(config, given.run, **outputs, progress=given.progress)
 
 
 def _trained_on(given: Given) -> dict[str, Any]:

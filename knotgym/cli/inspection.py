@@ -1,5 +1,6 @@
 """The work of the `knotgym dataset` commands on a dataset named by a path or an id."""
 
+import json
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +25,9 @@ from knotgym.datasets import (
     write_page,
     write_sheet,
 )
+from knotgym.generate import Result, is_entry, read_entry, replayed, result_of
 from knotgym.generate import film as film_of
+from knotgym.generate import show as show_results
 from knotgym.rendering import film_frames, require_film, write_film
 from knotgym.rope import rope_of, simulation_of
 from knotgym.runs import Progress, executor
@@ -60,12 +63,28 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
     tables = [file for file in (root, *root.glob("**/*.parquet")) if file.is_file()]
     large = sum(file.stat().st_size for file in tables) > _LARGE
     progress.stage(f"checking {root}")
+    if is_entry(root):
+        results = list[Result]()
+        with executor(0) as pool:
+            entry = read_entry(root)
+            setups = zip(entry.config.setups(), replayed(entry, pool.map), strict=True)
+            for number, ((policy, _), (task, episodes, wrong)) in enumerate(setups):
+                yield from (f"{root}: {fault}" for fault in wrong)
+                action = str(entry.claimed[number].get("action", ""))
+                results.append(result_of(policy.policy, action, task, episodes.episodes))
+        show_results(results, progress.console, entry.config.task.engine)
+        for number, said in enumerate(entry.claimed, 1):
+            progress.say(f"setup {number}, claimed: {json.dumps(said, sort_keys=True)}")
+        return
     with executor(0 if large else 1) as pool:
         yield from dataset_faults(named, pool.map, progress.stage)
 
 
 def checked(named: str) -> str:
     """Describe what `faults` has checked, as counts."""
+    if is_entry(resolve(named)):
+        entry = read_entry(resolve(named))
+        return f"{entry.rows.rows} episodes of {len(entry.pulls['bead'])} pulls, all replayed"
     found, counts = locate(named), Counter[str]()
     if found.pictures:
         counts["pictures"] = len(read_table(found.pictures, columns=["nx"]))

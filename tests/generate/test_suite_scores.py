@@ -37,7 +37,8 @@ def told(
         "planner_steps": count,
         "diverged": count > 0,
     }
-    result = evaluation._result_of(policy, task, Table(RECORDED.only(*columns), columns))
+    played = Table(RECORDED.only(*columns), columns)
+    result = evaluation.result_of(policy.policy, "pull", task, played)
     path.write_text(as_text(report(config, [result], identity(config))), encoding="utf-8")
     return path
 

@@ -20,6 +20,7 @@ from knotgym.control import PolicyConfig, episode_seed, make_policy, rollouts, t
 from knotgym.datasets import STEPS, Episodes, episodes_of, goal_reached, merged
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.episodes.collect import blocks
+from knotgym.generate.episodes.entries import write_entry
 from knotgym.generate.episodes.evaluate_config import EvaluateConfig
 from knotgym.generate.episodes.results import Result, evaluation_in, show
 from knotgym.runs import (
@@ -41,31 +42,32 @@ from knotgym.runs import run as run_recipe
 _TRAINING = ("weights_sha256", "seconds", "episodes")
 
 
-def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, film: bool) -> Kept:
+def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, whole: bool) -> Kept:
     """Play a block of episodes.
 
     Args:
         policy, task: the setup.
         numbers: of the episodes.
         seed: of the evaluation.
-        film: whether to keep their steps.
+        whole: whether to keep their steps, to film or record them.
     """
     seeds = [episode_seed(seed, number, Stream.EVALUATION_EPISODE) for number in numbers]
-    return rollouts(make_policy(policy), task, seeds, keep=STEPS if film else None).columns()
+    return rollouts(make_policy(policy), task, seeds, keep=STEPS if whole else None).columns()
 
 
-Evaluation = tuple[list[Result], list[Episodes]]  # a result and a film of each setup
+# a result, the episodes and a film of each setup
+Evaluation = tuple[list[Result], list[Episodes], list[Episodes]]
 
 
-def _evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
+def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[Evaluation]:
     """Play every setup, in the order of `config.setups`, and its first episodes for a film."""
     setups = list(config.setups())
     numbers = [blocks(config.episodes, task, policy.plans) for policy, task in setups]
     calls = [
         Call(
-            f"episodes of setup {setup} {few.start}-{few.stop - 1}",
+            f"episodes of setup {setup} {few.start}-{few.stop - 1}{', recorded' * recorded}",
             play,
-            (*one, few, config.seed, False),
+            (*one, few, config.seed, recorded),
             len(few),
         )
         for setup, (one, own) in enumerate(zip(setups, numbers, strict=True), 1)
@@ -77,10 +79,15 @@ def _evaluation(config: EvaluateConfig, filmed: int = 0) -> Recipe[Evaluation]:
         if filmed
     ]
     parts = [episodes_of(part) for part in (yield [*calls, *films])]
-    results, rest = list[Result](), iter(parts)
-    for one, own in zip(setups, numbers, strict=True):
-        results.append(_result_of(*one, merged([*islice(rest, len(own))]).episodes))
-    return results, parts[len(calls) :]
+    rest = iter(parts)
+    played = [merged([*islice(rest, len(own))]) for own in numbers]
+    results = [
+        result_of(
+            policy.policy, make_policy(policy).compatible_task(task).action, task, one.episodes
+        )
+        for (policy, task), one in zip(setups, played, strict=True)
+    ]
+    return results, played, parts[len(calls) :]
 
 
 def _reached(played: Kept) -> dict[str, int]:
@@ -105,6 +112,7 @@ def evaluate(
     *,
     out: Path | None = None,
     video: Path | None = None,
+    record: Path | None = None,
     progress: Progress | None = None,
 ) -> list[Result]:
     """Evaluate, print the results, and write the requested files.
@@ -114,6 +122,7 @@ def evaluate(
         options: how to execute the run; with `resume`, a finished evaluation is only printed.
         out: JSON file to write, see `report`; a shard writes its journal beside it.
         video: film to write, of `config.filmed` episodes per setup.
+        record: entry to write, see `entries`.
         progress: where progress is shown.
 
     Returns:
@@ -127,8 +136,8 @@ def evaluate(
     progress = progress or Progress(quiet=True)
     if out is None and (options.resume or options.restart):
         raise InvalidInput("--resume and --restart need the --out of the evaluation; give it too")
-    if not options.shard.is_whole and (out is None or video is not None):
-        wrong = "needs the --out of the evaluation" if out is None else "can't be filmed"
+    if not options.shard.is_whole and (out is None or video or record):
+        wrong = "needs the --out of the evaluation" if out is None else "is no film and no entry"
         raise InvalidInput(f"a shard {wrong}")
     if video is not None:
         from knotgym.rendering import require_film
@@ -139,12 +148,16 @@ def evaluate(
 
     def recipe(place: Path | None) -> Recipe[str]:
         nonlocal results, films
-        if video is not None:
-            require_output(video, folder=False, overwrite=options.overwrite, reads=made_by.reads)
+        for more in (one for one in (video, record) if one is not None):
+            require_output(more, folder=False, overwrite=options.overwrite, reads=made_by.reads)
         filmed = 0 if video is None else config.filmed
-        results, films = yield from _evaluation(config, filmed)
-        if video is not None:  # before the output, which says that all is done
+        results, played, films = yield from _evaluation(config, filmed, record is not None)
+        # before the output, which says that all is done
+        if video is not None:
             _write_film(config, films, video, options.overwrite)
+        if record is not None:
+            with atomic_write(record, overwrite=options.overwrite) as temporary:
+                write_entry(temporary, config, played, _claims(config, results, made_by))
         if place is not None:
             text = as_text(report(config, results, made_by))
             place.write_text(text, encoding="utf-8")
@@ -170,10 +183,10 @@ def evaluate(
         if not results:  # it was finished already
             with evaluation_in(out) as (_, results):
                 pass
-        if video is not None and not video.exists():
+        for more in (one for one in (video, record) if one is not None and not one.exists()):
             raise Occupied(
-                f"{out} is finished already, but the film {video} isn't there; --overwrite without"
-                " --resume makes both again"
+                f"{out} is finished already, but {more} isn't there; --overwrite without --resume"
+                " makes both again"
             )
     if not options.quiet:
         show(results, progress.console, config.task.engine)
@@ -181,6 +194,24 @@ def evaluate(
         count = sum(one.episodes.rows for one in films)
         progress.say(f"{video}: {count} episodes")
     return results
+
+
+def _claims(
+    config: EvaluateConfig, results: Sequence[Result], made_by: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Return what an entry claims of each setup, and no replay proves."""
+    files = (made_by.get("source") or {}).get("policies", {})
+    return [
+        {
+            "action": result.action,
+            "files": files.get(policy.policy, {}),
+            "plans": policy.plans,
+            "training": training_card(policy.policy),
+            "planned_actions": result.planned_actions,
+            "versions": made_by["versions"],
+        }
+        for (policy, _), result in zip(config.setups(), results, strict=True)
+    ]
 
 
 def report(
@@ -268,19 +299,26 @@ def _write_film(
         write_film(temporary, frames)
 
 
-def _result_of(policy: PolicyConfig, task: TaskConfig, played: Table) -> Result:
-    """Return the result of a setup from the rows of its episodes."""
+def result_of(policy: str, action: str, task: TaskConfig, played: Table) -> Result:
+    """Return the result of a setup.
+
+    Args:
+        policy: name of the policy.
+        action: view that it acts in.
+        task: the environment.
+        played: rows of the episodes.
+    """
     success, length = played["success"], played["length"]
     named = {"start": "start", "goal": "goal", "success": "success", "steps": "length"}
     listed = {name: played[column].astype(np.int64).tolist() for name, column in named.items()}
     low, high = cluster_interval(listed["success"], listed["start"], listed["goal"])
     (starts, goals), *_ = task_sides(task)
     return Result(
-        policy=policy.policy,
+        policy=policy,
         task=task.tasks[0],
         nx=task.crossings[0],
         split=task.split,
-        action=make_policy(policy).compatible_task(task).action,
+        action=action,
         episodes=played.rows,
         successes=int(success.sum()),
         success_rate=float(success.mean()),

@@ -40,12 +40,12 @@ from knotgym.runs import Result
 
 RECORDINGS = Path(str(files("knotgym.generate.episodes") / "data" / "recordings.h5"))  # that ships
 FORMAT = "knotgym-recordings"
-_DIGEST = 8  # bytes of an episode's SHA-256
+DIGEST = 8  # bytes of an episode's SHA-256
 EPISODES = Schema(
     "episodes",
     (
         Column("length", "uint16", (), "pulls", "T, the number of pulls", least=1),
-        Column("digest", "uint8", (_DIGEST,), "", "the first bytes of `digests`"),
+        Column("digest", "uint8", (DIGEST,), "", "the first bytes of `digests`"),
     ),
     "an episode, set after set",
 )
@@ -83,7 +83,7 @@ def digests(episodes: Episodes) -> NDArray[np.uint8]:
     It covers the start, all states with their codes, and the pulls; rewards and ends follow.
     """
     steps, offsets = episodes.steps, episodes.offsets
-    found = np.zeros((episodes.episodes.rows, _DIGEST), dtype=np.uint8)
+    found = np.zeros((episodes.episodes.rows, DIGEST), dtype=np.uint8)
     for row, start in enumerate(np.asarray(episodes.episodes["start_qpos"])):
         states = slice(offsets[row], offsets[row + 1])
         pulls = slice(offsets[row], offsets[row + 1] - 1)
@@ -96,7 +96,7 @@ def digests(episodes: Episodes) -> NDArray[np.uint8]:
         whole = hashlib.sha256()
         for part in parts:
             whole.update(np.ascontiguousarray(part).tobytes())
-        found[row] = np.frombuffer(whole.digest()[:_DIGEST], dtype=np.uint8)
+        found[row] = np.frombuffer(whole.digest()[:DIGEST], dtype=np.uint8)
     return found
 
 

@@ -1,0 +1,209 @@
+"""Entries: scores that anyone can replay, because they are the pulls of every episode.
+
+`knotgym evaluate --record FILE` writes one, `knotgym dataset verify FILE` replays it. No word of
+the file is taken for a start or an outcome: each start is drawn from the seed, each pull is made
+again, and successes, steps and interval are counted anew. What no replay can prove, such as that a
+policy and not a search chose the pulls, is shown as claimed.
+
+    episodes    one row an episode, setup after setup: pulls, digest
+    steps       one row a pull: bead and force
+    config      attribute: of the evaluation, with its seed
+    states      attribute: digests of the sets that starts and goals are from
+    rope        attribute: fingerprint of the rope model
+    claimed     attribute: version of the package, and for each setup its action view, the files of
+                its policy, the card of its training, and pulls simulated an episode
+    digest      attribute: SHA-256 of all of these
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.common import (
+    Column,
+    InvalidFile,
+    KnotgymError,
+    Schema,
+    Stream,
+    Table,
+    as_json,
+    format_of,
+    from_json,
+    marked,
+    one_line,
+    read_tables,
+    sha256,
+    table_digest,
+    write_tables,
+)
+from knotgym.control import RecordedPolicy, episode_seed, rollouts
+from knotgym.datasets import PULLS, RECORDED, STEPS, Episodes, episodes_of, merged
+from knotgym.envs import TaskConfig
+from knotgym.generate.episodes.collect import blocks
+from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+from knotgym.generate.episodes.recordings import DIGEST, digests
+from knotgym.rope import RopeConfig
+from knotgym.runs import Result as Kept
+from knotgym.states import is_bundled, resolve_states
+
+FORMAT, VERSION = "knotgym-entry", 1
+ROWS = Schema(
+    "episodes",
+    (
+        Column("length", "uint32", (), "pulls", "T, the number of pulls", least=1),
+        Column("digest", "uint8", (DIGEST,), "", "the first bytes of its states' SHA-256"),
+    ),
+    "an episode, setup after setup",
+)
+PULLED = Schema("steps", PULLS.columns[:2], "a pull, episode after episode")
+Map = Callable[..., Iterable[Any]]  # as the built-in `map`
+
+
+class Entry(NamedTuple):
+    """An entry that was read.
+
+    Attributes:
+        config: of the evaluation.
+        rows, pulls: the tables ROWS and PULLED.
+        claimed: what replay doesn't prove, a dictionary for each setup.
+    """
+
+    config: EvaluateConfig
+    rows: Table
+    pulls: Table
+    claimed: list[dict[str, Any]]
+
+
+def write_entry(
+    path: Path, config: EvaluateConfig, played: Sequence[Episodes], claimed: list[dict[str, Any]]
+) -> None:
+    """Write the episodes of all setups, played with all columns of steps, to a file."""
+    rows, pulls = list[Table](), list[Table]()
+    for one in played:
+        made = np.ones(one.steps.rows, dtype=bool)
+        made[one.last()] = False  # no pull is made in the last state
+        lengths: NDArray[Any] = one.episodes["length"].astype(np.uint32)
+        own: dict[str, NDArray[Any]] = {"length": lengths, "digest": digests(one)}
+        rows.append(Table(ROWS, own))
+        pulls.append(Table(PULLED, {c.name: one.steps[c.name][made] for c in PULLED.columns}))
+    said = {
+        "config": as_json(config),
+        "states": _states(config),
+        "rope": RopeConfig().fingerprint,
+        "claimed": claimed,
+    }
+    said["digest"] = _digest(said, rows, pulls)
+    write_tables(path, [rows, pulls], said, format=FORMAT, version=VERSION, pack=True)
+
+
+def is_entry(path: Path) -> bool:
+    """Check whether a path is a file that says that it is an entry."""
+    return path.is_file() and format_of(path) == FORMAT
+
+
+def read_entry(path: Path) -> Entry:
+    """Read an entry.
+
+    Raises:
+        InvalidFile: it is damaged, changed, incomplete, or made with other states or another rope.
+    """
+    (rows, pulls), said = read_tables(path, ROWS, PULLED, format=FORMAT, version=VERSION)
+    if said.pop("digest", None) != _digest(said, [rows], [pulls]):
+        raise InvalidFile(f"{path}: its columns and attributes don't match its digest")
+    try:
+        config = from_json(EvaluateConfig, said["config"])
+        states, claimed = _states(config), [dict(one) for one in said["claimed"]]
+    except (KnotgymError, LookupError, TypeError, ValueError) as error:
+        raise InvalidFile(f"{path} has no valid configuration: {one_line(error)}") from error
+    if said.get("states") != states:
+        raise InvalidFile(f"{path} was played from other states than {', '.join(states)} here")
+    if said.get("rope") != RopeConfig().fingerprint:
+        raise InvalidFile(
+            f"{path} was played with rope model {said.get('rope')}, this version has"
+            f" {RopeConfig().fingerprint}"
+        )
+    wanted, count = len([*config.setups()]) * config.episodes, int(rows["length"].sum())
+    if rows.rows != wanted or pulls.rows != count or len(claimed) * config.episodes != wanted:
+        raise InvalidFile(
+            f"{path} has {rows.rows} episodes and {pulls.rows} pulls, its configuration asks for"
+            f" {wanted} episodes, which have {count}"
+        )
+    absent = pulls["bead"] >= config.task.beads
+    wrong = np.flatnonzero(absent | ~(np.abs(pulls["force"]) <= 1).all(axis=1))
+    if len(wrong):
+        episode = int(np.searchsorted(np.cumsum(rows["length"]), wrong[0], side="right"))
+        raise InvalidFile(
+            f"{path}, episode {episode}: a pull is of a bead or with a force that doesn't exist"
+        )
+    return Entry(config, rows, pulls, claimed)
+
+
+def replayed(entry: Entry, each: Map = map) -> Iterator[tuple[TaskConfig, Episodes, list[str]]]:
+    """Replay an entry: yield the task of each setup, its episodes and their faults.
+
+    Args:
+        entry: what was read.
+        each: replaces `map`, and may run in parallel.
+    """
+    ends, first = np.cumsum(entry.rows["length"]).tolist(), 0
+    for setup, (policy, task) in enumerate(entry.config.setups()):
+        few = blocks(entry.config.episodes, task, policy.plans)
+        numbers = [range(first + one.start, first + one.stop) for one in few]
+        pulled = [
+            slice(ends[own.start] - int(entry.rows["length"][own.start]), ends[own.stop - 1])
+            for own in numbers
+        ]
+        rows = [entry.rows.take(slice(own.start, own.stop)) for own in numbers]
+        pulls = [entry.pulls.take(own) for own in pulled]
+        seeds = [
+            [episode_seed(entry.config.seed, k, Stream.EVALUATION_EPISODE) for k in one]
+            for one in few
+        ]
+        made = [*each(_replayed, [task] * len(few), seeds, rows, pulls)]
+        wrong = np.concatenate([one.pop("wrong") for one in made])
+        faults = [
+            f"setup {setup + 1}, episode {k}: replayed, it ends otherwise or comes through other"
+            " states"
+            for k in np.flatnonzero(wrong).tolist()
+        ]
+        yield task, merged([episodes_of(one) for one in made]), faults
+        first += entry.config.episodes
+
+
+def _replayed(task: TaskConfig, seeds: list[int], rows: Table, pulls: Table) -> Kept:
+    """Play episodes again; return their columns, and which aren't as recorded, bool (n,)."""
+    lengths = rows["length"].astype(np.int64)
+    whole = PULLS.only("bead", "force").empty(int(lengths.sum()) + rows.rows)
+    # a pull a row here, a state a row there: the last state of an episode has none
+    at = np.arange(pulls.rows) + np.repeat(np.arange(rows.rows), lengths)
+    for name, values in whole.items():
+        values[at] = pulls[name]
+    columns: dict[str, NDArray[Any]] = {
+        "length": lengths,
+        "planner_steps": np.zeros(rows.rows, np.int64),
+        "policy": np.full(rows.rows, "recorded"),
+    }
+    given = Episodes(
+        Table(RECORDED.only(*columns), columns), Table(PULLS.only("bead", "force"), whole)
+    )
+    made = rollouts(RecordedPolicy(given), task, seeds, keep=STEPS)
+    wrong = (made.episodes["length"] != lengths) | (digests(made) != rows["digest"]).any(axis=1)
+    return {**made._replace(steps=made.steps.only("bead")).columns(), "wrong": wrong}
+
+
+def _states(config: EvaluateConfig) -> dict[str, str]:
+    """The digests of the sets of states, by their names; own files have one name."""
+    named = [name for _, _, name in marked(EvaluateConfig, config, "states")]
+    return {
+        str(name) if is_bundled(name) else "own": sha256(resolve_states(name)) for name in named
+    }
+
+
+def _digest(said: dict[str, Any], rows: Sequence[Table], pulls: Sequence[Table]) -> str:
+    text = json.dumps(said, sort_keys=True) + table_digest(*rows) + table_digest(*pulls)
+    return hashlib.sha256(text.encode()).hexdigest()

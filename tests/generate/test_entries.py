@@ -1,0 +1,164 @@
+"""An entry is its pulls: what is counted again is what was counted, and forgeries are refused."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from knotgym.common import KnotgymError, Table, read_tables, write_tables
+from knotgym.control import PolicyConfig
+from knotgym.envs import TaskConfig
+from knotgym.generate import EvaluateConfig, Result, evaluate, read_entry, replayed, result_of
+from knotgym.generate.episodes import entries
+from knotgym.runs import RunOptions, Shard
+
+from ..small_job import knotgym
+
+EPISODES = 6
+CONFIG = EvaluateConfig(
+    policies=(PolicyConfig(policy="expert"), PolicyConfig(policy="random")),
+    episodes=EPISODES,
+    seed=3,
+    task=TaskConfig(task="tie", observation="state", engine="chain", horizon=20),
+)
+Made = tuple[Path, list[Result]]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    path = tmp_path_factory.mktemp("entry") / "entry.h5"
+    return path, evaluate(CONFIG, RunOptions(workers=1, quiet=True), record=path)
+
+
+def rows_of(path: Path) -> tuple[list[Result], list[str]]:
+    """What replaying an entry counts, and its faults."""
+    entry, found, faults = read_entry(path), list[Result](), list[str]()
+    for (policy, _), (task, episodes, wrong) in zip(
+        entry.config.setups(), replayed(entry), strict=True
+    ):
+        found.append(result_of(policy.policy, "pull", task, episodes.episodes))
+        faults += wrong
+    return found, faults
+
+
+def test_replaying_counts_what_was_counted(made: Made) -> None:
+    path, results = made
+    found, faults = rows_of(path)
+    assert not faults and results[0].success_rate > results[1].success_rate
+    claimed = {"planned_actions": 0.0}
+    assert [asdict(one) for one in found] == [asdict(one) | claimed for one in results]
+    said = read_entry(path).claimed
+    assert said[0]["planned_actions"] > 0 == said[1]["planned_actions"] and said[0]["files"]
+
+
+def test_a_step_takes_at_most_sixteen_bytes(made: Made) -> None:
+    pulls, fixed = read_entry(made[0]).pulls.rows, 16_000  # what HDF5 takes for a file's structure
+    assert made[0].stat().st_size < 16 * pulls + fixed
+
+
+def test_the_command_verifies_an_entry(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("dataset", "verify", made[0]) == 0
+    said = "".join(capsys.readouterr())
+    assert "expert" in said and "claimed" in said and "all replayed" in said
+
+
+def forged(source: Path, path: Path, change: Callable[[dict[str, Any], Any, Any], Any]) -> Path:
+    """Write an entry with changes, and a digest that fits them."""
+    schemas = entries.ROWS, entries.PULLED
+    (rows, pulls), said = read_tables(source, *schemas, format=entries.FORMAT)
+    own, moved = ({name: column.copy() for name, column in one.items()} for one in (rows, pulls))
+    own, moved = change(said, own, moved) or (own, moved)
+    tables = Table(entries.ROWS, own), Table(entries.PULLED, moved)
+    del said["digest"]
+    said["digest"] = entries._digest(said, [tables[0]], [tables[1]])
+    write_tables(path, tables, said, format=entries.FORMAT, pack=True)
+    return path
+
+
+def _taken(own: Any, moved: Any, order: list[int]) -> Any:
+    lengths = own["length"].astype(np.int64)
+    ends = np.cumsum(lengths)
+    steps = np.concatenate([np.arange(ends[k] - lengths[k], ends[k]) for k in order])
+    return (
+        {name: column[order] for name, column in own.items()},
+        {name: column[steps] for name, column in moved.items()},
+    )
+
+
+def _set(**task: Any) -> Callable[..., None]:
+    def change(said: dict[str, Any], own: Any, moved: Any) -> None:
+        said["config"]["task"] |= task
+
+    return change
+
+
+def _longer(said: dict[str, Any], own: Any, moved: Any) -> Any:
+    end = int(own["length"][0])
+    own["length"][0] += 1
+    return own, {name: np.insert(column, end, column[end - 1], 0) for name, column in moved.items()}
+
+
+def _put(table: int, name: str, value: Any) -> Callable[..., None]:
+    def change(said: dict[str, Any], *tables: Any) -> None:
+        tables[table][name][0] = value
+
+    return change
+
+
+ALL = range(2 * EPISODES)
+FORGERIES: dict[str, Callable[..., Any]] = {
+    "left out": lambda said, own, moved: _taken(own, moved, [*ALL][1:]),
+    "repeated": lambda said, own, moved: _taken(own, moved, [0, 0, *ALL[2:]]),
+    "reordered": lambda said, own, moved: _taken(own, moved, [1, 0, *ALL[2:]]),
+    "split": lambda said, own, moved: said["config"].update(splits=["train"]),
+    "seed": lambda said, own, moved: said["config"].update(seed=4),
+    "task": lambda said, own, moved: said["config"].update(tasks=["unknot"]),
+    "set": _set(states="random-walk"),
+    "engine": _set(engine="mujoco"),
+    "limit": _set(horizon=5),
+    "rope": lambda said, own, moved: said.update(rope="0" * 16),
+    "states": lambda said, own, moved: said.update(states={"readable": "0" * 64}),
+    "after the end": _longer,
+    "force": _put(1, "force", 2.0),
+    "no number": _put(1, "force", np.nan),
+    "bead": _put(1, "bead", 1000),
+    "pull": _put(1, "bead", 77),
+    "claims": lambda said, own, moved: said.update(claimed=said["claimed"][1:]),
+}
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_a_forgery_is_refused_in_one_line(name: str, made: Made, tmp_path: Path) -> None:
+    path = forged(made[0], tmp_path / "forged.h5", FORGERIES[name])
+    try:
+        _, faults = rows_of(path)
+    except KnotgymError as error:
+        faults = [str(error)]
+    assert faults and not any("\n" in fault for fault in faults)
+
+
+def test_one_byte_changed_is_refused_or_without_effect(made: Made, tmp_path: Path) -> None:
+    data, path, rng = made[0].read_bytes(), tmp_path / "changed.h5", np.random.default_rng(0)
+    whole, refused = read_entry(made[0]), 0
+    for place in rng.integers(len(data), size=300).tolist():
+        changed = bytearray(data)
+        changed[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(changed)
+        try:
+            entry = read_entry(path)
+        except KnotgymError:
+            refused += 1
+            continue
+        assert entry.config == whole.config and entry.claimed == whole.claimed
+        for one, other in ((entry.rows, whole.rows), (entry.pulls, whole.pulls)):
+            assert all(np.array_equal(one[column], other[column]) for column in one)
+    assert refused > 100
+
+
+def test_a_shard_is_no_entry(tmp_path: Path) -> None:
+    options = RunOptions(workers=1, quiet=True, shard=Shard(1, 2))
+    with pytest.raises(KnotgymError, match="no entry"):
+        evaluate(CONFIG, options, out=tmp_path / "a.json", record=tmp_path / "entry.h5")
