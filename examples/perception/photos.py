@@ -1,6 +1,6 @@
 """Read Gauss codes off pictures of rope of any one colour, or train the network that does it.
 
-    knotgym images --nx 1-6 --style photo --states bench --count 6000 --out photos
+    knotgym images --nx 1-6 --appearance photo --states bench --count 6000 --out photos
     python examples/perception/photos.py read photos --split test-code --page misread.png
     python examples/perception/photos.py train photos --minutes 60 --out strands
 

@@ -1,6 +1,6 @@
 """Transcribe pictures of knot diagrams, lines with gaps, to PD codes by tracing, without learning.
 
-    knotgym images --nx 3,4 --count 200 --test-nx none --style knotbench --out diagrams
+    knotgym images --nx 3,4 --count 200 --test-nx none --appearance line --out diagrams
     python examples/perception/transcribe.py diagrams [--split test] [--count 500]
 
 A diagram with n > 0 crossings is n arcs, each of which begins and ends where its strand goes under.
@@ -179,8 +179,8 @@ def main() -> None:
     tally: dict[int, list[tuple[bool, bool]]] = {}  # nx -> for each picture: diagram, knot right
     answers = list[str]()
     for row in shown_rows(given.folder, given.split, given.count):
-        if row["appearance"]["colours"] != "lines":
-            parser.error("these pictures aren't line drawings; make some with --style knotbench")
+        if row["appearance"]["name"] != "line":
+            parser.error("these pictures aren't line drawings; make some with --appearance line")
         code, found = GaussCode.parse(row["gauss_code_chiral"]), read(decode(row["image"]))
         exact = found is not None and same_diagram(found, code)
         knot = exact or (found is not None and is_planar(found) and knot_type(found) == row["knot"])

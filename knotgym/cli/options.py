@@ -23,7 +23,16 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_ori
 
 from cyclopts import App, Group, Parameter
 
-from knotgym.common import InvalidInput, Occupied, choices, from_json, marked, merged, read_json
+from knotgym.common import (
+    Described,
+    InvalidInput,
+    Occupied,
+    choices,
+    from_json,
+    marked,
+    merged,
+    read_json,
+)
 from knotgym.runs import Progress, RunOptions
 
 Config = TypeVar("Config")
@@ -311,6 +320,10 @@ def field_help(kind: type, name: str) -> str:
     >>> field_help(RunOptions, "overwrite")
     'Replace an existing output once the new one is complete.'
     """
+    hint = get_type_hints(kind, include_extras=True).get(name)
+    for one in getattr(hint, "__metadata__", ()):
+        if isinstance(one, Described):
+            return one.help()
     for one in kind.__mro__:
         if text := _described(inspect.cleandoc(one.__doc__ or ""), "Attributes", name):
             sentence = re.split(r"(?<=\.) (?=[A-Z])", text)[0]

@@ -12,6 +12,7 @@ from .compiled import inner as inner
 from .configurations import MOST_JSON as MOST_JSON
 from .configurations import Count as Count
 from .configurations import Crossings as Crossings
+from .configurations import Described as Described
 from .configurations import Distinct as Distinct
 from .configurations import Int as Int
 from .configurations import ListToo as ListToo

@@ -137,6 +137,17 @@ def choices(hint: Any) -> list[str]:
     return [word for word in dict.fromkeys(found) if word]
 
 
+@dataclasses.dataclass(frozen=True)
+class Described:
+    """Annotation of a field whose help is made from a table that may grow.
+
+    Attributes:
+        help: returns the sentence.
+    """
+
+    help: Callable[[], str]
+
+
 Int = Annotated[int, BeforeValidator(_plain)]
 Real = Annotated[float, BeforeValidator(_plain)]
 Whole = Annotated[Int, Field(ge=0)]

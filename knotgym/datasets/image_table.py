@@ -12,7 +12,7 @@ import json
 import os
 import struct
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
@@ -32,6 +32,7 @@ from knotgym.common import (
     require_regular,
 )
 from knotgym.quality import UNITS
+from knotgym.rendering import APPEARANCES, own_columns
 from knotgym.states import IMAGE_SPLITS
 
 FORMAT = "knotgym-images"
@@ -50,9 +51,6 @@ TABLES: dict[str, Any] = tomllib.loads(
 )
 TABLES["pictures"]["quality"]["type"] = dict.fromkeys(UNITS, "float64")
 COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["pictures"].items()}
-PHOTO_COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["photos"].items()}
-_ALL = COLUMNS | PHOTO_COLUMNS
-_PNGS = [name for name, kind in _ALL.items() if kind == "image"]
 
 
 def arrow(module: str = "pyarrow") -> Any:
@@ -69,16 +67,32 @@ def shown(*names: str) -> dict[str, str]:
     return {"huggingface": json.dumps({"info": {"features": features}})}
 
 
-def _schema(photos: bool) -> Any:
-    """Return the pyarrow schema of a perception table, with or without the columns of photos."""
-    types = [(name, _arrow_type(kind)) for name, kind in (_ALL if photos else COLUMNS).items()]
-    return arrow().schema(types, metadata=shown("image", *["strands"] * photos))
+def columns_among(names: Collection[str]) -> dict[str, Any]:
+    """Return all columns and their types of a table with these names.
+
+    They are COLUMNS, and those of each appearance all of whose own columns are among the names.
+    """
+    own = [own_columns(name) for name in APPEARANCES]
+    more = [one for one in own if one.keys() <= set(names)]
+    return COLUMNS | {name: column["type"] for one in more for name, column in one.items()}
+
+
+def _pngs(columns: Mapping[str, Any]) -> list[str]:
+    return [name for name, kind in columns.items() if kind == "image"]
+
+
+def _schema(columns: Mapping[str, Any]) -> Any:
+    """Return the pyarrow schema of a perception table with these columns."""
+    types = [(name, _arrow_type(kind)) for name, kind in columns.items()]
+    return arrow().schema(types, metadata=shown(*_pngs(columns)))
 
 
 def marks_base(table: Any) -> bool:
     """Whether all pictures of a table mark the base bead and the direction of the code."""
-    colours = {look["colours"] for look in table["appearance"].to_pylist()}
-    return colours <= {"published", "gradient"}
+    return all(
+        len(APPEARANCES[look["name"]].marks) == 2 and look["colours"] != "single"
+        for look in table["appearance"].to_pylist()
+    )
 
 
 def picture_column(pictures: Iterable[bytes]) -> Any:
@@ -88,16 +102,13 @@ def picture_column(pictures: Iterable[bytes]) -> Any:
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
-    """Return rows with all of COLUMNS, pictures as PNG bytes, as a pyarrow.Table.
-
-    Photos have all of PHOTO_COLUMNS, too.
-    """
-    photos = any("photo" in row for row in rows)
+    """Return rows of one appearance, pictures as PNG bytes, as a pyarrow.Table."""
+    columns = columns_among(rows[0] if rows else ())
     full = [
-        {**row, **{name: {"bytes": row[name], "path": None} for name in _PNGS if name in row}}
+        {**row, **{name: {"bytes": row[name], "path": None} for name in _pngs(columns)}}
         for row in rows
     ]
-    return arrow().Table.from_pylist(full, schema=_schema(photos))
+    return arrow().Table.from_pylist(full, schema=_schema(columns))
 
 
 def parquet(table: Any) -> bytes:
@@ -223,9 +234,10 @@ def read_rows(
 
 def _rows(table: Any) -> Iterator[dict[str, Any]]:
     """Iterate over the rows of a pyarrow.Table, see `read_rows`."""
+    pngs = _pngs(columns_among(table.column_names) | COLUMNS)
     for batch in table.to_batches():
         for row in batch.to_pylist():
-            yield row | {name: row[name]["bytes"] for name in _PNGS if name in row}
+            yield row | {name: row[name]["bytes"] for name in pngs if name in row}
 
 
 def row_line(row: Mapping[str, Any]) -> bytes:
@@ -235,9 +247,8 @@ def row_line(row: Mapping[str, Any]) -> bytes:
     the rows.
     """
     values = {
-        name: hashlib.sha256(row[name]).hexdigest() if name in _PNGS else row[name]
-        for name in sorted(_ALL)
-        if name in row
+        name: hashlib.sha256(row[name]).hexdigest() if kind == "image" else row[name]
+        for name, kind in sorted(columns_among(row).items())
     }
     line = json.dumps([*values.values()], sort_keys=True)
     return f"{line}\n".encode()
@@ -285,10 +296,10 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         )
     with _faults_named(path):
         _require_schema(file, os.path.getsize(path))
-        table = file.read(columns=columns)
+        table, known = file.read(columns=columns), columns_among(file.schema_arrow.names)
         table.validate(full=True)
         for column, values in zip(table.column_names, table.columns, strict=True):
-            if column in _ALL and any(map(_has_nulls, values.chunks)):
+            if column in known and any(map(_has_nulls, values.chunks)):
                 raise InvalidFile(f"column {column} has missing values")
         return table
 
@@ -317,7 +328,7 @@ def _named(file: Any) -> dict[str, Any]:
 def _require_schema(file: Any, stored: int) -> None:
     """Refuse a shard with other columns or types, or with sizes that its bytes can't hold."""
     found = file.schema_arrow
-    for wanted in _schema("photo" in found.names):
+    for wanted in _schema(columns_among(found.names)):
         at = found.get_all_field_indices(wanted.name)
         if len(at) != 1:
             raise InvalidFile(f"column {wanted.name} must exist once, found {len(at)}")

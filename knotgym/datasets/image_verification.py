@@ -6,7 +6,6 @@ nothing stored is believed. Splits are checked for overlap. Each fault is report
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from knotgym.common import InvalidFile, KnotgymError, MissingFile, one_line
 from knotgym.datasets.episode_verification import Count, uncounted
-from knotgym.datasets.image_rows import appearance_of, derived
+from knotgym.datasets.image_rows import derived, redrawn
 from knotgym.datasets.image_table import (
     arrow,
     marks_base,
@@ -30,11 +29,11 @@ from knotgym.datasets.manifest import listed_faults, read_manifest
 from knotgym.datasets.split_verification import shared_faults
 from knotgym.datasets.state_verification import row_faults as state_faults
 from knotgym.quality import UNAMBIGUOUS, Quality
-from knotgym.rendering import SIZES
+from knotgym.rendering import APPEARANCES, SIZES, own_columns
 from knotgym.rope import Rope
 from knotgym.states import IMAGE_SPLITS, held_form
 
-_COLOURS = ("published", "single", "gradient", "lines", "photo")
+_COLOURS = ("published", "single", "gradient")
 # what foreign numbers make the renderer and NumPy raise
 _RAISED = (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error)
 _MOST_DRAWN = 1000.0  # of numbers that a picture is drawn with; larger ones would fill the memory
@@ -93,17 +92,26 @@ def shard_faults(path: Path) -> list[str]:
 
 def row_faults(row: Mapping[str, Any]) -> Iterator[str]:
     """Yield the faults of one row, as `read_rows` gives it."""
-    look = appearance_of(row)
-    for name, value in asdict(look).items():
-        low, high = SIZES if name == "size" else (-_MOST_DRAWN, _MOST_DRAWN)
-        if isinstance(value, (int, float)) and name != "seed" and not low <= value <= high:
-            where = "photo" if name in row.get("photo", ()) else "appearance"
-            yield f"{where}.{name} is {value}, should be {low:g} to {high:g}"
+    if (name := row["appearance"]["name"]) not in APPEARANCES:
+        yield f"appearance.name is {name!r}, should be {' or '.join(APPEARANCES)}"
+        return
+    factors = {
+        f"{name}.{one}": value
+        for name in ("appearance", *own_columns(row["appearance"]["name"]))
+        if isinstance(row[name], dict)
+        for one, value in row[name].items()
+    }
+    for name, value in factors.items():
+        low, high = SIZES if name == "appearance.size" else (-_MOST_DRAWN, _MOST_DRAWN)
+        numeric = isinstance(value, (int, float)) and name != "appearance.seed"
+        if numeric and not low <= value <= high:
+            yield f"{name} is {value}, should be {low:g} to {high:g}"
             return
     points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
-    yield from state_faults({**row, "points": points}, Rope(), lambda own: derived(own, look))
-    if look.colours not in _COLOURS:
-        yield f"appearance.colours is {look.colours!r}, should be {' or '.join(_COLOURS)}"
+    whole = {**row, "points": points}
+    yield from state_faults(whole, Rope(), lambda own: derived(own, redrawn(own.points, row)))
+    if (colours := row["appearance"]["colours"]) not in _COLOURS:
+        yield f"appearance.colours is {colours!r}, should be {' or '.join(_COLOURS)}"
     if row["split"] not in IMAGE_SPLITS:
         yield f"split is {row['split']!r}, should be {' or '.join(IMAGE_SPLITS)}"
     if missed := UNAMBIGUOUS.faults(Quality(**row["quality"]), row["nx"]):

@@ -28,9 +28,8 @@ from knotgym.datasets.episode_dataset import (
 )
 from knotgym.datasets.episodes import gauss_codes
 from knotgym.datasets.image_table import (
-    COLUMNS,
-    PHOTO_COLUMNS,
     arrow,
+    columns_among,
     parquet,
     points_of,
     read_table,
@@ -78,7 +77,7 @@ class _PictureRows:
     def __init__(self, path: Path) -> None:
         self.path, self.digested = path, shards(path)[0]
         stored = stored_columns(self.digested)
-        known = COLUMNS | PHOTO_COLUMNS
+        known = columns_among(stored)
         wanted = [name for name in known if name in stored and known[name] != "image"]
         self.table, self.count = (table := read_table(path, columns=wanted)), len(table)
         try:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import ALONE, FEW, Threads
 from knotgym.envs.tasks import TaskConfig
-from knotgym.rendering import PictureConfig, draw_many, picture_of
+from knotgym.rendering import PictureConfig, draw_many, drawer_of, picture_of
 from knotgym.topology import plain_codes
 
 if TYPE_CHECKING:
@@ -55,15 +55,8 @@ def looks(task: TaskConfig, goals: Iterable[tuple[int, ArrayLike]]) -> list[Appe
         task: settings of the environment.
         goals: of each episode, the row of its goal state, and that state's points.
     """
-    if task.appearance == "published":
-        return [None for _ in goals]
-    if task.appearance == "line":
-        from knotgym.rendering import line_look
-
-        return [line_look(task.image_size) for _ in goals]
-    from knotgym.rendering import episode_look
-
-    return [episode_look(_stored(points), task.image_size, row) for row, points in goals]
+    drawer = drawer_of(task.appearance)
+    return [drawer.for_episode(_stored(points), task.image_size, row) for row, points in goals]
 
 
 def alone(
@@ -72,16 +65,8 @@ def alone(
     """Draw ropes (n, beads, 3), metres, each as its episode looks; see `draw_many`."""
     if all(look is None for look in looks):
         return draw_many(points, picture)
-    from knotgym.rendering import Photo, render, take
-
     ropes = zip(_stored(points), looks, strict=True)
-    return np.stack(
-        [
-            take(rope, look).image if isinstance(look, Photo) else render(rope, look)
-            for rope, look in ropes
-            if look is not None
-        ]
-    )
+    return np.stack([drawer_of(look.name).image(rope, look) for rope, look in ropes if look])
 
 
 def _stored(points: ArrayLike) -> NDArray[np.float64]:

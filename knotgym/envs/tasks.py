@@ -23,7 +23,7 @@ from knotgym.common import (
     configuration,
 )
 from knotgym.quality import RESET_NOISE
-from knotgym.rendering import Views, require_depth
+from knotgym.rendering import APPEARANCES, AppearanceName, Views, require_depth
 from knotgym.rope import MUJOCO, EngineName
 from knotgym.states import CODE_SPLITS, STATE_SPLITS
 
@@ -136,9 +136,9 @@ class TaskConfig:
         layout: "beside", rope left and goal right, (size, 2 size, 3); or "stacked", the goal's
             channels after the rope's, (size, size, 6).
         camera: projection: orthographic or perspective.
-        appearance: "published"; "photo", rope of one colour on a table, with a white mark on the
-            base bead and a red one on the bead before it: each goal state has its own rope, table
-            and light; or "line", a diagram with gaps, which marks neither base nor direction.
+        appearance: of the pictures, one of `knotgym.rendering.APPEARANCES`. Photos have a white
+            mark on the base bead and a red one on the bead before it, and each goal state has its
+            own rope, table and light; a line marks neither base nor direction.
         renderer: "auto", "opencv" or "mujoco"; "mujoco" doesn't draw depth.
         integrator_steps: MuJoCo steps per action; 20 is faster and gives slightly different
             trajectories.
@@ -168,7 +168,7 @@ class TaskConfig:
     depth: bool = False
     layout: Annotated[str, choice("beside", "stacked")] = "beside"
     camera: Annotated[str, choice("orthographic", "perspective")] = "orthographic"
-    appearance: Annotated[str, choice("published", "photo", "line")] = "published"
+    appearance: AppearanceName = "published"
     renderer: Annotated[str, choice("auto", "opencv", "mujoco")] = "auto"
     # an action takes 0.192 s; with fewer steps, ropes under large forces blow up
     integrator_steps: Annotated[Int, Field(ge=20, le=96)] = 24
@@ -203,7 +203,7 @@ class TaskConfig:
                 f" leave it at 24, got {self.integrator_steps}"
             )
         plain = self.views == ("top",) and not self.depth and self.camera == "orthographic"
-        if self.appearance != "published" and not (plain and self.renderer != "mujoco"):
+        if not APPEARANCES[self.appearance].obeys and not (plain and self.renderer != "mujoco"):
             raise InvalidInput(
                 f'appearance "{self.appearance}" is the orthographic top view, without depth and'
                 " not drawn by MuJoCo; leave out views, depth, camera and renderer"

@@ -205,10 +205,15 @@ def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> N
 
 
 def checked_points(points: ArrayLike, axes: int) -> NDArray[np.float64]:
-    """Return one rope (axes 2) or many (axes 3) as float64, or raise InvalidInput."""
+    """Return one rope (axes 2) or many (axes 3) to draw as float64, or raise InvalidInput.
+
+    They are rounded to float32, as datasets hold them, so that a rope and what was stored of it
+    have the same picture.
+    """
     from knotgym.topology import same_spot  # here, since help needs the cameras and no numba
 
-    points = np.asarray(points, dtype=np.float64)
+    with np.errstate(over="ignore"):  # what float32 can't hold is refused below
+        points = np.asarray(points, dtype=np.float32).astype(np.float64)
     form = "(beads, 3)" if axes == 2 else "(m, beads, 3)"
     fits = points.ndim == axes and points.shape[-1] == 3 and points.shape[-2] >= 3
     require(fits, f"points must have shape {form}, at least 3 beads", points.shape)

@@ -10,14 +10,15 @@ count of photos: no answer may differ from those of an outside computation.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Stream, generator
-from knotgym.rendering.appearance_config import TILT
+from knotgym.rendering.appearances import TILT, AppearanceConfig
 from knotgym.rendering.camera import DEFAULT
 from knotgym.rendering.photo_look import (
     LIMITS,
@@ -39,10 +40,67 @@ from knotgym.rendering.photo_painting import (
     painted,
     projected,
 )
+from knotgym.rendering.variation import Appearance, Drawer, Drawn
+from knotgym.topology import DIAGRAM, canonical
 
 Array = NDArray[Any]
 
 _TRIES = 12  # cameras
+
+
+class PhotoDrawer(Drawer):
+    """Draws photos, with the answers as columns of their own."""
+
+    look, struct = Photo, "photo"
+
+    def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
+        return take(points, look).image
+
+    def drawn(self, points: Array, look: Any) -> Drawn:
+        return _with_answers(take(points, look))
+
+    def sampled(
+        self,
+        points: Array,
+        config: AppearanceConfig,
+        rng: np.random.Generator,
+        camera: tuple[float, float] = (0.0, 0.0),
+    ) -> Drawn:
+        size = config.sides[int(rng.integers(len(config.sides)))]
+        marked = bool(rng.random() < config.marked)
+        return _with_answers(_drawn_photo(points, size, rng, *camera, marked=marked))
+
+    def for_episode(self, points: Array, size: int, goal: int) -> Photo:
+        return episode_look(points, size, goal)
+
+    def legible(self, points: Array, size: int) -> bool:
+        return clearest(points, size).legible
+
+
+def _with_answers(shot: Shot) -> Drawn:
+    """Return a photo with the columns of photos."""
+    names, boxes = ("strand", "x", "y", "width", "height"), []
+    for strand in range(1, max(2 * shot.crossings.nx, 1) + 1):
+        box = cv2.boundingRect((shot.strands == strand).view(np.uint8))
+        boxes.append(dict(zip(names, (strand, *box), strict=True)))
+    shared = {one.name for one in fields(Appearance)}
+    look = {
+        one.name: getattr(shot.look, one.name) for one in fields(Photo) if one.name not in shared
+    }
+    measured = {name: getattr(shot, name) for name in ("contrast", "order", "region")}
+    columns = {
+        "canonical_code": str(canonical(shot.crossings.code, DIAGRAM)),
+        "strands": shot.strands,
+        "boxes": boxes,
+        "line": shot.line.ravel().tolist(),
+        "photo": {
+            **look,
+            "ground": list(shot.look.ground),
+            "rope_width": 2 * shot.look.radius,
+            **measured,
+        },
+    }
+    return Drawn(shot.image, shot.look, shot.pixels, columns)
 
 
 def photograph(
@@ -74,7 +132,7 @@ def photograph(
     return None
 
 
-def drawn_photo(
+def _drawn_photo(
     points: Array, size: int, rng: np.random.Generator, tilt: float, heading: float, *, marked: bool
 ) -> Shot:
     """Draw a photo of points in the camera's axes that `clearest` shows to be legible.

@@ -59,7 +59,6 @@ class Photo(Appearance):
     two of the surface. Angles are in degrees, px256 are pixels of a 256-pixel picture.
 
     Attributes:
-        colours: "photo".
         right, down: position of the rope's centre of mass relative to the picture's middle, px.
         tilt: angle between the line of sight and the vertical.
         heading: direction in which the camera leans, seen from above.
@@ -81,7 +80,8 @@ class Photo(Appearance):
         jpeg: quality; 100 for none.
     """
 
-    colours: str = "photo"
+    name: str = "photo"
+    colours: str = "single"
     right: float = 0.0
     down: float = 0.0
     tilt: float = 0.0

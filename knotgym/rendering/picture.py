@@ -32,7 +32,7 @@ def draw(
 
     Args:
         points: float64, shape (beads, 3), metres, world frame, finite; at least 3 beads.
-        config: camera, size and style of the picture.
+        config: camera, size and background of the picture.
         colours: uint8, shape (beads, 3), RGB; by default the published ones, see `bead_colours`.
 
     Returns:

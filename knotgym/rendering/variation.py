@@ -5,31 +5,34 @@ recomputed. Under colours "published" and "gradient" the picture shows the direc
 code is read: towards red, or from the bright end to the dark one. Under "single" only the white
 base bead is marked, so the code and the code of the reversed rope fit the picture equally well.
 
-Style "knotbench" draws the diagram as a line with gaps, as printed ones and those of KnotBench
-(arXiv 2605.09900) are. It marks neither base nor direction, so a PD code fits the picture from any
-base point and in both directions.
+An appearance is drawn by its `Drawer`, which `appearances` names. Line drawings are those of
+printed diagrams and of KnotBench (arXiv 2605.09900). They mark neither base nor direction, so a PD
+code fits the picture from any base point and in both directions.
 
 After a change run `pytest tests/rendering/test_variation.py`: without variation a picture must be
 the published one, and crossings lie where it says.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Stream, generator
-from knotgym.rendering.appearance_config import LINE_SIZE, AppearanceConfig
+from knotgym.rendering.appearances import APPEARANCES, PUBLISHED, AppearanceConfig
 from knotgym.rendering.camera import RGB, PictureConfig, bead_colours, project
 from knotgym.rendering.diagram import draw_lines
-from knotgym.rendering.picture import draw
+from knotgym.rendering.picture import crossing_pixels, draw
+from knotgym.topology import find_crossings
 
 Array = NDArray[np.float64]
 
-LINE = 2.0  # half the width of its line, pixels of a picture of this size
-MARGIN = 2.0  # smallest distance of a zoomed rope from the edge, pixels of a 128-pixel picture
+_LINE = 2.0  # half the width of a line drawing's line, pixels of a picture of its usual size
+_MARGIN = 2.0  # smallest distance of a zoomed rope from the edge, pixels of a 128-pixel picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,12 +40,13 @@ class Appearance:
     """Appearance of one picture; with the points it determines every byte of the picture.
 
     Attributes:
+        name: of the appearance, one of APPEARANCES.
         size: side of the picture, pixels.
         turn: rotation of the camera about z, radians, anticlockwise.
         zoom: magnification.
         width: factor on the rope's width.
-        colours: "published"; "single", the whole rope in the RGB `first`; "gradient", from
-            `first` to `last` along the rope; or "lines", a line drawing in style knotbench.
+        colours: "published"; "single", the whole rope in the RGB `first`; or "gradient", from
+            `first` to `last` along the rope.
         first, last: RGB; 0 where not used.
         background: RGB.
         noise: standard deviation of the Gaussian noise, levels; added after the blur.
@@ -50,6 +54,7 @@ class Appearance:
         seed: seed of the noise, in stream `IMAGE_GRAIN`.
     """
 
+    name: str = PUBLISHED
     size: int = 128
     turn: float = 0.0
     zoom: float = 1.0
@@ -84,63 +89,169 @@ class Appearance:
         return colours
 
 
-def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator) -> Appearance:
-    """Sample an appearance for a configuration (beads, 3), metres."""
-    # The order of the draws is part of every table: a new one belongs at the end.
-    vary, plain = set(config.vary), Appearance()
-    size = config.sizes[int(rng.integers(len(config.sizes)))]
-    turn = float(rng.uniform(-math.pi, math.pi)) if "turn" in vary else 0.0
-    width = float(rng.uniform(*config.width)) if "width" in vary else 1.0
-    zoom, kind = 1.0, plain.colours
-    if config.style == "knotbench":
-        kind, zoom = "lines", _largest_zoom(points, turn, width)
-        width *= line_look(size, zoom).width
-    if "zoom" in vary:
-        most = _largest_zoom(points, turn, width)
-        low, high = config.zoom
-        # a rope larger than the range allows for is shown as large as fits
-        zoom = float(rng.uniform(min(low, most), min(high, most)))
-    if "colours" in vary:
-        kind = ("published", "single", "gradient")[int(rng.integers(3))]
-    # dark, as every rope has a channel of 150 or more along all of it
-    background = _rgb(rng.integers(0, 81, 3)) if "background" in vary else plain.background
-    first, last = _rgb(rng.integers(150, 256, 3)), plain.last
-    # a gradient ends dark but with one channel of 150 or more, so that it differs in hue from the
-    # start and is brighter than any background (at most 80)
-    if kind == "gradient":
-        dark = rng.integers(20, 60, 3)
-        dark[rng.integers(3)] = rng.integers(150, 200)
-        last = _rgb(dark)
-    noise = float(rng.uniform(0, config.noise)) if "noise" in vary else 0.0
-    blur = float(rng.uniform(0, config.blur)) * size / plain.size if "blur" in vary else 0.0
-    return Appearance(
-        size=size,
-        turn=turn,
-        zoom=zoom,
-        width=width,
-        colours=kind,
-        first=first if kind in ("single", "gradient") else plain.first,
-        last=last,
-        background=background,
-        noise=noise,
-        blur=blur,
-        seed=int(rng.integers(2**62)) if noise else 0,
-    )
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A picture of a table.
+
+    Attributes:
+        image: uint8 (size, size, 3), RGB.
+        look: its appearance.
+        pixels: float64 (nx, 2), x and y of the crossings, in order of labels.
+        columns: those that tables of the appearance alone have; PNG files as uint8 arrays.
+    """
+
+    image: NDArray[np.uint8]
+    look: Appearance
+    pixels: Array
+    columns: dict[str, Any] = field(default_factory=dict)
 
 
-def line_look(size: int, zoom: float = 1.0) -> Appearance:
-    """Return the look of a line drawing, whose line is as wide at every zoom."""
-    plain = PictureConfig(size=size, zoom=zoom)
-    width = LINE * size / LINE_SIZE / (plain.rope_radius * plain.pixels_per_metre)
-    return Appearance(size=size, zoom=zoom, width=width, colours="lines")
+class Drawer:
+    """Draws pictures of one appearance: the published one. Others override what differs.
+
+    Points are float64 (beads, 3), metres, and are left as they are.
+
+    Attributes:
+        look: class of the appearances of single pictures.
+        colours: of the rope, where they don't vary, see `Appearance`.
+        struct: own column that holds the fields of `look` which the column `appearance` lacks.
+    """
+
+    look: ClassVar[type[Appearance]] = Appearance
+    struct: ClassVar[str] = ""
+    colours: ClassVar[str] = "published"
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
+        """Draw a rope: uint8 (size, size, 3), RGB; the same arguments give the same bytes."""
+        colours = look.bead_colours(len(points))
+        return through_lens(draw(points, look.picture(), colours=colours), look)
+
+    def drawn(self, points: Array, look: Any) -> Drawn:
+        """Draw a picture of a table again from its appearance."""
+        pixels = crossing_pixels(find_crossings(points), points, look.picture())
+        return Drawn(self.image(points, look), look, pixels)
+
+    def sampled(
+        self,
+        points: Array,
+        config: AppearanceConfig,
+        rng: np.random.Generator,
+        camera: tuple[float, float] = (0.0, 0.0),
+    ) -> Drawn:
+        """Draw a picture of a table with an appearance drawn at random.
+
+        Args:
+            points: metres, in the axes of the camera.
+            config: distribution of the appearance.
+            rng: source of all draws.
+            camera: tilt and heading of the camera, degrees; 0 unless the appearance is tilted.
+        """
+        return self.drawn(points, self.appearance(points, config, rng))
+
+    def appearance(
+        self, points: Array, config: AppearanceConfig, rng: np.random.Generator
+    ) -> Appearance:
+        """Sample an appearance for a rope."""
+        # The order of the draws is part of every table: a new one belongs at the end.
+        vary, plain = set(config.vary), Appearance()
+        size = config.sides[int(rng.integers(len(config.sides)))]
+        turn = float(rng.uniform(-math.pi, math.pi)) if "turn" in vary else 0.0
+        width = float(rng.uniform(*config.width)) if "width" in vary else 1.0
+        width, zoom = self.framed(points, size, turn, width)
+        if "zoom" in vary:
+            most = _largest_zoom(points, turn, width)
+            low, high = config.zoom
+            # a rope larger than the range allows for is shown as large as fits
+            zoom = float(rng.uniform(min(low, most), min(high, most)))
+        kind = self.colours
+        if "colours" in vary:
+            kind = ("published", "single", "gradient")[int(rng.integers(3))]
+        # dark, as every rope has a channel of 150 or more along all of it
+        background = _rgb(rng.integers(0, 81, 3)) if "background" in vary else plain.background
+        first, last = _rgb(rng.integers(150, 256, 3)), plain.last
+        # a gradient ends dark but with one channel of 150 or more, so that it differs in hue from
+        # the start and is brighter than any background (at most 80)
+        if kind == "gradient":
+            dark = rng.integers(20, 60, 3)
+            dark[rng.integers(3)] = rng.integers(150, 200)
+            last = _rgb(dark)
+        noise = float(rng.uniform(0, config.noise)) if "noise" in vary else 0.0
+        blur = float(rng.uniform(0, config.blur)) * size / plain.size if "blur" in vary else 0.0
+        return self.look(
+            name=self.name,
+            size=size,
+            turn=turn,
+            zoom=zoom,
+            width=width,
+            colours=kind,
+            first=first if kind != "published" and "colours" in vary else plain.first,
+            last=last,
+            background=background,
+            noise=noise,
+            blur=blur,
+            seed=int(rng.integers(2**62)) if noise else 0,
+        )
+
+    def framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
+        """Return the factor on the rope's width, and the zoom where it doesn't vary."""
+        return width, 1.0
+
+    def for_episode(self, points: Array, size: int, goal: int) -> Appearance | None:
+        """Return the appearance of an episode's pictures of `size` pixels.
+
+        Args:
+            points: of the goal state.
+            size: side of the pictures of rope and of goal.
+            goal: row of the goal state, which seeds what is drawn at random.
+
+        Returns:
+            None if the pictures follow from the settings of the task alone.
+        """
+        if APPEARANCES[self.name].obeys:
+            return None
+        return self.look(name=self.name, size=size, colours=self.colours)
+
+    def legible(self, points: Array, size: int) -> bool:
+        """Return whether a picture of a table can show these points."""
+        return True
+
+    def read(self, row: Mapping[str, Any]) -> Appearance:
+        """Read the appearance of a picture from its row, as `read_rows` gives it."""
+        values = {**row["appearance"], **(row[self.struct] if self.struct else {})}
+        given: dict[str, Any] = {
+            one.name: tuple(value) if isinstance(value := values[one.name], list) else value
+            for one in fields(self.look)
+        }
+        return self.look(**given)
 
 
-def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
-    """Draw a configuration (beads, 3): uint8 (size, size, 3), RGB."""
-    if look.colours == "lines":
-        image = draw_lines(points, look.picture())
-    else:
-        image = draw(points, look.picture(), colours=look.bead_colours(len(points)))
+class LineDrawer(Drawer):
+    """Draws diagrams as lines with gaps, as large as the picture."""
+
+    colours = "single"
+
+    def image(self, points: Array, look: Any) -> NDArray[np.uint8]:
+        return through_lens(draw_lines(points, look.picture()), look)
+
+    def framed(self, points: Array, size: int, turn: float, width: float) -> tuple[float, float]:
+        zoom = _largest_zoom(points, turn, width)
+        return width * self._width(size, zoom), zoom
+
+    def for_episode(self, points: Array, size: int, goal: int) -> Appearance | None:
+        return Appearance(name=self.name, size=size, width=self._width(size), colours=self.colours)
+
+    def _width(self, size: int, zoom: float = 1.0) -> float:
+        """Return the factor on the rope's width by which the line is as wide at every zoom."""
+        plain = PictureConfig(size=size, zoom=zoom)
+        half = _LINE * size / APPEARANCES[self.name].size
+        return half / (plain.rope_radius * plain.pixels_per_metre)
+
+
+def through_lens(image: NDArray[np.uint8], look: Appearance) -> NDArray[np.uint8]:
+    """Return a picture with the blur and the noise of its appearance."""
     # the lens before the sensor: noise isn't blurred
     if look.blur > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), look.blur), dtype=np.uint8)
@@ -151,12 +262,12 @@ def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
 
 
 def _largest_zoom(points: Array, turn: float, width: float) -> float:
-    """Return the zoom at which the rope is MARGIN away from the picture's edge."""
+    """Return the zoom at which the rope is _MARGIN away from the picture's edge."""
     plain = PictureConfig(turn=turn, width=width)
     # in metres, from the middle to the rope's own edge
     outermost = np.abs(project(points, plain) - plain.size / 2).max() / plain.pixels_per_metre
     outermost += plain.drawn_radius
-    return float((plain.size / 2 - MARGIN) / plain.pixels_per_metre / outermost)
+    return float((plain.size / 2 - _MARGIN) / plain.pixels_per_metre / outermost)
 
 
 def _rgb(levels: NDArray[np.integer]) -> RGB:

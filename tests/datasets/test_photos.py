@@ -12,12 +12,12 @@ import pytest
 from knotgym.control import replay
 from knotgym.datasets.cards.croissant import write_croissant
 from knotgym.datasets.exports.exporters import export
-from knotgym.datasets.image_rows import PictureRow, appearance_of, record
+from knotgym.datasets.image_rows import PictureRow, record, redrawn
 from knotgym.datasets.image_table import COLUMNS, decode, parquet, read_rows, table_of
 from knotgym.datasets.image_verification import row_faults
 from knotgym.datasets.located import Located
 from knotgym.datasets.page.page_data import page_data, page_html
-from knotgym.rendering import AppearanceConfig, Photo, take, tilted
+from knotgym.rendering import AppearanceConfig, tilted
 from knotgym.states import read_states, shipped
 
 
@@ -26,7 +26,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     """Rows of three photos, written and read again."""
     pytest.importorskip("pyarrow")
     states = read_states(shipped(), images=False)
-    config, made = AppearanceConfig(style="photo", sizes=(128,), marked=1.0), []
+    config, made = AppearanceConfig(name="photo", sizes=(128,), marked=1.0), []
     for number, state in enumerate([20, 70, 120]):
         flags = dict.fromkeys(("reflect", "switch", "reverse"), False)
         source = dict.fromkeys(COLUMNS["source"], 0) | flags | {"policy": "", "row": number}
@@ -46,11 +46,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_photo_and_its_answers_are_taken_again_from_its_row(rows: list[dict[str, Any]]) -> None:
     for row in rows:
-        look = appearance_of(dict(row))
-        assert isinstance(look, Photo)
-        shot = take(np.reshape(row["points"], (-1, 3)), look)
-        assert np.array_equal(decode(row["image"]), shot.image)
-        assert np.array_equal(decode(row["strands"])[..., 0], shot.strands)
+        again = redrawn(np.reshape(row["points"], (-1, 3)), row)
+        assert np.array_equal(decode(row["image"]), again.image)
+        assert np.array_equal(decode(row["strands"])[..., 0], again.columns["strands"])
         assert [*row_faults(dict(row))] == []
         assert (row["photo"]["tilt"], row["photo"]["marked"]) == (10.0, True)
 
@@ -87,7 +85,7 @@ def test_croissant_describes_every_factor_of_a_photo(
     rows: list[dict[str, Any]], folder: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "data").symlink_to(folder / "data")
-    write_croissant(tmp_path, "photos", "three photos", photos=True)
+    write_croissant(tmp_path, "photos", "three photos", "photo")
     described = json.loads((tmp_path / "croissant.json").read_text(encoding="utf-8"))
     (table,) = described["recordSet"]
     named = {one["name"].split("/")[-1] for one in table["field"]}

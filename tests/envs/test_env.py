@@ -20,7 +20,7 @@ from knotgym.envs.environment import KnotEnv
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS, cut
 from knotgym.envs.task_states import task_sides
-from knotgym.rendering import PictureConfig, draw, episode_look, take
+from knotgym.rendering import PictureConfig, draw, drawer_of
 from knotgym.states import States, merge_states, write_states
 from knotgym.topology import GaussCode, label
 
@@ -142,11 +142,12 @@ def test_a_photo_keeps_its_table_for_an_episode_and_marks_the_base(make: Make) -
     assert first.shape == (96, 192, 3)
     corner = np.s_[:8, :8]
     assert np.abs(first[corner].astype(int) - second[corner]).mean() < 12
-    look = episode_look(env.episodes.goals.points[info["goal"]], 96, info["goal"])
+    drawer: Any = drawer_of("photo")
+    look = drawer.for_episode(env.episodes.goals.points[info["goal"]], 96, info["goal"])
     points = env.episodes.goals.points[info["goal"]].astype(np.float32).astype(np.float64)
     assert look.marked and not look.occluders and look.tilt == 0
-    assert np.array_equal(first[:, 96:], take(points, look).image)
-    others = {episode_look(points, 96, row).background for row in range(6)}
+    assert np.array_equal(first[:, 96:], drawer.image(points, look))
+    others = {drawer.for_episode(points, 96, row).background for row in range(6)}
     assert len(others) == 6
 
 

@@ -149,7 +149,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
     chosen = [int(np.flatnonzero(states.nx == nx)[0]) for nx in (0, 1, 3, 4)]
     source = dict.fromkeys(COLUMNS["source"], 0) | {"policy": ""}
     source |= dict.fromkeys(("reflect", "switch", "reverse"), False)
-    look = AppearanceConfig(style="knotbench", vary=("turn",))
+    look = AppearanceConfig(name="line", vary=("turn",))
     rows = [
         PictureRow(points, "test", source | {"rope": row, "row": row})
         for row, points in enumerate(states.points[chosen])
@@ -174,7 +174,7 @@ def test_line_drawings_are_transcribed_to_pd_codes(
 def test_photos_are_read_and_a_reader_is_trained_on_their_ropes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    look = AppearanceConfig(style="photo")
+    look = AppearanceConfig(name="photo")
     config = ImagesConfig(nx=(1, 2), count=8, test_nx=None, engine="chain", appearance=look)
     folder = make_images(config, tmp_path / "photos", RunOptions(workers=1, quiet=True))
     script = FOLDER / "perception" / "photos.py"

@@ -34,7 +34,7 @@ from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
 from knotgym.loaders import images as load
 from knotgym.quality import Limits, ease, grade_of, measure
-from knotgym.rendering import VARIED, AppearanceConfig
+from knotgym.rendering import AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs import RunOptions
 from knotgym.states import IMAGE_SPLITS, NEAR, distances
@@ -56,7 +56,7 @@ CONFIG = ImagesConfig(
     engine="chain",
     pulls=4,
     rows_per_file=3,
-    appearance=AppearanceConfig(vary=VARIED, sizes=(64, 128)),
+    appearance=AppearanceConfig(vary=("all",), sizes=(64, 128)),
 )
 
 
@@ -364,7 +364,7 @@ def test_croissant_of_pictures_is_valid_and_a_picture_comes_back(folder: Path) -
 @pytest.mark.thorough
 def test_photos_are_the_same_for_any_workers(tmp_path: Path) -> None:
     photos = ImagesConfig(
-        nx=(1, 2), count=4, engine="chain", appearance=AppearanceConfig(style="photo")
+        nx=(1, 2), count=4, engine="chain", appearance=AppearanceConfig(name="photo")
     )
     one, two = (made(tmp_path / str(n), photos, workers=n) for n in (1, 2))
     for file in one.glob("data/*.parquet"):

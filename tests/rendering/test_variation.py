@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 
-from knotgym.rendering.appearance_config import VARIED, AppearanceConfig
+from knotgym.rendering.appearances import APPEARANCES, PUBLISHED, AppearanceConfig
 from knotgym.rendering.picture import crossing_pixels, draw
-from knotgym.rendering.variation import Appearance, appearance, render
+from knotgym.rendering.variation import Appearance, Drawer
 from knotgym.rope import Array, Rope
 from knotgym.topology import find_crossings, label
 
 from ..conftest import curled
 from .test_picture import shown_strands
 
+VARIED = APPEARANCES[PUBLISHED].vary
 ALL = AppearanceConfig(vary=VARIED, sizes=(64, 128, 256))
+appearance, render = Drawer(PUBLISHED).appearance, Drawer(PUBLISHED).image
 
 
 @pytest.fixture(scope="module")

@@ -18,14 +18,14 @@ _TYPES = {"string": "sc:Text", "bool": "sc:Boolean", "float": "sc:Float", "doubl
 _PICTURE = "struct<bytes: binary"  # how Parquet files hold pictures
 
 
-def write_croissant(folder: Path, name: str, description: str, *, photos: bool = False) -> None:
+def write_croissant(folder: Path, name: str, description: str, appearance: str = "") -> None:
     """Describe the tables data/CONFIG/SPLIT-*.parquet or data/SPLIT-*.parquet of a folder.
 
-    Writes `croissant.json`. For photos, the texts of `photos.json` replace some of its texts.
+    Writes `croissant.json`. The file of an appearance of pictures, such as `photo.json`, if there
+    is one, replaces some of its texts.
     """
-    here = files("knotgym.datasets.cards")
-    texts = ("croissant.json", *(["photos.json"] if photos else []))
-    fixed = [json.loads((here / text).read_text("utf-8")) for text in texts]
+    texts = [files("knotgym.datasets.cards") / f"{name}.json" for name in ("croissant", appearance)]
+    fixed = [json.loads(text.read_text("utf-8")) for text in texts if text.is_file()]
     paths = [path.relative_to(folder) for path in sorted(folder.glob("data/**/*.parquet"))]
     described = {
         **{field: one for part in fixed for field, one in part.items()},

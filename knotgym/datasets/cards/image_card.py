@@ -15,6 +15,7 @@ from knotgym.datasets.cards.fact_tables import CardTable, counted, measured
 from knotgym.datasets.image_table import GRADES, file_stem, marks_base, read_table, shards
 from knotgym.datasets.manifest import write_manifest
 from knotgym.quality import UNITS
+from knotgym.rendering import APPEARANCES
 from knotgym.states import IMAGE_SPLITS
 
 _COUNTED = ("gauss_code", "gauss_code_chiral", "split", "grade", "nx", "accepted")
@@ -53,19 +54,20 @@ def finish_images(folder: Path, report: Mapping[str, Any], request: Mapping[str,
     """
     config = request["config"]
     write_text(folder / "README.md", _card(folder, report, config))
-    photos = config["appearance"]["style"] == "photo"
+    appearance = config["appearance"]["name"]
     nx = ", ".join(map(str, config["nx"]))
     write_croissant(
         folder,
-        f"knotgym-{'photos' if photos else 'pictures'}",
+        f"knotgym-pictures-{appearance}",
         f"Pictures of a closed rope with {nx} crossings and their Gauss codes; made by knotgym.",
-        photos=photos,
+        appearance,
     )
     write_manifest(folder, "knotgym-images-manifest", request, report)
 
 
 def _card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Return the card as Markdown, with the YAML front matter that Hugging Face reads."""
+    name = config["appearance"]["name"]
     rows, files = read_table(folder, columns=["nx", "split", "appearance"]), shards(folder)
     splits = [name for name in IMAGE_SPLITS if name in set(rows["split"].to_pylist())]
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in splits]
@@ -78,6 +80,7 @@ def _card(folder: Path, report: Mapping[str, Any], config: Mapping[str, Any]) ->
         version=knotgym.__version__,
         mujoco=mujoco.__version__,
         engine=config["engine"],
+        appearance=f"`{name}`, {APPEARANCES[name].says}",
         seed=config["seed"],
         pulls=config["pulls"],
         policies=" and ".join(config["policies"]),

@@ -60,7 +60,7 @@ def to_coco(source: Located, folder: Path, _: Replay) -> str:
         for number, row in enumerate(rows):
             if "photo" not in row:
                 raise InvalidInput(
-                    f"{source.title} has no masks for COCO; knotgym images --style photo makes"
+                    f"{source.title} has no masks for COCO; knotgym images --appearance photo makes"
                     " pictures with masks"
                 )
             name, size = f"{split}/{number:06d}.png", row["appearance"]["size"]

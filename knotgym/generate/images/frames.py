@@ -4,7 +4,8 @@ A frame may be reflected, switched (over and under exchanged), reversed and renu
 bead; all of these are exact for a picture. So a frame with n crossings can show up to 8n codes.
 Each frame comes with a few symmetries, drawn at random, and the codes that it would show.
 
-Frames for photos are in the axes of a tilted camera, and everything is of its view.
+Frames that a tilted camera sees, such as those for photos, are in its axes, and everything is of
+its view.
 """
 
 from collections import Counter
@@ -21,7 +22,7 @@ from knotgym.datasets import STARTS, STEPS
 from knotgym.envs import TaskConfig
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.quality import LEGIBLE, base_spacing, ease, measure
-from knotgym.rendering import clearest, drawn_camera, tilted
+from knotgym.rendering import APPEARANCES, drawer_of, drawn_camera, tilted
 from knotgym.rope import Array
 from knotgym.runs import Result
 from knotgym.topology import Symmetry, find_crossings, pyknotid_code
@@ -71,10 +72,11 @@ def frames_of(
         for name in ("points", "rope", "pulls", "nx", "ease", "symmetries", "codes", "camera")
     }
     look, sight = config.appearance, (0.0, 0.0)
+    kind, drawer = APPEARANCES[look.name], drawer_of(look.name)
     dropped: Counter[str] = Counter()
     for (index, pulls), points in _observed(config, ropes, start_qpos).items():
         rope = ropes[index]
-        if look.style == "photo":
+        if kind.tilted:
             camera = generator(Stream.IMAGE_CAMERA, config.seed, rope.number, pulls)
             sight = drawn_camera(camera, look.tilt)
             points = tilted(points, *sight)
@@ -87,8 +89,8 @@ def frames_of(
         faults = config.limits.faults(quality, crossings.nx)
         if not faults and pyknotid_code(points) != crossings.code:
             faults = ["labellers disagree"]
-        if not faults and look.style == "photo":
-            faults = [] if clearest(points, min(look.sizes)).legible else ["illegible"]
+        if not faults and not drawer.legible(points, min(look.sides)):
+            faults = ["illegible"]
         if faults:
             dropped[faults[0]] += 1
             continue

@@ -17,7 +17,7 @@ from knotgym.common import (
     generator,
 )
 from knotgym.quality import UNAMBIGUOUS, Limits
-from knotgym.rendering import AppearanceConfig
+from knotgym.rendering import APPEARANCES, AppearanceConfig
 from knotgym.rope import MUJOCO, EngineName
 from knotgym.topology import LISTED_NX
 
@@ -94,7 +94,8 @@ class ImagesConfig:
     @property
     def marked(self) -> bool:
         """Whether every picture marks the base bead and the direction; see `states.held_form`."""
-        return self.appearance.style == "published" and "colours" not in self.appearance.vary
+        marks = APPEARANCES[self.appearance.name].marks
+        return len(marks) == 2 and "colours" not in self.appearance.vary
 
     @property
     def held_nx(self) -> tuple[int, ...]:

@@ -1,0 +1,169 @@
+"""Appearances of pictures: one record each, from which help, settings, columns and cards follow.
+
+A new appearance is a `Drawer` and a record in APPEARANCES. Nothing here draws, because the command
+line reads it.
+"""
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field
+
+from knotgym.common import (
+    Described,
+    Distinct,
+    Int,
+    InvalidInput,
+    NonNegative,
+    Ordered,
+    Positive,
+    Real,
+    Share,
+    choice,
+    configuration,
+)
+
+if TYPE_CHECKING:
+    from knotgym.rendering.variation import Drawer
+
+PUBLISHED = "published"
+SIZES = (64, 512)  # smallest and largest size of a picture of a table, pixels
+TILT = 25.0  # largest tilt of a photo's camera, degrees
+
+
+@dataclass(frozen=True, kw_only=True)
+class AppearanceKind:
+    """Everything in which one appearance differs from the others.
+
+    Attributes:
+        says: what a picture shows, for help and cards.
+        drawer: "module:class" of its `Drawer`, imported when a picture is drawn.
+        size: usual side of a picture of a table, pixels.
+        vary: what `AppearanceConfig.vary` may name.
+        marks: what every picture shows of the walk: "base", "direction", both or neither.
+        obeys: whether pictures of environments can have views, depth, a perspective camera and
+            MuJoCo's renderer.
+        tilted: whether a tilted camera sees the ropes of a table; points are in its axes.
+        columns: "package:file" of a TOML file of the columns that its tables have beside the
+            others, in the notation of `knotgym/datasets/columns.toml`; "" for none.
+        compression: of the PNG files of a table, 1 to 9.
+    """
+
+    says: str
+    drawer: str
+    size: int = 128
+    vary: tuple[str, ...] = ()
+    marks: tuple[str, ...] = ()
+    obeys: bool = False
+    tilted: bool = False
+    columns: str = ""
+    compression: int = 9
+
+
+APPEARANCES: dict[str, AppearanceKind] = {
+    PUBLISHED: AppearanceKind(
+        says="a colour circle along the rope, on black",
+        drawer="knotgym.rendering.variation:Drawer",
+        vary=("colours", "width", "background", "turn", "zoom", "noise", "blur"),
+        marks=("base", "direction"),
+        obeys=True,
+    ),
+    "line": AppearanceKind(
+        says="a black line on white, with gaps where a strand goes under, as diagrams are printed",
+        drawer="knotgym.rendering.variation:LineDrawer",
+        size=512,
+        vary=("width", "turn", "noise", "blur"),
+    ),
+    "photo": AppearanceKind(
+        says="rope of one colour on a table, as a camera sees it",
+        drawer="knotgym.rendering.photo:PhotoDrawer",
+        tilted=True,
+        columns="knotgym.rendering:photo_columns.toml",
+        compression=3,  # a tenth of the time of 9, and a tenth more room
+    ),
+}
+
+
+def appearance_help() -> str:
+    """Return a sentence that names all appearances.
+
+    >>> appearance_help().partition("),")[0]
+    'How it looks: published (a colour circle along the rope, on black'
+    """
+    each = ", ".join(f"{name} ({kind.says})" for name, kind in APPEARANCES.items())
+    return f"How it looks: {each}."
+
+
+def drawer_of(name: str) -> "Drawer":
+    """Return the drawer of an appearance."""
+    drawer: Drawer = resolve_name(APPEARANCES[name].drawer)(name)
+    return drawer
+
+
+def own_columns(name: str) -> dict[str, Any]:
+    """Return the columns that tables of an appearance alone have: name -> type and doc."""
+    return _read(APPEARANCES[name].columns)
+
+
+@cache
+def _read(place: str) -> dict[str, Any]:
+    package, _, file = place.partition(":")
+    return tomllib.loads((files(package) / file).read_text("utf-8")) if place else {}
+
+
+AppearanceName = Annotated[str, choice(growing=APPEARANCES), Described(appearance_help)]
+
+
+_Side = Annotated[Int, Field(ge=SIZES[0], le=SIZES[1])]
+
+
+@configuration
+class AppearanceConfig:
+    """Distribution of the appearances of a table; what doesn't vary is as in environments.
+
+    Attributes:
+        name: one of APPEARANCES.
+        vary: What varies: all, none, or some of colours,width,background,turn,zoom,noise,blur.
+        sizes: side in pixels, 64 to 512; from several (64,128) one is drawn at random; by default
+            that of the appearance, 128 or for line 512.
+        width: range of the factor on the rope's width.
+        zoom: range of the magnification, limited so that the rope stays in the picture.
+        noise: largest standard deviation of the Gaussian noise, levels of 255.
+        blur: largest standard deviation of the Gaussian blur, pixels of a 128-pixel picture;
+            scaled with the size.
+        tilt: largest tilt of a photo's camera, degrees.
+        marked: share of photos in which tape marks the base bead, white, and the bead before it,
+            red.
+    """
+
+    name: AppearanceName = PUBLISHED
+    vary: tuple[str, ...] = ()
+    sizes: Annotated[tuple[_Side, ...], Distinct] | None = None
+    width: Annotated[tuple[Positive, Positive], Ordered] = (0.7, 1.4)
+    zoom: Annotated[tuple[Positive, Positive], Ordered] = (0.8, 1.5)
+    noise: NonNegative = 8.0
+    blur: NonNegative = 0.6
+    tilt: Annotated[Real, Field(ge=0, le=TILT)] = TILT
+    marked: Share = 0.2
+
+    def __post_init__(self) -> None:
+        kind = APPEARANCES[self.name]
+        vary = kind.vary if self.vary == ("all",) else () if self.vary == ("none",) else self.vary
+        if fixed := [name for name in vary if name not in kind.vary]:
+            raise InvalidInput(
+                f"appearance {self.name} can't vary {', '.join(fixed)}: "
+                + (
+                    f"choose from {', '.join(kind.vary)}, or all, or none" * bool(kind.vary)
+                    or "leave out what to vary"
+                )
+            )
+        object.__setattr__(self, "vary", tuple(name for name in kind.vary if name in vary))
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """The sizes, or the usual one of the appearance."""
+        return self.sizes or (APPEARANCES[self.name].size,)

@@ -1,0 +1,53 @@
+"""A new appearance is one record, and is known everywhere."""
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import pytest
+
+from knotgym.cli.options import field_help
+from knotgym.common import InvalidInput
+from knotgym.datasets import decode, image_faults, read_rows
+from knotgym.envs import TaskConfig
+from knotgym.generate import ImagesConfig, make_images
+from knotgym.rendering import APPEARANCES, AppearanceConfig, AppearanceKind, Drawer
+from knotgym.runs import RunOptions
+
+
+class Negative(Drawer):
+    """The published pictures with black and white exchanged."""
+
+    def image(self, points: Any, look: Any) -> Any:
+        return 255 - super().image(points, look)
+
+
+def test_an_appearance_is_added_by_one_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyarrow")
+    with pytest.raises(InvalidInput, match="must be one of published, line, photo"):
+        AppearanceConfig(name="negative")
+    kind = AppearanceKind(says="on white", drawer=f"{__name__}:Negative", vary=("turn",), size=96)
+    monkeypatch.setitem(APPEARANCES, "negative", kind)
+    # the help
+    assert field_help(AppearanceConfig, "name").endswith("negative (on white).")
+    assert field_help(TaskConfig, "appearance") == field_help(AppearanceConfig, "name")
+    # pictures, their check and their card
+    config = ImagesConfig(
+        nx=(0, 1), count=2, test_nx=None, engine="chain", pulls=4,
+        appearance=AppearanceConfig(name="negative", vary=("all",)),
+    )  # fmt: skip
+    options = RunOptions(workers=1, quiet=True)
+    folder = make_images(config, tmp_path / "table", options)
+    for row in read_rows(folder):
+        assert row["appearance"]["name"] == "negative" and row["appearance"]["turn"] != 0
+        assert decode(row["image"]).shape == (96, 96, 3) and (decode(row["image"])[0] == 255).all()
+    assert [*image_faults(folder)] == []
+    assert "`negative`, on white" in (folder / "README.md").read_text(encoding="utf-8")
+    # an environment
+    env = gym.make("knotgym/Tie-v0", nx=1, appearance="negative", image_size=64, engine="chain")
+    seen = env.reset(seed=0)[0]
+    assert seen.shape == (64, 128, 3) and (seen[0] == 255).all()
+    with pytest.raises(InvalidInput, match='appearance "negative" is the orthographic top view'):
+        gym.make("knotgym/Tie-v0", appearance="negative", depth=True)
