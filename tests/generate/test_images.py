@@ -205,7 +205,7 @@ def test_held_out_codes_are_in_test_code_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "appearance", [AppearanceConfig(style="knotbench"), AppearanceConfig(vary=("colours",))]
+    "appearance", [AppearanceConfig(name="line"), AppearanceConfig(vary=("colours",))]
 )
 def test_pictures_without_marks_hold_out_diagrams(
     appearance: AppearanceConfig, tmp_path: Path
