@@ -26,7 +26,6 @@ from knotgym.common import (
     require_regular,
     sha256,
 )
-from knotgym.control import policy_files
 from knotgym.rope import RopeConfig
 from knotgym.states import is_bundled, resolve_states
 
@@ -82,6 +81,8 @@ def identity(
             origin = "shipped" if is_bundled(named) else "own"
             found = merged(found, {"states": {origin: resolve_states(named)}})
         for _, owner, named in marked(type(one), one, "policy"):
+            from knotgym.control import policy_files  # here, as most runs play no named policy
+
             found = merged(found, {"policies": {named: policy_files(owner)}})
     found = merged(found, files or {})
     whole = {

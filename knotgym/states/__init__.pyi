@@ -12,12 +12,12 @@ from .resolving import minari_root as minari_root
 from .resolving import resolve as resolve
 from .resolving import resolve_states as resolve_states
 from .resolving import shipped as shipped
-from .schema import CODE_SPLITS as CODE_SPLITS
-from .schema import STATE_SPLITS as STATE_SPLITS
 from .schema import STATES as STATES
 from .schema import VERTICES as VERTICES
 from .schema import RopeAtRest as RopeAtRest
+from .sources import CODE_SPLITS as CODE_SPLITS
 from .sources import SOURCES as SOURCES
+from .sources import STATE_SPLITS as STATE_SPLITS
 from .sources import Source as Source
 from .sources import source_of as source_of
 from .splits import IMAGE_SPLITS as IMAGE_SPLITS

@@ -32,10 +32,6 @@ ATTRIBUTES = {
 }
 DIGEST = "content_sha256"  # attribute: `common.tables.digest` of the file's table
 
-STATE_SPLITS = ("train", "test")
-# parts of "train" and "test" without a common diagram, see `States.rows`
-CODE_SPLITS = ("train-code", "test-code")
-
 
 class RopeAtRest:
     """How a rope lies, and what follows from it, computed when it is first asked for.

@@ -1,4 +1,4 @@
-"""Where states come from: a record for each source.
+"""Where states come from, a record for each source; and the names of their splits.
 
 `knotgym generate` makes states by the record of their source, cards describe it, and `verify`
 checks by it what led to a row. Commands and files may name no other source.
@@ -10,6 +10,10 @@ from typing import Any, NamedTuple
 
 from knotgym.common import InvalidInput, Stream
 from knotgym.rope import CHAIN, MUJOCO, EngineName
+
+STATE_SPLITS = ("train", "test")
+# parts of "train" and "test" without a common diagram, see `States.rows`
+CODE_SPLITS = ("train-code", "test-code")
 
 
 class Source(NamedTuple):

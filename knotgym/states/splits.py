@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.states.near_duplicates import families, nearest
-from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.sources import STATE_SPLITS
 from knotgym.topology import DIAGRAM, GaussCode, canonical
 
 if TYPE_CHECKING:

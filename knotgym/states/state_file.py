@@ -35,12 +35,12 @@ from knotgym.states.schema import (
     ATTRIBUTES,
     DIGEST,
     FORMAT,
-    STATE_SPLITS,
     STATES,
     VERTICES,
     VERTICES_FORMAT,
     RopeAtRest,
 )
+from knotgym.states.sources import STATE_SPLITS
 from knotgym.topology import DIAGRAM, UNKNOWN, GaussCode, canonical, same_spot
 
 _BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
