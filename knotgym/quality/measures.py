@@ -7,6 +7,7 @@ measures that they store are computed again and must be the same.
 """
 
 import hashlib
+import math
 from functools import lru_cache
 from typing import Any
 
@@ -55,7 +56,8 @@ def measure(
     pixels = np.ascontiguousarray(project(p, config))
     chord = np.roll(p, -1, axis=0) - p
     unit = chord / np.linalg.norm(chord, axis=1)[:, None]
-    bends = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1))
+    cosines = np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)
+    bends = np.array([*map(math.acos, cosines.tolist())])  # NumPy's rounds by processor
     radius = config.rope_radius * config.pixels_per_metre
     regions = _regions(pixels, 2 * radius)
     at = crossings.position * config.pixels_per_metre
