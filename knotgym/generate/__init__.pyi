@@ -31,5 +31,5 @@ from .states.generate_config import PlayConfig as PlayConfig
 from .states.imported_curves import import_curves as import_curves
 from .states.phased_pulls import PhasedPulls as PhasedPulls
 from .states.phased_pulls import coil as coil
-from .states.state_filter import judge as judge
 from .states.state_recipe import make_states as make_states
+from .states.state_rows import judge as judge

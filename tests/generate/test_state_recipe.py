@@ -20,8 +20,8 @@ from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.states.phased_pulls import coil
 from knotgym.generate.states.play_source import ropes_of, rows_of_ropes
 from knotgym.generate.states.selection import Selection
-from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_recipe import make_states
+from knotgym.generate.states.state_rows import judge
 from knotgym.generate.states.wanted_codes import WantedCodes
 from knotgym.quality import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope import Rope
@@ -269,7 +269,7 @@ def test_the_filter_names_what_is_wrong(rope: Rope, monkeypatch: pytest.MonkeyPa
     assert judge(loop, [], code=GaussCode.parse("1+a,1-a")).faults == ["code lost at rest"]
     assert judge(loop, [], knot="3_1").faults == ["not certified as 3_1"]
     other = GaussCode.parse("1+a,1-a")
-    monkeypatch.setattr("knotgym.generate.states.state_filter.pyknotid_code", lambda _: other)
+    monkeypatch.setattr("knotgym.generate.states.state_rows.pyknotid_code", lambda _: other)
     assert judge(loop, []).faults == ["labellers disagree"]
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from knotgym.common import InvalidInput, copy_file
 from knotgym.datasets.cards.citation import citation_file, filled, plain, write_text
 from knotgym.datasets.cards.fact_tables import table
-from knotgym.datasets.episode_dataset import columns_of, episode_file
+from knotgym.datasets.episode_dataset import FILE, columns_of, episode_file
 from knotgym.datasets.episode_verification import Replay
 from knotgym.datasets.episodes import distinct
 from knotgym.datasets.gallery import episode_tiles, write_gallery
@@ -34,9 +34,10 @@ def to_minari(source: Located, root: Path, _: Replay) -> str:
     entries: dict[str, tuple[object, ...]] = {}
     sources: dict[str, Path] = {}
     for dataset in source.episodes:
-        opened, data = columns_of(dataset), episode_file(dataset).parent
+        opened, file = columns_of(dataset), episode_file(dataset)
+        data = file.parent
         metadata = metadata_of(opened)
-        if metadata is None:
+        if metadata is None or file.name != FILE:  # a file by itself has no folder to copy
             raise InvalidInput(
                 f"{dataset} is not a Minari dataset; convert it with knotgym dataset merge --id"
             )

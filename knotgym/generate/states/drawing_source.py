@@ -20,8 +20,7 @@ from knotgym.common import Failed, Stream, Table, as_json, generator, generator_
 from knotgym.drawing import drawn_curve
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.selection import Selection
-from knotgym.generate.states.state_filter import judge
-from knotgym.generate.states.state_rows import row_of, stacked, with_report, without_report
+from knotgym.generate.states.state_rows import judge, row_of, stacked, with_report, without_report
 from knotgym.generate.states.wanted_codes import WantedCodes
 from knotgym.quality import measure
 from knotgym.rope import Array, Simulation, simulation_of

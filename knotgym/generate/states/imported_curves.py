@@ -16,8 +16,7 @@ import numpy as np
 from knotgym.common import InvalidInput, Stream, key
 from knotgym.generate.states.curve_files import Curve, read_curves
 from knotgym.generate.states.relaxation import relaxed
-from knotgym.generate.states.state_filter import judge
-from knotgym.generate.states.state_rows import row_of, stacked, states_of
+from knotgym.generate.states.state_rows import judge, row_of, stacked, states_of
 from knotgym.quality import UNITS, Limits, Quality
 from knotgym.rope import (
     Array,

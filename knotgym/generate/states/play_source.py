@@ -16,9 +16,9 @@ from knotgym.common import Failed, Table, key
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.states.phased_pulls import pulled_ropes
 from knotgym.generate.states.selection import Selection
-from knotgym.generate.states.state_filter import judge
 from knotgym.generate.states.state_rows import (
     joined,
+    judge,
     row_of,
     stacked,
     with_report,

@@ -1,29 +1,78 @@
-"""Rows of a state file while a run makes them: tables without pictures and splits.
+"""The filter that every state passes, wherever it comes from, and the rows of those that pass.
 
-Units of work return their columns, so a journal keeps them as they are.
+A state keeps the limits of its source (legible, not over-twisted), survives reset noise, has the
+same Gauss code for two independent labellers, and its knot is certified. Rows are tables without
+pictures and splits; units of work return their columns, so a journal keeps them as they are.
 """
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 import knotgym
 from knotgym.common import Table
 from knotgym.common import joined as appended
-from knotgym.generate.states.state_filter import Judgement
+from knotgym.quality import Limits, Quality, measure, noise_survival
 from knotgym.rendering import draw_many, picture_of
 from knotgym.rope import Array, rope_of
 from knotgym.runs import Result
 from knotgym.states import STATES, RopeAtRest, States
+from knotgym.topology import UNKNOT, GaussCode, find_crossings, pyknotid_code, shows
 
 ROWS = STATES.without("image", "split")
 _NO_SIZES = ROWS.sized(nq=0, beads=0, actions=0)
 _NO_ROWS = Table(_NO_SIZES, _NO_SIZES.empty(0))
 _REPORT = "report"
+
+
+class Judgement(NamedTuple):
+    """What a configuration shows, its quality, and why it can't be a state; [] if it can."""
+
+    code: GaussCode
+    quality: Quality
+    faults: list[str]
+
+
+def judge(
+    points: ArrayLike,
+    limits: Sequence[Limits],
+    *,
+    code: GaussCode | None = None,
+    knot: str = UNKNOT,
+) -> Judgement:
+    """Judge a configuration at rest, from cheap to costly checks; the first to fail ends it.
+
+    Args:
+        points: float64 (beads, 3), metres.
+        limits: all must be kept.
+        code: that it must show, with chirality; None for any code of the knot.
+        knot: name in the knot table of the rope's knot.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    crossings = find_crossings(p)
+    shown = crossings.code
+
+    def judged(quality: Quality) -> Judgement:
+        missed = [fault for one in limits for fault in one.faults(quality, crossings.nx)]
+        return Judgement(shown, quality, list(dict.fromkeys(missed)))
+
+    found = judged(measure(p, crossings, quick=True))
+    if code is not None and shown != code:
+        found.faults.append("code lost at rest")
+    if not found.faults:
+        found = judged(measure(p, crossings))
+    if not found.faults:
+        found = judged(replace(found.quality, noise_survival=noise_survival(p)))
+    if not found.faults and pyknotid_code(p) != shown:
+        found.faults.append("labellers disagree")
+    if not found.faults and code is None and not shows(shown, knot):
+        found.faults.append(f"not certified as {knot}")
+    return found
 
 
 def row_of(judgement: Judgement, points: Array, qpos: Array, **source: Any) -> dict[str, Any]:
