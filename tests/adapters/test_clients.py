@@ -20,7 +20,7 @@ import knotgym
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import MinariMetadata, open_episodes, publish
 from knotgym.envs import KnotEnv, TaskConfig
-from knotgym.loaders import arrays, torch_dataset
+from knotgym.loaders import arrays, to_d3rlpy, torch_dataset
 from knotgym.play import Recorder, Session
 
 ROOT = Path(__file__).parents[2]
@@ -45,7 +45,7 @@ TASK = TaskConfig(task="tie", observation="both", horizon=6, image_size=32, engi
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a home folder whose Minari folder has the dataset that the page uses."""
     home = tmp_path_factory.mktemp("home")
-    played = rollouts(make_policy(PolicyConfig(policy="random")), TASK, range(12))
+    played = rollouts(make_policy(PolicyConfig(policy="expert")), TASK, range(12))
     metadata = MinariMetadata(dataset_id=ID, algorithm_name="expert", description="Few.")
     publish([played], TASK, metadata, home / "minari")
     return home
@@ -115,9 +115,23 @@ def test_the_lines_of_the_page_run(client: str, room: Path) -> None:
 
 
 @pytest.mark.clients
-@pytest.mark.parametrize("client", ["Minari", "TorchRL", "d3rlpy", "OGBench", "LeRobot"])
+@pytest.mark.parametrize("client", ["Minari", "TorchRL", "OGBench", "LeRobot"])
 def test_every_reader_of_datasets_takes_a_hand_played_one(client: str, played_room: Path) -> None:
     run_lines(client, played_room)
+
+
+@pytest.mark.clients
+def test_d3rlpy_trains_on_the_single_pulls_of_a_hand_played_dataset(
+    played_room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    d3rlpy = pytest.importorskip("d3rlpy")
+    monkeypatch.chdir(tmp_path)  # d3rlpy writes logs into the current folder
+    folder = played_room / "minari" / ID
+    buffer = to_d3rlpy(folder, observation="state")
+    assert buffer.transition_count == open_episodes(folder).episodes.episodes["length"].sum()
+    d3rlpy.algos.BCConfig().create().fit(buffer, n_steps=20, n_steps_per_epoch=20)
+    with pytest.raises(knotgym.InvalidInput, match="doesn't record macro-actions"):
+        to_d3rlpy(folder, observation="marked", action="decision", frame="canonical")
 
 
 @pytest.mark.clients
