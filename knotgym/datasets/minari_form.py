@@ -384,7 +384,7 @@ def _write_group(
     file: h5py.File, name: str, attributes: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
 ) -> None:
     """Write a group with attributes and arrays, whose paths have one slash at most."""
-    whole = h5g.create(file.id, name.encode())
+    whole = h5g.create(file.id, name.encode(), gcpl=_GROUP)
     for own, value in sorted(attributes.items()):
         text = np.array(value, _TEXT) if isinstance(value, str) else np.array(value)
         h5a.create(whole, own.encode(), _type(text.dtype), h5s.create(h5s.SCALAR)).write(text)
@@ -392,7 +392,7 @@ def _write_group(
     for path, array in arrays.items():
         folder, _, own = path.rpartition("/")
         if folder not in groups:
-            groups[folder] = h5g.create(whole, folder.encode())
+            groups[folder] = h5g.create(whole, folder.encode(), gcpl=_GROUP)
         _write_array(groups[folder], own.encode(), array)
 
 
@@ -412,9 +412,9 @@ def _write_array(group: h5g.GroupID, name: bytes, array: NDArray[Any]) -> None:
         stored.write(h5s.ALL, h5s.ALL, np.ascontiguousarray(array))
 
 
-def _properties() -> h5p.PropDCID:
-    """Return properties of an array's making: no times, so that equal data have equal bytes."""
-    made = h5p.create(h5p.DATASET_CREATE)
+def _properties(kind: h5p.PropClassID = h5p.DATASET_CREATE) -> h5p.PropOCID:
+    """Return properties of an object's making: no times, so that equal data have equal bytes."""
+    made = h5p.create(kind)
     made.set_obj_track_times(False)
     return made
 
@@ -425,6 +425,7 @@ def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
 
 
 _TEXT, _CONTIGUOUS = h5py.string_dtype("utf-8"), _properties()
+_GROUP = _properties(h5p.GROUP_CREATE)
 
 
 def _same_json(found: Any, expected: Any) -> bool:
