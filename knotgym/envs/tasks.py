@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro", "decision")  # see `knotgym.rope.action_views`
 FRAMES = ("world", "canonical")  # see `require_frame`
+MOST_STEPS = 100_000  # of an episode; arrays of all steps are made before it begins
 MIN_BEADS, MAX_BEADS = 50, 1000
 # parameters of the rope that its states depend on, and those that the keyword `rope` can't set
 _SHAPE = "length", "radius"
@@ -124,8 +125,8 @@ class TaskConfig:
         image_size: side of each half of the picture (rope and goal), in pixels.
         views: camera views in the picture, comma-separated: top, left, front.
         depth: add depth as a fourth image channel.
-        horizon: steps before an episode is truncated. A macro-action is as many steps as it has
-            pulls.
+        horizon: steps before an episode is truncated, at most 100,000. A macro-action is as many
+            steps as it has pulls.
         hold: consecutive steps that the rope must show the goal code.
         endless: episodes don't end at the goal, but only at the horizon; the reward is
             `success_reward` at every step that shows the goal, otherwise 0.
@@ -158,7 +159,7 @@ class TaskConfig:
     action: Annotated[str, choice(*ACTIONS)] = "pull"
     frame: Annotated[str, choice(*FRAMES)] = "world"
     max_goals: Count | None = None
-    horizon: Count = 50
+    horizon: Annotated[Int, Field(ge=1, le=MOST_STEPS)] = 50
     hold: Count = 1
     endless: bool = False
     tow_limit: Positive | None = None

@@ -1,5 +1,6 @@
 """Datasets that are damaged, linked or hold infinity: every command answers with one line."""
 
+import json
 import re
 import shutil
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import pytest
 from synthetic_episodes import TINY
 
 from knotgym.cli import main
+from knotgym.common import InvalidFile
 from knotgym.datasets import open_episodes, write_episodes
 from knotgym.datasets.image_rows import PictureRow, record
 from knotgym.datasets.image_table import COLUMNS, parquet, table_of
@@ -138,3 +140,14 @@ def test_no_reader_follows_a_link_to_episodes(tmp_path: Path) -> None:
     shutil.copy(TINY["random"], tmp_path / "own.h5")
     (tmp_path / "mine.h5").symlink_to(tmp_path / "own.h5")  # that the user names
     assert columns_of(tmp_path / "mine.h5").episodes.episodes.rows
+
+
+def test_a_horizon_that_no_memory_holds_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "long.h5"
+    shutil.copy(TINY["random"], path)
+    with h5py.File(path, "a") as file:
+        task = json.loads(file.attrs["task"]) | {"horizon": 10**9}
+        del file.attrs["task"]
+        file.attrs["task"] = np.bytes_(json.dumps(task))
+    with pytest.raises(InvalidFile, match="horizon must be at most 100000, got 1000000000"):
+        open_episodes(path)
