@@ -21,6 +21,7 @@ from knotgym.common import (
     install_command,
     require_output,
 )
+from knotgym.loaders.episode_stream import EpisodeStream, Played
 from knotgym.loaders.transitions import Opening, Transitions
 from knotgym.rope import DECISION, REAL
 
@@ -297,3 +298,36 @@ def import_client(module: str) -> Any:
         raise MissingExtra(str(error.name), _INSTALL[module]) from error
     finally:
         sys.path[:] = searched
+
+
+def stream(
+    config: Played,
+    seed: int = 0,
+    *,
+    batch: int = 256,
+    episodes: int = 64,
+    **opening: Unpack[Opening],
+) -> EpisodeStream:
+    """Play episodes without end, and return batches of their transitions.
+
+    Where torch is imported, it is a torch `IterableDataset`:
+
+        for batch in stream(CollectConfig(task=task, policy=policy), seed=0, action="decision"): ...
+        DataLoader(stream(config, 0), batch_size=None, num_workers=4)
+
+    The batches are the same with any number of workers; ranks of `torch.distributed` take disjoint
+    ones. With torchdata's `StatefulDataLoader` or by `state_dict`, training goes on after a kill
+    with the next batch. Memory holds one block of episodes.
+
+    Args:
+        config: which episodes: task, policy, labels.
+        seed: of the episodes, as of `collect --seed`, and of what is drawn from them.
+        batch: transitions of a batch, all of one block.
+        episodes: of a block; the more, the less alike are the transitions of a batch.
+        opening: see `knotgym.loaders`.
+    """
+    if "torch" not in sys.modules:
+        return EpisodeStream(config, seed, batch, episodes, opening)
+    from knotgym.loaders.pytorch import TorchStream
+
+    return TorchStream(config, seed, batch, episodes, opening)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol, Unpack
+from typing import Any, Protocol
 
 from knotgym.common import InvalidInput, Stream, generator
 from knotgym.datasets import EpisodeDataset, Episodes
@@ -102,36 +102,3 @@ def _share() -> tuple[int, int]:
     )
     own, workers = (worker.id, worker.num_workers) if worker else (0, 1)
     return rank + many * own, many * workers
-
-
-def stream(
-    config: Played,
-    seed: int = 0,
-    *,
-    batch: int = 256,
-    episodes: int = 64,
-    **opening: Unpack[Opening],
-) -> EpisodeStream:
-    """Play episodes without end, and return batches of their transitions.
-
-    Where torch is imported, it is a torch `IterableDataset`:
-
-        for batch in stream(CollectConfig(task=task, policy=policy), seed=0, action="decision"): ...
-        DataLoader(stream(config, 0), batch_size=None, num_workers=4)
-
-    The batches are the same with any number of workers; ranks of `torch.distributed` take disjoint
-    ones. With torchdata's `StatefulDataLoader` or by `state_dict`, training goes on after a kill
-    with the next batch. Memory holds one block of episodes.
-
-    Args:
-        config: which episodes: task, policy, labels.
-        seed: of the episodes, as of `collect --seed`, and of what is drawn from them.
-        batch: transitions of a batch, all of one block.
-        episodes: of a block; the more, the less alike are the transitions of a batch.
-        opening: see `knotgym.loaders`.
-    """
-    if "torch" not in sys.modules:
-        return EpisodeStream(config, seed, batch, episodes, opening)
-    from knotgym.loaders.pytorch import TorchStream
-
-    return TorchStream(config, seed, batch, episodes, opening)
