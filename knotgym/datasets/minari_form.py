@@ -376,8 +376,8 @@ def _different(stored: h5py.File, right: h5py.File) -> Iterator[str]:
             yield f"{name} isn't that of the columns"
 
 
-# An episode has some twenty arrays, most of them small. h5py's own classes look up, check and make
-# anew for each of them what all have in common, which takes longer than writing.
+# An episode has some twenty arrays, most of them small. For each of them h5py's own classes repeat
+# the same look-ups and checks, which take longer than writing.
 
 
 def _write_group(

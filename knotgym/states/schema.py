@@ -1,7 +1,7 @@
 """The columns of the state file, `states.h5`: names, types, shapes, units, and how they follow.
 
 A row is made, read, merged, verified, selected and shown by this schema alone. A column is derived
-if it follows from how the rope lies: whoever makes a row computes it, a reader computes the
+if it follows from how the rope lies: the writer computes it, a reader computes the
 required ones that a file lacks, and `verify` computes all of them again. The file's attributes are
 ATTRIBUTES and DIGEST.
 

@@ -2,7 +2,7 @@
 
 `knotgym evaluate --record FILE` writes one, `knotgym dataset verify FILE` replays it. No word of
 the file is taken for a start or an outcome: each start is drawn from the seed, each pull is made
-again, and successes, steps and interval are counted anew. What no replay can prove, such as that a
+again, and successes, steps and interval are recounted. What no replay can prove, such as that a
 policy and not a search chose the pulls, is shown as claimed.
 
     episodes    one row an episode, setup after setup: pulls, digest

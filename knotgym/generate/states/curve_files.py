@@ -169,7 +169,7 @@ def _by_name(rows: list[tuple[str, list[float]]], announced: str, path: Path) ->
 
     Args:
         rows: names, "" without, and points.
-        announced: how many they should be, if that was told.
+        announced: the number of points that the file states; "" if it states none.
         path: in chemists' files names are those of atoms.
     """
     if announced and len(rows) != int(announced):
