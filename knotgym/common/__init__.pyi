@@ -8,6 +8,7 @@ from .atomic_files import require_output as require_output
 from .atomic_files import require_own as require_own
 from .atomic_files import require_regular as require_regular
 from .atomic_files import sha256 as sha256
+from .atomic_files import sweep as sweep
 from .compiled import inner as inner
 from .configurations import MOST_JSON as MOST_JSON
 from .configurations import Count as Count

@@ -7,6 +7,7 @@ it points to, and it is the link that gets replaced, never its target.
 
 import ctypes
 import errno
+import glob
 import hashlib
 import os
 import shutil
@@ -27,7 +28,7 @@ _BESIDE = (
     "README.md gallery.png minari data croissant.json namespace_metadata.json weights.safetensors"
     " curve.csv curve.png transcripts.jsonl reset.png expert.gif expert.mp4"
 ).split()
-_AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2(2)
+_AT_FDCWD, _EXCHANGE = -100, 2  # of renameat2(2)
 
 
 def require_output(
@@ -60,7 +61,7 @@ def require_output(
             raise Occupied(f"{path} is, contains or is in its source {source}; choose another")
     _put_back(target)
     _require_free(target, folder, overwrite)
-    require_writable(path)
+    _require_writable(target)
 
 
 def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
@@ -100,20 +101,18 @@ def _foreign(folder: Path) -> str:
     return ""
 
 
-def require_writable(path: str | os.PathLike[str]) -> None:
-    """Check by a trial that leaves no trace that `path` can be written; raise InvalidInput
-    otherwise.
-    """
-    target, folder = Path(path), None
+def _require_writable(target: Path) -> None:
     try:
         folder = next(parent for parent in target.absolute().parents if parent.exists())
-        missing = set(target.absolute().relative_to(folder).parts) - {".."}
-        with tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as staged:
-            for name in missing:  # fails for a name that is too long
-                (Path(staged) / name).mkdir(exist_ok=True)
+        longest = os.pathconf(folder, "PC_NAME_MAX")
+        if any(len(os.fsencode(part)) > longest for part in target.parts):
+            raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
+        if os.statvfs(folder).f_flag & os.ST_RDONLY:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+            raise OSError(errno.EACCES, f"{folder} isn't a folder that you may write to")
     except OSError as error:
-        where = f", {folder}" if folder else ""
-        raise InvalidInput(f"{target} can't be written: {error.strerror}{where}") from error
+        raise InvalidInput(f"{target} can't be written: {error.strerror}") from error
 
 
 @contextmanager
@@ -160,35 +159,38 @@ def move_into_place(part: Path, target: Path, *, overwrite: bool) -> None:
     is_folder = stat.S_ISDIR(part.lstat().st_mode)  # raises if nothing was written
     _require_free(target, is_folder, overwrite)
     try:
-        if not overwrite or not os.path.lexists(target):
-            _rename(part, target, _NOREPLACE)
-        elif is_folder:
-            _rename(part, target, _EXCHANGE)
+        if overwrite and is_folder and os.path.lexists(target):
+            _exchange(part, target)
             remove(part)
+        elif overwrite or is_folder:
+            os.rename(part, target)  # a folder never takes the place of a file or a full folder
         else:
-            os.replace(part, target)  # fails if `target` is a folder
+            _rename_to_free(part, target)
     except OSError as error:
         if error.errno not in (errno.EEXIST, errno.ENOTEMPTY, errno.EISDIR, errno.ENOTDIR):
             raise
         raise Occupied(f"{target} was made by another process in the meantime; kept it") from error
 
 
-def _rename(part: Path, target: Path, flag: int) -> None:
-    """Rename without replacing, or exchange two paths; in steps where there is no renameat2."""
-    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if call and not call(_AT_FDCWD, os.fsencode(part), _AT_FDCWD, os.fsencode(target), flag):
-        return
-    code = ctypes.get_errno() if call else errno.ENOSYS
-    if code not in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):
-        raise OSError(code, os.strerror(code), str(target))
-    if flag == _NOREPLACE and os.path.lexists(target):
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
-    if flag == _EXCHANGE:
-        target.rename(_aside(target))  # `_put_back` mends a kill between this line and the last
+def _rename_to_free(part: Path, target: Path) -> None:
+    try:
+        os.link(part, target)  # unlike a rename, it fails if there is a file
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.ENOTSUP):  # a file system without links
+            raise
         part.rename(target)
-        _aside(target).rename(part)
     else:
-        part.rename(target)
+        part.unlink()
+
+
+def _exchange(part: Path, target: Path) -> None:
+    """Exchange two paths at once where the system can do that, otherwise in steps."""
+    call = getattr(ctypes.CDLL(None), "renameat2", None)
+    if call and not call(_AT_FDCWD, os.fsencode(part), _AT_FDCWD, os.fsencode(target), _EXCHANGE):
+        return
+    target.rename(_aside(target))  # `_put_back` mends a kill between this line and the last
+    part.rename(target)
+    _aside(target).rename(part)
 
 
 def _aside(target: Path) -> Path:
@@ -211,11 +213,20 @@ def remove(path: Path) -> None:
     A folder is renamed first: it is gone at once, and nobody writes into what is being removed.
     """
     if path.is_dir() and not path.is_symlink():
-        away = tempfile.mkdtemp(prefix=".part-", dir=path.parent)
-        path.rename(away)
-        shutil.rmtree(away)
+        path.rename(tempfile.mkdtemp(prefix=_removed(path), dir=path.parent))
+        sweep(path)
     else:
         path.unlink(missing_ok=True)
+
+
+def sweep(path: Path) -> None:
+    """Remove what a killed removal of a folder has left; another process may do it too."""
+    for left in path.parent.glob(f"{glob.escape(_removed(path))}*"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _removed(path: Path) -> str:
+    return f".removed-{path.name[:32]}-"
 
 
 def require_own(path: Path, error: type[KnotgymError] = Occupied) -> None:

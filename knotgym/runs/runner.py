@@ -36,6 +36,7 @@ from knotgym.common import (
     remove,
     require_output,
     require_own,
+    sweep,
 )
 from knotgym.runs.executors import InProcess, executor
 from knotgym.runs.identities import Identity, identity_of
@@ -153,6 +154,7 @@ def run(
             if staging_folder(out).exists():  # it was killed after moving its output into place
                 with staged(out, identity, options) as (folder, _):
                     remove(folder)
+            sweep(staging_folder(out))
             shown.say(f"{out} is finished already")
             return out
         free = partial(

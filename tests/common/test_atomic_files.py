@@ -12,6 +12,7 @@ import pytest
 from knotgym.common.atomic_files import (
     atomic_write,
     copy_file,
+    remove,
     require_output,
     sha256,
 )
@@ -127,6 +128,14 @@ def test_an_exchange_that_was_killed_is_put_back(tmp_path: Path) -> None:
     with pytest.raises(Occupied):
         require_output(tmp_path / "set", folder=True, reads=[])
     assert (tmp_path / "set" / "manifest.json").read_text() == "old"
+
+
+def test_what_a_killed_removal_left_goes_with_the_next(tmp_path: Path) -> None:
+    for name in ("left", "set"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "left").rename(tmp_path / ".removed-set-abcd1234")
+    remove(tmp_path / "set")
+    assert list(tmp_path.iterdir()) == []
 
 
 def make(kind: str, target: Path) -> None:
