@@ -23,6 +23,7 @@ import os
 import platform
 import statistics
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from rich.console import Console
 from rich.table import Table
 
 import knotgym
-from knotgym.common import Meanwhile, Threads, Work
+from knotgym.common import Threads
 from knotgym.rope import Rope, simulation
 
 MODES = ("state", "pixels", "both")
@@ -96,10 +97,10 @@ class Accounts(Threads):
 
     def spread(
         self,
-        work: Work,
+        work: Callable[[slice], Any],
         rows: int,
         unit: int = 1,
-        meanwhile: Meanwhile = None,
+        meanwhile: Callable[[], None] | None = None,
         most: int | None = None,
     ) -> list[Any]:
         began, calls = time.process_time(), self.calls.copy()

@@ -72,7 +72,7 @@ def policy(name: str) -> Any:
 
 WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: make(nx="3"), "nx must be a whole number or a list, got '3'"),
-    (lambda: make(nx=0), "nx must be at least 1 or a list, got 0"),
+    (lambda: make(nx=0), "nx must be above 0 or a list, got 0"),
     (lambda: make(nx=12), "nx must be from 1 to 11 on 100 beads, got 12"),
     (lambda: make(nx=2.5), "nx must be a whole number or a list, got 2.5"),
     (lambda: make(nx=(2, 2)), "nx must be a whole number or at least one, each once, got (2, 2)"),

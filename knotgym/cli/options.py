@@ -24,7 +24,6 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_ori
 from cyclopts import App, Group, Parameter
 
 from knotgym.common import (
-    Described,
     InvalidInput,
     Occupied,
     choices,
@@ -322,8 +321,8 @@ def field_help(kind: type, name: str) -> str:
     """
     hint = get_type_hints(kind, include_extras=True).get(name)
     for one in getattr(hint, "__metadata__", ()):
-        if isinstance(one, Described):
-            return one.help()
+        if described := getattr(getattr(one, "func", None), "help", None):
+            return str(described())
     for one in kind.__mro__:
         if text := _described(inspect.cleandoc(one.__doc__ or ""), "Attributes", name):
             sentence = re.split(r"(?<=\.) (?=[A-Z])", text)[0]

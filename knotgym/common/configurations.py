@@ -5,7 +5,7 @@ types hold its bounds. It is stored as JSON in every file that was made with it.
 
     @configuration
     class RolloutConfig:
-        horizon: Count = 50
+        horizon: PositiveInt = 50
         task: Literal["tie", "unknot"] = "tie"
 
 A value that doesn't fit raises InvalidInput with one line, wherever it came from. A class checks
@@ -33,7 +33,6 @@ from typing import (
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     ConfigDict,
     Field,
     TypeAdapter,
@@ -59,16 +58,7 @@ class Mark(NamedTuple):
     applies: Callable[[Any], bool] = lambda value: True
 
 
-TypedOnly = Mark("typed")
-StatesName = Annotated[str, Mark("states")]
-PolicyName = Annotated[
-    str,
-    Mark("policy"),
-    # module:name is imported; recorded:DATASET is only read
-    Mark("typed", lambda name: ":" in str(name) and not str(name).startswith("recorded:")),
-]
-
-MOST_JSON = 256 << 20  # largest JSON file that is read, bytes
+_MOST_JSON = 256 << 20  # largest JSON file that is read, bytes
 
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 _WORDS = {  # pydantic's words, and ours
@@ -88,18 +78,12 @@ _SHOWN = 80  # characters of a refused value that a message repeats
 
 
 def _plain(value: Any) -> Any:
-    """NumPy's numbers as Python's; strict validation refuses them otherwise."""
-    return value.item() if isinstance(value, (np.integer, np.floating)) else value
-
-
-def _as_tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
-    if pair[0] > pair[1]:
-        raise InvalidInput("must have the smaller number first")
-    return pair
+    """NumPy's numbers as Python's, lists as tuples; strict validation refuses them otherwise."""
+    if isinstance(value, (np.integer, np.floating)):
+        return value.item()
+    if isinstance(value, dict):
+        return {k: v.item() if isinstance(v, np.number) else v for k, v in value.items()}
+    return tuple(map(_plain, value)) if isinstance(value, (list, tuple)) else value
 
 
 def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -108,15 +92,24 @@ def _distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-def choice(*known: str, growing: Collection[str] = ()) -> AfterValidator:
-    """Make the annotation of a string that must be one of `known`, or of words that may grow."""
+def choice(
+    *known: str, growing: Collection[str] = (), help: Callable[[], str] | None = None
+) -> AfterValidator:
+    """Make the annotation of a string that must be one of some words.
 
-    return AfterValidator(_Choice(known, growing))
+    Args:
+        known: the words.
+        growing: a table of more of them, which may grow.
+        help: returns the field's help, where that is made from the table.
+    """
+    return AfterValidator(_Choice(known, growing, help))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class _Choice:
-    def __init__(self, known: tuple[str, ...], growing: Collection[str]) -> None:
-        self.known, self.growing = known, growing
+    known: tuple[str, ...]
+    growing: Collection[str]
+    help: Callable[[], str] | None
 
     def __call__(self, value: Any) -> Any:
         words = *self.known, *self.growing
@@ -137,29 +130,9 @@ def choices(hint: Any) -> list[str]:
     return [word for word in dict.fromkeys(found) if word]
 
 
-@dataclasses.dataclass(frozen=True)
-class Described:
-    """Annotation of a field whose help is made from a table that may grow.
-
-    Attributes:
-        help: returns the sentence.
-    """
-
-    help: Callable[[], str]
-
-
-Int = Annotated[int, BeforeValidator(_plain)]
-Real = Annotated[float, BeforeValidator(_plain)]
-Whole = Annotated[Int, Field(ge=0)]
-Count = Annotated[Int, Field(ge=1)]
-Seed = Annotated[Int, Field(ge=0, le=2**63 - 1)]  # stored as int64
-Positive = Annotated[Real, Field(gt=0)]
-NonNegative = Annotated[Real, Field(ge=0)]
-Share = Annotated[Real, Field(ge=0, le=1)]
-ListToo = BeforeValidator(_as_tuple)  # of a tuple that users write as a list, in keywords
-Ordered = AfterValidator(_ordered)
+Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]  # stored as int64
+Share = Annotated[float, Field(ge=0, le=1)]
 Distinct = AfterValidator(_distinct)
-Crossings = Annotated[tuple[Whole, ...], Distinct]
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(Field,))
@@ -174,7 +147,7 @@ def configuration(cls: type[Config]) -> type[Config]:
 
     def __init__(self: Any, /, *values: Any, **fields: Any) -> None:
         try:
-            validate(self, *values, **fields)
+            validate(self, *values, **{name: _plain(value) for name, value in fields.items()})
         except ValidationError as error:
             _refuse(error, made)
 
@@ -302,7 +275,7 @@ def _members(hint: Any) -> Iterator[Any]:
         yield from _members(one)
 
 
-def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:
+def read_json(path: str | os.PathLike[str], most: int = _MOST_JSON) -> Any:
     """Read a JSON file of at most `most` bytes; anything but a regular file isn't opened.
 
     Raises:

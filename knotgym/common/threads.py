@@ -11,13 +11,8 @@ from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Any
+from typing import Any, ClassVar
 from weakref import finalize
-
-FEW = 16  # ropes that are worth a call of their own, to be read or drawn
-Work = Callable[[slice], Any]
-Meanwhile = Callable[[], None] | None
-
 
 _CGROUPS = Path("/sys/fs/cgroup")
 
@@ -51,6 +46,8 @@ class Threads:
         count: how many were asked for; 0 for one on every core, see `cores`.
     """
 
+    FEW: ClassVar = 16  # ropes that are worth a call of their own, to be read or drawn
+
     def __init__(self, count: int = 1) -> None:
         self.count = count
         self._most = count or cores()
@@ -59,10 +56,10 @@ class Threads:
 
     def spread(
         self,
-        work: Work,
+        work: Callable[[slice], Any],
         rows: int,
         unit: int = 1,
-        meanwhile: Meanwhile = None,
+        meanwhile: Callable[[], None] | None = None,
         most: int | None = None,
     ) -> list[Any]:
         """Call `work` with consecutive slices of `rows` rows, about as many on each thread.
@@ -121,6 +118,3 @@ def _serve(tasks: SimpleQueue[Any]) -> None:
     while (task := tasks.get()) is not None:
         task()
         del task  # holds arrays
-
-
-ALONE = Threads()

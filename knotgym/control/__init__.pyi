@@ -30,6 +30,7 @@ from .policies import register_policy as register_policy
 from .policies import training_card as training_card
 from .policy_config import PassPlannerConfig as PassPlannerConfig
 from .policy_config import PolicyConfig as PolicyConfig
+from .policy_config import PolicyName as PolicyName
 from .policy_config import PullPlannerConfig as PullPlannerConfig
 from .recorded_policy import RecordedPolicy as RecordedPolicy
 from .sampler import Ids as Ids

@@ -5,9 +5,18 @@ Whether a policy of that name exists is found out when it is made, see `policies
 
 from math import inf
 from pathlib import Path
+from typing import Annotated
 
-from knotgym.common import Count, InvalidPolicy, PolicyName, Share, Whole, configuration
+from pydantic import NonNegativeInt, PositiveInt
 
+from knotgym.common import InvalidPolicy, Mark, Share, configuration
+
+PolicyName = Annotated[
+    str,
+    Mark("policy"),
+    # module:name is imported; recorded:DATASET is only read
+    Mark("typed", lambda name: ":" in str(name) and not str(name).startswith("recorded:")),
+]
 MIXED = ("random", "scripted", "noisy", "expert")  # what a mixed policy draws from
 _PLANNED = ("expert", "noisy", "play", "planner", "mixed")
 
@@ -23,9 +32,9 @@ class PassPlannerConfig:
             was found.
     """
 
-    candidates: Count = 12
-    budget: Count = 2000
-    last_resort: Whole = 60000
+    candidates: PositiveInt = 12
+    budget: PositiveInt = 2000
+    last_resort: NonNegativeInt = 60000
 
 
 @configuration
@@ -37,8 +46,8 @@ class PullPlannerConfig:
         batch_size: copies of the rope simulated side by side.
     """
 
-    budget: Whole = 60000
-    batch_size: Count = 8
+    budget: NonNegativeInt = 60000
+    batch_size: PositiveInt = 8
 
 
 @configuration

@@ -1,6 +1,8 @@
 """Settings of drawings; nothing here computes, because the command line reads them."""
 
-from knotgym.common import NonNegative, Positive, configuration
+from pydantic import NonNegativeFloat, PositiveFloat
+
+from knotgym.common import configuration
 
 
 @configuration
@@ -18,7 +20,7 @@ class DrawingConfig:
 
     # A height of 14 mm leaves 4 between beads that would touch at 10; the limit on clearance is 8.
     # The others were set by eye, without a record.
-    uneven: NonNegative = 0.25
-    outer: NonNegative = 3.0
-    height: Positive = 0.014
-    base: NonNegative = 0.03
+    uneven: NonNegativeFloat = 0.25
+    outer: NonNegativeFloat = 3.0
+    height: PositiveFloat = 0.014
+    base: NonNegativeFloat = 0.03

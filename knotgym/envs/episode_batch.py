@@ -5,7 +5,7 @@ Starts and goals, reset noise, stepping, Gauss codes, rewards and observations a
 What happens in an episode depends on its seed and its pulls, not on the episodes beside it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from operator import itemgetter
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import FEW, InvalidInput, Meanwhile
+from knotgym.common import InvalidInput, Threads
 from knotgym.envs.observations import (
     SYMBOLS,
     alone,
@@ -244,7 +244,7 @@ class EpisodeBatch:
         ids: Ids,
         beads: NDArray[np.int64],
         forces: NDArray[np.floating],
-        meanwhile: Meanwhile = None,
+        meanwhile: Callable[[], None] | None = None,
     ) -> Outcome:
         """Pull a bead of each rope; if a simulation blows up, its rope stays as it was.
 
@@ -277,7 +277,9 @@ class EpisodeBatch:
         """Return which of the episodes `ids` are successes at their last step: bool (n,)."""
         return reached(self.held[ids], self.hold[ids], self.failed[ids])
 
-    def act(self, actions: ArrayLike, ids: Ids, meanwhile: Meanwhile = None) -> Outcome:
+    def act(
+        self, actions: ArrayLike, ids: Ids, meanwhile: Callable[[], None] | None = None
+    ) -> Outcome:
         """Take one action of the task's view in each episode of `ids`, with all of its pulls.
 
         The other arguments are those of `pull`.
@@ -351,7 +353,7 @@ class EpisodeBatch:
         def part(rows: slice) -> None:
             seen[rows] = self._observed(ids[rows])
 
-        self.simulation.threads.spread(part, len(ids), FEW)
+        self.simulation.threads.spread(part, len(ids), Threads.FEW)
         return seen
 
     def _observed(self, ids: Ids) -> Any:

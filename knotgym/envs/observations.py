@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import ALONE, FEW, Threads
+from knotgym.common import Threads
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering import PictureConfig, draw_many, drawer_of, picture_of
 from knotgym.topology import plain_codes
@@ -78,7 +78,7 @@ def pixels(
     points: ArrayLike,
     goal_pictures: Sequence[NDArray[np.uint8]],
     picture: PictureConfig,
-    threads: Threads = ALONE,
+    threads: Threads | None = None,
     looks: Sequence[Appearance | None] = (),
 ) -> NDArray[np.uint8]:
     """Draw ropes on the left and their goals on the right; views are stacked vertically.
@@ -87,7 +87,7 @@ def pixels(
         points: float64 (n, beads, 3), metres.
         goal_pictures: uint8 (views * size, size, 3 or 4) each, the goals as `draw` draws them.
         picture: settings of the pictures.
-        threads: that draw them; MuJoCo's renderer works on one.
+        threads: that draw them; one by default. MuJoCo's renderer works on one.
         looks: of each rope, see `looks`; all published by default.
 
     Returns:
@@ -104,7 +104,9 @@ def pixels(
         goals = np.concatenate(goal_pictures[rows])
         seen[rows, :, size:] = goals.reshape(-1, height, size, picture.channels)
 
-    (ALONE if picture.renderer == "mujoco" else threads).spread(part, len(seen), most=FEW)
+    if threads is None or picture.renderer == "mujoco":
+        threads = Threads()
+    threads.spread(part, len(seen), most=Threads.FEW)
     return seen
 
 

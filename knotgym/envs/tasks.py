@@ -7,21 +7,10 @@ from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import Field
+from pydantic import Field, PositiveFloat, PositiveInt
 
 import knotgym
-from knotgym.common import (
-    Count,
-    Distinct,
-    Int,
-    InvalidInput,
-    ListToo,
-    Positive,
-    Real,
-    StatesName,
-    choice,
-    configuration,
-)
+from knotgym.common import Distinct, InvalidInput, Mark, choice, configuration
 from knotgym.quality import RESET_NOISE
 from knotgym.rendering import APPEARANCES, AppearanceName, Views, require_depth
 from knotgym.rope import MUJOCO, EngineName
@@ -148,23 +137,23 @@ class TaskConfig:
         numeric_infos: whether `info` holds numbers instead of text, see `EpisodeBatch.info`.
     """
 
-    task: TaskName | Annotated[tuple[TaskName, ...], ListToo, Distinct]
-    nx: Count | Annotated[tuple[Count, ...], ListToo, Distinct] = 2
+    task: TaskName | Annotated[tuple[TaskName, ...], Distinct]
+    nx: PositiveInt | Annotated[tuple[PositiveInt, ...], Distinct] = 2
     split: Annotated[str, choice(*STATE_SPLITS, *CODE_SPLITS)] = "train"
-    states: StatesName | None = None
+    states: Annotated[str, Mark("states")] | None = None
     engine: EngineName = MUJOCO
-    beads: Annotated[Int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = 100
-    rope: dict[str, Real] | None = None
+    beads: Annotated[int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = 100
+    rope: dict[str, float] | None = None
     observation: Annotated[str, choice(*OBSERVATIONS)] = "pixels"
     action: Annotated[str, choice(*ACTIONS)] = "pull"
     frame: Annotated[str, choice(*FRAMES)] = "world"
-    max_goals: Count | None = None
-    horizon: Annotated[Int, Field(ge=1, le=MOST_STEPS)] = 50
-    hold: Count = 1
+    max_goals: PositiveInt | None = None
+    horizon: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 50
+    hold: PositiveInt = 1
     endless: bool = False
-    tow_limit: Positive | None = None
-    reset_noise: Annotated[Real, Field(ge=0, lt=1)] = RESET_NOISE
-    image_size: Annotated[Int, Field(ge=16, le=2048)] = 128
+    tow_limit: PositiveFloat | None = None
+    reset_noise: Annotated[float, Field(ge=0, lt=1)] = RESET_NOISE
+    image_size: Annotated[int, Field(ge=16, le=2048)] = 128
     views: Views = ("top",)
     depth: bool = False
     layout: Annotated[str, choice("beside", "stacked")] = "beside"
@@ -172,9 +161,9 @@ class TaskConfig:
     appearance: AppearanceName = "published"
     renderer: Annotated[str, choice("auto", "opencv", "mujoco")] = "auto"
     # an action takes 0.192 s; with fewer steps, ropes under large forces blow up
-    integrator_steps: Annotated[Int, Field(ge=20, le=96)] = 24
-    success_reward: Real = 5.0
-    failure_reward: Real = -5.0
+    integrator_steps: Annotated[int, Field(ge=20, le=96)] = 24
+    success_reward: float = 5.0
+    failure_reward: float = -5.0
     numeric_infos: bool = False
 
     def __post_init__(self) -> None:

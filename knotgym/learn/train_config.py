@@ -2,18 +2,9 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
-from knotgym.common import (
-    Count,
-    Crossings,
-    InvalidInput,
-    Positive,
-    Seed,
-    StatesName,
-    Whole,
-    configuration,
-)
+from knotgym.common import Distinct, InvalidInput, Mark, Seed, configuration
 
 
 @configuration
@@ -27,9 +18,9 @@ class TrainConfig:
         seed: random seed; the same seed and data give the same weights.
     """
 
-    steps: Count = 3000
-    batch: Count = 48
-    save_every: Count = 200
+    steps: PositiveInt = 3000
+    batch: PositiveInt = 48
+    save_every: PositiveInt = 200
     seed: Seed = 0
 
 
@@ -41,7 +32,7 @@ class ReaderConfig(TrainConfig):
         positions: start positions of ropes that are kept, at most.
     """
 
-    positions: Count = 512
+    positions: PositiveInt = 512
 
 
 @configuration
@@ -64,19 +55,19 @@ class CloneConfig(TrainConfig):
         device: where the network is trained; "cuda" rounds otherwise than "cpu".
     """
 
-    steps: Count = 4000
-    batch: Count = 128
-    save_every: Count = 100
+    steps: PositiveInt = 4000
+    batch: PositiveInt = 128
+    save_every: PositiveInt = 100
     guided: bool = False
-    rate: Positive = 1e-3
-    width: Count = 96
-    layers: Count = 2
-    demonstrations: Whole = 0
+    rate: PositiveFloat = 1e-3
+    width: PositiveInt = 96
+    layers: PositiveInt = 2
+    demonstrations: NonNegativeInt = 0
     copies: Annotated[int, Field(ge=0, le=20)] = 0
     task: tuple[Literal["tie", "convert", "unknot"], ...] = ("tie",)
-    nx: Crossings = (2,)
+    nx: Annotated[tuple[NonNegativeInt, ...], Distinct] = (2,)
     split: Literal["train", "train-code"] = "train"
-    states: StatesName = "readable"
+    states: Annotated[str, Mark("states")] = "readable"
     device: Literal["cpu", "cuda"] = "cpu"
 
     def __post_init__(self) -> None:

@@ -16,9 +16,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
-from knotgym.common import Count, InvalidInput, Positive, Seed, Share, Whole, configuration
+from knotgym.common import InvalidInput, Seed, Share, configuration
 
 Integers = NDArray[np.int64]
 
@@ -48,7 +48,7 @@ class GoalSampling:
     p_randomgoal: Share = 0.3
     geom_sample: bool = True
     gc_negative: bool = True
-    negatives: Whole = 0
+    negatives: NonNegativeInt = 0
     seed: Seed = 0
 
     def __post_init__(self) -> None:
@@ -103,11 +103,11 @@ class Window:
         goals: how goals are drawn; None for each episode's own goal.
     """
 
-    n_step: Count = 1
-    discount: Annotated[Positive, Field(le=1)] = 0.99
-    chunk: Count | None = None
-    stack: Count | None = None
-    history: Count | None = None
+    n_step: PositiveInt = 1
+    discount: Annotated[PositiveFloat, Field(le=1)] = 0.99
+    chunk: PositiveInt | None = None
+    stack: PositiveInt | None = None
+    history: PositiveInt | None = None
     goals: GoalSampling | None = None
 
     def __post_init__(self) -> None:

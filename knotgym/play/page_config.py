@@ -4,7 +4,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from knotgym.common import PolicyName, Seed, configuration
+from knotgym.common import Seed, configuration
+from knotgym.control import PolicyName
 from knotgym.envs import TaskConfig
 from knotgym.rope import CHAIN
 

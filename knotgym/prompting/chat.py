@@ -20,16 +20,14 @@ from collections import Counter
 from typing import Annotated, Any, NamedTuple
 from urllib.parse import urlsplit
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, PositiveFloat, PositiveInt
 
 import knotgym
 from knotgym.common import (
-    Count,
     Failed,
     InvalidInput,
+    Mark,
     MissingExtra,
-    Positive,
-    TypedOnly,
     configuration,
     install_command,
     one_line,
@@ -87,12 +85,12 @@ class ChatConfig:
     """
 
     model: str
-    base_url: Annotated[str, TypedOnly] = PUBLIC
+    base_url: Annotated[str, Mark("typed")] = PUBLIC
     temperature: float = 1.0
     extra: Annotated[dict[str, Any], BeforeValidator(_read_extra)] = Field(default_factory=dict)
     drafts: tuple[str, ...] = _DRAFTS
-    timeout: Positive = 120.0
-    attempts: Count = 6
+    timeout: PositiveFloat = 120.0
+    attempts: PositiveInt = 6
 
     def __post_init__(self) -> None:
         if not self.model.strip():

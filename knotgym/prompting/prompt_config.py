@@ -2,7 +2,9 @@
 
 from typing import Literal
 
-from knotgym.common import Count, InvalidInput, Seed, configuration
+from pydantic import PositiveInt
+
+from knotgym.common import InvalidInput, Seed, configuration
 from knotgym.envs import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 
@@ -28,12 +30,12 @@ class PromptConfig:
     mode: Literal["open", "stateless", "stateful", "read"] = "stateless"
     chat: ChatConfig
     task: TaskConfig = TaskConfig(task="tie", image_size=256)
-    episodes: Count = 100
+    episodes: PositiveInt = 100
     seed: Seed = 0
-    window: Count = 4
+    window: PositiveInt = 4
     tell_centre: bool = False
     pictures: tuple[str, ...] = ()
-    side_by_side: Count = 4
+    side_by_side: PositiveInt = 4
 
     def __post_init__(self) -> None:
         if self.task.views != ("top",) or self.task.depth:

@@ -17,7 +17,7 @@ from annotated_types import Predicate
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
-from knotgym.common import MOST_JSON, InvalidFile, MissingFile, one_line
+from knotgym.common import InvalidFile, MissingFile, one_line
 from knotgym.datasets import GRADES
 from knotgym.runs import cluster_interval
 from knotgym.topology import GaussCode
@@ -26,6 +26,7 @@ FORMAT = "knotgym-transcript"
 FORMAT_VERSION = 2
 TOKENS = ("prompt_tokens", "completion_tokens")  # what is counted
 FILE = "transcripts.jsonl"  # name of the file in a run's folder
+_MOST_BYTES = 256 << 20  # of a file
 _HEAD = ("", "pictures", "exact", "crossings", "edits")
 
 _Text = Annotated[str, Predicate(str.isprintable)]
@@ -126,8 +127,8 @@ def read_transcripts(path: Path) -> list[dict[str, Any]]:
     """
     if not path.is_file():
         raise MissingFile(f"no transcripts at {path}")
-    if path.stat().st_size > MOST_JSON:
-        raise InvalidFile(f"{path} is larger than {MOST_JSON} bytes; split it")
+    if path.stat().st_size > _MOST_BYTES:
+        raise InvalidFile(f"{path} is larger than {_MOST_BYTES} bytes; split it")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:

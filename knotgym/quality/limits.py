@@ -7,7 +7,9 @@ Lengths are in pixels of the 128 x 128 picture, 5.2 mm each; the rope is two pix
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Any
 
-from knotgym.common import NonNegative, Real, Share, configuration
+from pydantic import NonNegativeFloat
+
+from knotgym.common import Share, configuration
 
 # Scale of the reset noise, radians per joint and metres: the environment's default, and the scale
 # at which `Quality.noise_survival` is measured.
@@ -108,16 +110,16 @@ class Limits:
         noise_survival: minimum.
     """
 
-    crossing_angle: NonNegative | None = 25.0
-    crossing_spacing: NonNegative | None = 6.0
-    base_spacing: NonNegative | None = 3.0
-    strand_spacing: NonNegative | None = 3.0
-    smallest_region: NonNegative | None = 9.0
-    margin: Real | None = 3.0
-    clearance: NonNegative | None = 8.0
-    excess_crossing_number: NonNegative | None = 2.5
-    total_curvature: NonNegative | None = None
-    curvature_per_crossing: NonNegative | None = 2.0
+    crossing_angle: NonNegativeFloat | None = 25.0
+    crossing_spacing: NonNegativeFloat | None = 6.0
+    base_spacing: NonNegativeFloat | None = 3.0
+    strand_spacing: NonNegativeFloat | None = 3.0
+    smallest_region: NonNegativeFloat | None = 9.0
+    margin: float | None = 3.0
+    clearance: NonNegativeFloat | None = 8.0
+    excess_crossing_number: NonNegativeFloat | None = 2.5
+    total_curvature: NonNegativeFloat | None = None
+    curvature_per_crossing: NonNegativeFloat | None = 2.0
     noise_survival: Share | None = 0.95
 
     def faults(self, quality: Quality, nx: int) -> list[str]:

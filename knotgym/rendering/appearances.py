@@ -11,21 +11,9 @@ from importlib.resources import files
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat
 
-from knotgym.common import (
-    Described,
-    Distinct,
-    Int,
-    InvalidInput,
-    NonNegative,
-    Ordered,
-    Positive,
-    Real,
-    Share,
-    choice,
-    configuration,
-)
+from knotgym.common import Distinct, InvalidInput, Share, choice, configuration
 
 if TYPE_CHECKING:
     from knotgym.rendering.variation import Drawer
@@ -115,10 +103,17 @@ def _read(place: str) -> dict[str, Any]:
     return tomllib.loads((files(package) / file).read_text("utf-8")) if place else {}
 
 
-AppearanceName = Annotated[str, choice(growing=APPEARANCES), Described(appearance_help)]
+def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise InvalidInput("must have the smaller number first")
+    return pair
 
 
-_Side = Annotated[Int, Field(ge=SIZES[0], le=SIZES[1])]
+_Range = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_ordered)]
+AppearanceName = Annotated[str, choice(growing=APPEARANCES, help=appearance_help)]
+
+
+_Side = Annotated[int, Field(ge=SIZES[0], le=SIZES[1])]
 
 
 @configuration
@@ -143,11 +138,11 @@ class AppearanceConfig:
     name: AppearanceName = PUBLISHED
     vary: tuple[str, ...] = ()
     sizes: Annotated[tuple[_Side, ...], Distinct] | None = None
-    width: Annotated[tuple[Positive, Positive], Ordered] = (0.7, 1.4)
-    zoom: Annotated[tuple[Positive, Positive], Ordered] = (0.8, 1.5)
-    noise: NonNegative = 8.0
-    blur: NonNegative = 0.6
-    tilt: Annotated[Real, Field(ge=0, le=TILT)] = TILT
+    width: _Range = (0.7, 1.4)
+    zoom: _Range = (0.8, 1.5)
+    noise: NonNegativeFloat = 8.0
+    blur: NonNegativeFloat = 0.6
+    tilt: Annotated[float, Field(ge=0, le=TILT)] = TILT
     marked: Share = 0.2
 
     def __post_init__(self) -> None:

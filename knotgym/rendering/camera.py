@@ -21,13 +21,13 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, PositiveFloat
 
-from knotgym.common import Int, InvalidInput, ListToo, Positive, Real, configuration
+from knotgym.common import InvalidInput, configuration
 
 RGB = tuple[int, int, int]
-Level = Annotated[Int, Field(ge=0, le=255)]
-Colour = Annotated[tuple[Level, Level, Level], ListToo]  # an RGB in a configuration
+Level = Annotated[int, Field(ge=0, le=255)]
+Colour = tuple[Level, Level, Level]  # an RGB in a configuration
 
 # Each is a rotation (determinant +1): a reflection would exchange the signs of all crossings.
 # view -> world axes that point right, up and towards the camera, and their signs
@@ -47,7 +47,7 @@ def _known(views: tuple[str, ...]) -> tuple[str, ...]:
     return views
 
 
-Views = Annotated[tuple[str, ...], ListToo, AfterValidator(_known)]  # in a configuration
+Views = Annotated[tuple[str, ...], AfterValidator(_known)]  # in a configuration
 
 
 def require_depth(depth: bool, renderer: str) -> None:
@@ -89,16 +89,16 @@ class PictureConfig:
         InvalidInput: a value is out of range.
     """
 
-    size: Annotated[Int, Field(ge=16, le=4096)] = 128
+    size: Annotated[int, Field(ge=16, le=4096)] = 128
     views: Views = ("top",)
     depth: bool = False
-    view: Positive = 0.66
+    view: PositiveFloat = 0.66
     camera: Literal["orthographic", "perspective"] = "orthographic"
-    camera_height: Positive = 0.8
-    turn: Real = 0.0
-    zoom: Positive = 1.0
-    rope_radius: Positive = 0.005
-    width: Positive = 1.0
+    camera_height: PositiveFloat = 0.8
+    turn: float = 0.0
+    zoom: PositiveFloat = 1.0
+    rope_radius: PositiveFloat = 0.005
+    width: PositiveFloat = 1.0
     background: Colour = (0, 0, 0)
     renderer: Literal["auto", "opencv", "mujoco"] = "auto"
 

@@ -9,13 +9,13 @@ bytes in any company, on any number of threads.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, Meanwhile, Threads
+from knotgym.common import InvalidInput, Threads
 from knotgym.rope.actions import decode_actions, encode_actions
 from knotgym.rope.model import Array, Rope, RopeConfig
 
@@ -93,7 +93,11 @@ class Simulation(ABC):
 
     @abstractmethod
     def step(
-        self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None, meanwhile: Meanwhile = None
+        self,
+        beads: ArrayLike,
+        forces: ArrayLike,
+        ids: Ids = None,
+        meanwhile: Callable[[], None] | None = None,
     ) -> NDArray[np.bool_]:
         """Apply a force to one bead of each rope for one action, timestep * frame_skip seconds.
 

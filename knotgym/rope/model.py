@@ -20,8 +20,9 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
-from knotgym.common import Count, InvalidInput, NonNegative, Positive, configuration
+from knotgym.common import InvalidInput, configuration
 from knotgym.rope.closed_curves import clearance, equal_chords
 from knotgym.rope.kinematics import backward, forward, transported
 from knotgym.topology import same_spot
@@ -74,17 +75,17 @@ class RopeConfig:
         reach: position that an action's coordinate of 1 stands for, metres.
     """
 
-    beads: Count = 100
-    length: Positive = 1.33
-    radius: Positive = 0.005
-    density: Positive = 1000.0
-    medium_density: Positive = 10000.0
-    joint_damping: NonNegative = 0.01
-    sub_chains: Count = 7
-    timestep: Positive = 0.008
-    frame_skip: Count = 24
-    max_force: Positive = 0.2
-    reach: Positive = 2.0
+    beads: PositiveInt = 100
+    length: PositiveFloat = 1.33
+    radius: PositiveFloat = 0.005
+    density: PositiveFloat = 1000.0
+    medium_density: PositiveFloat = 10000.0
+    joint_damping: NonNegativeFloat = 0.01
+    sub_chains: PositiveInt = 7
+    timestep: PositiveFloat = 0.008
+    frame_skip: PositiveInt = 24
+    max_force: PositiveFloat = 0.2
+    reach: PositiveFloat = 2.0
 
     def __post_init__(self) -> None:
         if self.sub_chains < 2 or self.beads < 3 * self.sub_chains:

@@ -6,12 +6,13 @@ After a change run `pytest tests/rope/test_mujoco_simulation.py tests/rope/test_
 rope of a batch must move as in MuJoCo's own loop, to the bit.
 """
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Meanwhile
 from knotgym.rope.interface import Ids, Simulation
 from knotgym.rope.model import Array, Rope
 
@@ -63,7 +64,11 @@ class MujocoSimulation(Simulation):
         self.points[where] = self.rope.points(self._qpos[where])
 
     def step(
-        self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None, meanwhile: Meanwhile = None
+        self,
+        beads: ArrayLike,
+        forces: ArrayLike,
+        ids: Ids = None,
+        meanwhile: Callable[[], None] | None = None,
     ) -> NDArray[np.bool_]:
         """Apply a force to one bead of each rope for one action, see `Simulation.step`.
 

@@ -63,7 +63,7 @@ def identity(
 ) -> Identity:
     """Return the identity of a run.
 
-    The files that fields typed `StatesName` and `PolicyName` name are read and digested here.
+    The files that fields with the marks "states" and "policy" name are read and digested here.
 
     Args:
         config: its configuration.

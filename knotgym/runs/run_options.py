@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, NonNegativeInt
 
-from knotgym.common import InvalidInput, TypedOnly, Whole, configuration
+from knotgym.common import InvalidInput, Mark, configuration
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ class RunOptions(Existing):
         quiet: print errors only.
     """
 
-    workers: Whole = 0
-    scheduler: Annotated[str, TypedOnly] = ""
+    workers: NonNegativeInt = 0
+    scheduler: Annotated[str, Mark("typed")] = ""
     shard: Annotated[Shard, BeforeValidator(_shard)] = Shard()
     quiet: bool = False
 

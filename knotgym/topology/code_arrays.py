@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import ALONE, FEW, InvalidInput, Threads
+from knotgym.common import InvalidInput, Threads
 from knotgym.topology.crossing_kernel import scan_rows
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
@@ -41,7 +41,7 @@ class CodeArrays(NamedTuple):
 def read_codes(
     points: NDArray[np.float64],
     width: int = WIDTH,
-    threads: Threads = ALONE,
+    threads: Threads | None = None,
     ids: NDArray[np.int64] | None = None,
 ) -> CodeArrays:
     """Read the Gauss codes of many ropes.
@@ -65,7 +65,7 @@ def read_codes(
         visits = np.empty((count, 2 * width), dtype=np.int16)
         signs = np.empty((count, width), dtype=np.int8)
         scan = partial(_scan, points, (which, visits, signs, crossings))
-        most = max(threads.spread(scan, count, FEW), default=0)
+        most = max((threads or Threads()).spread(scan, count, Threads.FEW), default=0)
         if count and crossings.min() < 0:
             raise InvalidInput(
                 f"no closed rope: a coordinate of rope {int(crossings.argmin())} is not finite;"

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from pydantic import NonNegativeFloat
 
-from knotgym.common import InvalidInput, NonNegative, configuration
+from knotgym.common import InvalidInput, configuration
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.closed_curves import _add_solution, clearance
 from knotgym.rope.interface import Simulation
@@ -45,7 +46,7 @@ def test_fingerprint_changes_with_every_number(name: str) -> None:
 class Rubbing(RopeConfig):
     """A rope with a parameter that no file knows."""
 
-    friction: NonNegative = 0.0
+    friction: NonNegativeFloat = 0.0
 
 
 def test_a_new_parameter_leaves_files_readable_where_it_changes_nothing(

@@ -18,10 +18,11 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from threading import Barrier
+from typing import Annotated
 
 import pytest
 
-from knotgym.common import Failed, InvalidInput, MissingFile, Occupied, StatesName, sha256
+from knotgym.common import Failed, InvalidInput, Mark, MissingFile, Occupied, sha256
 from knotgym.control import PolicyConfig
 from knotgym.runs.identities import Identity, identity
 from knotgym.runs.journal import Journal
@@ -203,7 +204,7 @@ def test_a_failure_before_any_result_leaves_nothing(tmp_path: Path) -> None:
 class Reading:
     """A configuration that names files."""
 
-    states: StatesName
+    states: Annotated[str, Mark("states")]
     policies: tuple[PolicyConfig, ...] = ()
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
-from knotgym.common import Count, Seed, Whole, choice, configuration
+from pydantic import NonNegativeInt, PositiveInt
+
+from knotgym.common import Seed, choice, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import OBSERVATIONS, TaskConfig
 from knotgym.rope import MUJOCO
@@ -45,8 +47,8 @@ class CollectConfig:
 
     task: TaskConfig = TaskConfig(task="tie", observation=OBSERVATION)
     policy: PolicyConfig = PolicyConfig(policy="expert")
-    episodes: Count = 200
-    steps: Whole = 0
+    episodes: PositiveInt = 200
+    steps: NonNegativeInt = 0
     seed: Seed = 0
     keep_failed: bool = True
     labels: Annotated[str, choice("", "expert")] = ""

@@ -2,8 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Annotated
 
-from knotgym.common import Count, Crossings, InvalidInput, Seed, configuration
+from pydantic import NonNegativeInt, PositiveInt
+
+from knotgym.common import Distinct, InvalidInput, Seed, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
 
@@ -26,12 +29,12 @@ class EvaluateConfig:
 
     policies: tuple[PolicyConfig, ...] = (PolicyConfig(),)
     tasks: tuple[str, ...] = ("tie",)
-    nx: Crossings = (2,)
+    nx: Annotated[tuple[NonNegativeInt, ...], Distinct] = (2,)
     splits: tuple[str, ...] = ("test",)
-    episodes: Count = 256
+    episodes: PositiveInt = 256
     seed: Seed = 0
     task: TaskConfig = TaskConfig(task="tie", observation="state")
-    filmed: Count = 2
+    filmed: PositiveInt = 2
 
     def __post_init__(self) -> None:
         if not all((self.policies, self.tasks, self.nx, self.splits)):

@@ -6,15 +6,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, NonNegativeInt, PositiveInt
 from rich.console import Console
 
 from knotgym.common import (
-    Count,
     InvalidFile,
     InvalidInput,
     Share,
-    Whole,
     configuration,
     from_json,
     one_line,
@@ -53,15 +51,15 @@ class Result:
     nx: int
     split: str
     action: str
-    episodes: Count
-    successes: Whole
+    episodes: PositiveInt
+    successes: NonNegativeInt
     success_rate: Share
     low: Share
     high: Share
     steps: float | None
     mean_return: float
     planned_actions: float
-    simulation_failures: Whole
+    simulation_failures: NonNegativeInt
     start_states: str
     goal_states: str
     outcomes: dict[str, list[Annotated[int, Field(ge=0, lt=2**31)]]]

@@ -7,9 +7,9 @@ from importlib.resources import files
 from itertools import product
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
-from knotgym.common import Count, Distinct, InvalidInput, Seed, choice, configuration
+from knotgym.common import Distinct, InvalidInput, Seed, choice, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect_config import CollectConfig, plain_id
@@ -63,7 +63,7 @@ class SuiteConfig:
     splits: Splits | None = None
     states: States = STATES
     size: Annotated[str, choice(*SIZES)] | None = None
-    episodes: Mapping[Annotated[str, choice(*TIERS)], Count] = field(default_factory=dict)
+    episodes: Mapping[Annotated[str, choice(*TIERS)], PositiveInt] = field(default_factory=dict)
     engine: str = MUJOCO
     observation: str = SUITE["observation"]
     seed: Seed = SUITE["seed"]

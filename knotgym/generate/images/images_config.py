@@ -3,23 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, NonNegativeInt, PositiveInt
 
-from knotgym.common import (
-    Count,
-    Distinct,
-    InvalidInput,
-    Seed,
-    Share,
-    Stream,
-    Whole,
-    configuration,
-    generator,
-)
+from knotgym.common import Distinct, InvalidInput, Seed, Share, Stream, configuration, generator
 from knotgym.quality import UNAMBIGUOUS, Limits
 from knotgym.rendering import APPEARANCES, AppearanceConfig
 from knotgym.rope import MUJOCO, EngineName
 from knotgym.topology import LISTED_NX
+
+_Listed = Annotated[int, Field(ge=0, le=LISTED_NX)]
 
 
 @configuration
@@ -50,23 +42,23 @@ class ImagesConfig:
         idle: the run gives up after this many looks without a new picture.
     """
 
-    nx: Annotated[tuple[Annotated[Whole, Field(le=LISTED_NX)], ...], Distinct] = (0, 1, 2, 3, 4)
-    count: Count = 20_000
-    test_nx: tuple[Whole, ...] | None = ()
+    nx: Annotated[tuple[_Listed, ...], Distinct] = (0, 1, 2, 3, 4)
+    count: PositiveInt = 20_000
+    test_nx: tuple[NonNegativeInt, ...] | None = ()
     test_share: Share = 0.15
     code_share: Share = 0.15
     seed: Seed = 0
     engine: EngineName = MUJOCO
     policies: tuple[str, ...] = ("random", "scripted")
-    pulls: Count = 12
-    stride: Count = 2
+    pulls: PositiveInt = 12
+    stride: PositiveInt = 2
     limits: Limits = UNAMBIGUOUS
     extreme: Share = 0.3
     appearance: AppearanceConfig = AppearanceConfig()
-    rows_per_file: Count = 500
-    ropes: Count = 64
-    most_ropes: Count = 32_768
-    idle: Count = 6
+    rows_per_file: PositiveInt = 500
+    ropes: PositiveInt = 64
+    most_ropes: PositiveInt = 32_768
+    idle: PositiveInt = 6
 
     def __post_init__(self) -> None:
         if self.test_nx == () and len(self.nx) > 1:

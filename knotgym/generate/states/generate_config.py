@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import Field
+from pydantic import Field, NonNegativeInt, PositiveInt
 
-from knotgym.common import Count, Crossings, InvalidInput, Seed, Share, Whole, choice, configuration
+from knotgym.common import Distinct, InvalidInput, Seed, Share, choice, configuration
 from knotgym.drawing import DrawingConfig
 from knotgym.envs import MAX_BEADS, MIN_BEADS, max_nx
 from knotgym.quality import LEGIBLE, UNTWISTED, Limits
@@ -60,16 +60,16 @@ class PlayConfig:
         ropes: ropes side by side, in one unit of work.
     """
 
-    settle: Whole = 300
-    random: Whole = 0
-    opening: Whole = 60
-    rounds: Whole = 3
-    scripted: Whole = 20
-    spreading: Whole = 10
-    first: Whole = 5
-    every: Count = 5
-    per_rope: Count = 2
-    ropes: Count = 128
+    settle: NonNegativeInt = 300
+    random: NonNegativeInt = 0
+    opening: NonNegativeInt = 60
+    rounds: NonNegativeInt = 3
+    scripted: NonNegativeInt = 20
+    spreading: NonNegativeInt = 10
+    first: NonNegativeInt = 5
+    every: PositiveInt = 5
+    per_rope: PositiveInt = 2
+    ropes: PositiveInt = 128
 
     @property
     def pulls(self) -> int:
@@ -120,16 +120,16 @@ class GenerateConfig:
         twist: limits that leave out over-twisted states; source drawing has none.
     """
 
-    nx: Crossings = (3,)
-    count: Count = 40
+    nx: Annotated[tuple[NonNegativeInt, ...], Distinct] = (3,)
+    count: PositiveInt = 40
     source: str = "auto"
-    every_code: Whole = 0
+    every_code: NonNegativeInt = 0
     train_share: Share = 0.5
     knot: str = UNKNOT
     codes: tuple[str, ...] = ()
     demonstrations: bool = True
-    attempts: Count = 100
-    demonstration_attempts: Count = 8
+    attempts: PositiveInt = 100
+    demonstration_attempts: PositiveInt = 8
     seed: Seed = 0
     engine: Annotated[str, choice("auto", *ENGINES)] = "auto"
     beads: Annotated[int, Field(ge=MIN_BEADS, le=MAX_BEADS)] = _BEADS

@@ -8,11 +8,13 @@ After a change run `pytest tests/rope/chain/test_chain_simulation.py`: beads end
 MuJoCo's after an action, and the same states lead to the same bytes.
 """
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import InvalidInput, Meanwhile
+from knotgym.common import InvalidInput
 from knotgym.rope.chain import layout
 from knotgym.rope.chain.dynamics import set_all_lengths
 from knotgym.rope.chain.passage import longest_edge
@@ -116,7 +118,11 @@ class ChainSimulation(Simulation):
         return moved
 
     def step(
-        self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None, meanwhile: Meanwhile = None
+        self,
+        beads: ArrayLike,
+        forces: ArrayLike,
+        ids: Ids = None,
+        meanwhile: Callable[[], None] | None = None,
     ) -> NDArray[np.bool_]:
         where = self._all(ids)
         pulled = np.ascontiguousarray(beads, dtype=np.int64)
