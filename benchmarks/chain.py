@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.control import RecordedPolicy, episode_seed, rollouts
+from knotgym.common import Stream
+from knotgym.control import RecordedPolicy, rollouts
 from knotgym.envs import TaskConfig
 from knotgym.generate import EvaluateConfig, evaluate, recordings
 from knotgym.rope import (
@@ -138,7 +139,9 @@ def sequences(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, A
         own = recording.episodes.select(
             np.arange(min(args.ropes, recording.episodes.episodes.rows))
         )
-        seeds = [episode_seed(config.seed, number) for number in range(own.episodes.rows)]
+        seeds = [
+            Stream.EPISODE.derived_seed(config.seed, number) for number in range(own.episodes.rows)
+        ]
         longest, ends = int(own.episodes["length"].max()), []
         for engine in (MUJOCO, CHAIN):
             task = replace(config.policy_task, engine=engine, horizon=longest, hold=longest)

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from knotgym.control import PolicyConfig, episode_seed, make_policy, replay, rollouts
+from knotgym.common import Stream
+from knotgym.control import PolicyConfig, make_policy, replay, rollouts
 from knotgym.datasets import expanded, open_episodes, write_episodes
 from knotgym.envs import TaskConfig
 from knotgym.loaders import Sequences, Transitions, arrays
@@ -37,7 +38,7 @@ def main() -> None:
     argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args()
-    seeds = [episode_seed(0, number) for number in range(EPISODES)]
+    seeds = [Stream.EPISODE.derived_seed(0, number) for number in range(EPISODES)]
     part = rollouts(make_policy(PolicyConfig(policy="random")), TASK, seeds)
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as room:

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from knotgym.common import Stream, derived_seed, generator
+from knotgym.common import Stream
 from knotgym.control import (
     BatchedSearch,
     Diagram,
@@ -233,10 +233,10 @@ def main() -> None:
         task, nx = TASKS[number % len(TASKS)]
         config = TaskConfig(task=task, nx=nx, split=split, engine="chain", observation="state")
         batch, ids = EpisodeBatch(config, args.episodes), np.arange(args.episodes)
-        batch.begin(ids, [derived_seed(Stream.PASS_STARTS, args.seed, number, k) for k in ids])
+        batch.begin(ids, [Stream.PASS_STARTS.derived_seed(args.seed, number, k) for k in ids])
         goals = goals_of(batch, which)
         sought |= dict.fromkeys(goals)
-        rngs = [generator(Stream.PASS_PLAY, args.seed, number, k) for k in ids]
+        rngs = [Stream.PASS_PLAY.generator(args.seed, number, k) for k in ids]
         states, points = batch.simulation.states(ids), batch.simulation.points[ids].copy()
         played = (
             play(*begun, goals, values, args, rng)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.cli.options import RUN, Given, command, extra, numbers
-from knotgym.common import InvalidInput, Stream, generator
+from knotgym.common import InvalidInput, Stream
 from knotgym.generate import GenerateConfig
 from knotgym.topology import GaussCode, parse_code, split_codes
 
@@ -61,7 +61,7 @@ def generate(given: Given) -> None:
     if codes is not None:
         wanted = numbers(nx) if "nx" in given.typed else None
         count = given.get("count") if "count" in given.typed else None
-        rng = generator(Stream.SELECTION, given.get("seed"), 2)
+        rng = Stream.SELECTION.generator(given.get("seed"), 2)
         found = code_list(codes, wanted, count, rng)
         more["nx"] = tuple(dict.fromkeys(code.nx for code in found))
         more["codes"] = [str(code) if code.chirality is None else code.chiral for code in found]

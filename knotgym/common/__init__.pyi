@@ -35,10 +35,6 @@ from .errors import install_command as install_command
 from .errors import one_line as one_line
 from .errors import printable as printable
 from .streams import Stream as Stream
-from .streams import derived_seed as derived_seed
-from .streams import generator as generator
-from .streams import generator_of as generator_of
-from .streams import key as key
 from .tables import Column as Column
 from .tables import Schema as Schema
 from .tables import Table as Table

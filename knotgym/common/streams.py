@@ -6,14 +6,13 @@ part of the key so that two purposes never share numbers by accident.
 
 >>> np.random.default_rng([7, 2]).random() == np.random.default_rng([7, 2, 0]).random()
 True
->>> generator(Stream.SPLIT, 7, 2).random() == generator(Stream.SPLIT, 7, 2, 0, 1).random()
+>>> Stream.SPLIT.generator(7, 2).random() == Stream.SPLIT.generator(7, 2, 0, 1).random()
 False
 """
 
 from enum import IntEnum, unique
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knotgym.common.errors import InvalidInput
 
@@ -31,7 +30,9 @@ class Stream(IntEnum):
 
     SPLIT = 2  # nx: train or test
     CODE_ORDER = 4  # nx: order in which codes are processed
-    EPISODE = 13  # episode number: the seed of its environment, in datasets
+    EPISODE = (
+        13  # episode number: the seed of its environment, in datasets; evaluations have another
+    )
     POLICY = 14  # episode number, rollout of the episode: the policy's draws, in datasets
     IMAGE_WALK = 15  # rope: the seed of its policy
     IMAGE_WAVE = 16  # wave: start states of its ropes
@@ -64,36 +65,31 @@ class Stream(IntEnum):
     SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
     IMAGE_CAMERA = 72  # rope, pulls: the camera of a photo
 
+    def key(self, seed: int, *counters: int) -> tuple[int, ...]:
+        """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63)."""
+        if len(counters) > _COUNTERS:
+            raise InvalidInput(f"a stream has at most {_COUNTERS} counters, got {counters}")
+        numbers = (int(seed), *map(int, counters))
+        if not all(0 <= number <= _MOST for number in numbers):
+            raise InvalidInput(
+                f"a seed and its counters must be from 0 to 2**63 - 1, got {numbers}"
+            )
+        return (int(self), *numbers, *([0] * (_COUNTERS - len(counters))))
 
-def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:
-    """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63)."""
-    if len(counters) > _COUNTERS:
-        raise InvalidInput(f"a stream has at most {_COUNTERS} counters, got {counters}")
-    numbers = (int(seed), *map(int, counters))
-    if not all(0 <= number <= _MOST for number in numbers):
-        raise InvalidInput(f"a seed and its counters must be from 0 to 2**63 - 1, got {numbers}")
-    return (int(stream), *numbers, *([0] * (_COUNTERS - len(counters))))
+    def generator(self, seed: int, *counters: int) -> np.random.Generator:
+        """Return a new generator."""
+        return self.generator_of(self.key(seed, *counters))
 
+    @staticmethod
+    def generator_of(key: tuple[int, ...]) -> np.random.Generator:
+        """Return a new generator of a key."""
+        return np.random.default_rng(_sequence(key))
 
-def _words(key: tuple[int, ...]) -> NDArray[np.uint32]:
-    """Return a key as entropy for NumPy: two 32-bit words per number, so keys stay distinct."""
-    return np.array([(n % _WORD, n // _WORD) for n in key], dtype=np.uint32).ravel()
-
-
-def generator(stream: Stream, seed: int, *counters: int) -> np.random.Generator:
-    """Return a new generator of a stream."""
-    return generator_of(key(stream, seed, *counters))
-
-
-def generator_of(key: tuple[int, ...]) -> np.random.Generator:
-    """Return a new generator of a key."""
-    return np.random.default_rng(_sequence(key))
-
-
-def derived_seed(stream: Stream, seed: int, *counters: int) -> int:
-    """Return a seed in [0, 2**52), which JSON and float64 hold exactly, for use outside streams."""
-    return int(_sequence(key(stream, seed, *counters)).generate_state(1, np.uint64)[0] >> 12)
+    def derived_seed(self, seed: int, *counters: int) -> int:
+        """Return a seed in [0, 2**52), which JSON and float64 hold exactly, for other uses."""
+        return int(_sequence(self.key(seed, *counters)).generate_state(1, np.uint64)[0] >> 12)
 
 
 def _sequence(key: tuple[int, ...]) -> np.random.SeedSequence:
-    return np.random.SeedSequence(_words(key).tolist())
+    """Seed NumPy with two 32-bit words per number, so that keys stay distinct."""
+    return np.random.SeedSequence([word for n in key for word in (n % _WORD, n // _WORD)])

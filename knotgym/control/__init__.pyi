@@ -37,7 +37,6 @@ from .sampler import Ids as Ids
 from .sampler import Player as Player
 from .sampler import Policy as Policy
 from .sampler import Pulls as Pulls
-from .sampler import episode_seed as episode_seed
 from .sampler import rollouts as rollouts
 from .verification import dataset_faults as dataset_faults
 from .verification import replay as replay

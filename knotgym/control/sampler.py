@@ -17,15 +17,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import (
-    InvalidInput,
-    InvalidPolicy,
-    Schema,
-    Stream,
-    Table,
-    derived_seed,
-    generator,
-)
+from knotgym.common import InvalidInput, InvalidPolicy, Schema, Stream, Table
 from knotgym.datasets import (
     EPISODES,
     MACROS,
@@ -113,15 +105,6 @@ class Policy(Protocol):
         """Return a player for the lanes of a batch."""
 
 
-def episode_seed(seed: int, number: int, stream: Stream = Stream.EPISODE) -> int:
-    """Return the seed of episode `number` of a run: 52 bits, which JSON numbers keep exactly.
-
-    Datasets and evaluations draw from different streams, so no seed makes an evaluation play the
-    episodes of a dataset.
-    """
-    return derived_seed(stream, seed, number)
-
-
 def rollouts(
     policy: Policy,
     task: TaskConfig,
@@ -165,7 +148,7 @@ def rollouts(
         if len(ids):
             # A stream of its own for each episode and attempt, apart from the one that drew its
             # start: a policy that draws more or less changes no start.
-            draws = [generator(Stream.POLICY, max(0, s), attempt) for s in batch.seed[ids].tolist()]
+            draws = [Stream.POLICY.generator(max(0, s), attempt) for s in batch.seed[ids].tolist()]
             player.begin(ids.copy(), draws)
             record.begin(ids)
             if advice is not None:
@@ -295,7 +278,7 @@ class _Advice:
         if len(asked):
             # a generator for each (episode, step): advice doesn't depend on the states before
             keys = zip(self._batch.seed[asked].tolist(), steps[asked].tolist(), strict=True)
-            rngs = [generator(Stream.EXPERT_LABEL, max(0, seed), step) for seed, step in keys]
+            rngs = [Stream.EXPERT_LABEL.generator(max(0, seed), step) for seed, step in keys]
             self._player.begin(asked, rngs)
         waiting = asked
         while len(waiting):

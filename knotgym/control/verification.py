@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from knotgym.common import Stream
 from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.sampler import episode_seed, rollouts
+from knotgym.control.sampler import rollouts
 from knotgym.datasets import (
     Count,
     Episodes,
@@ -105,7 +106,7 @@ def _start_faults(source: Path) -> Iterator[str]:
         yield f"{dataset.path}: its run had seed {seed!r} and {count!r} episodes, not two numbers"
         return
     # a collection may keep successes alone: then its seeds are some of these
-    of_run = [episode_seed(seed, number) for number in range(count)]
+    of_run = [Stream.EPISODE.derived_seed(seed, number) for number in range(count)]
     task = dataset.found_task
     for first in range(0, rows.rows, _LANES):
         some = np.arange(first, min(first + _LANES, rows.rows))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream, generator
+from knotgym.common import Stream
 from knotgym.datasets.image_table import COLUMNS, encode, parquet, table_of
 from knotgym.quality import LEGIBLE, ease, grade_of
 from knotgym.rendering import APPEARANCES, AppearanceConfig, Drawn, drawer_of, own_columns
@@ -45,7 +45,7 @@ def drawn(rows: Sequence[PictureRow], config: AppearanceConfig) -> dict[str, NDA
 def record(row: PictureRow, config: AppearanceConfig) -> dict[str, Any]:
     """Return all columns of a row by name, `image` as PNG bytes."""
     source = row.source
-    rng = generator(Stream.IMAGE_APPEARANCE, source["seed"], source["row"])
+    rng = Stream.IMAGE_APPEARANCE.generator(source["seed"], source["row"])
     drawn = drawer_of(config.name).sampled(row.points, config, rng, row.camera)
     return {
         **derived(RopeAtRest(row.points), drawn),

@@ -16,7 +16,6 @@ from knotgym.common import (
     MissingFile,
     Stream,
     from_json,
-    generator_of,
     one_line,
     table_digest,
 )
@@ -228,7 +227,7 @@ def _drawing_faults(stored: Mapping[str, Any], rope: Rope) -> Iterator[str]:
         drawing = json.loads(stored["source/drawing"])
         drawing.pop("easing", None)  # constants, which the included hard unknots name
         config = from_json(DrawingConfig, drawing)
-        rng = generator_of(_key(stored["source/seed"], Stream.DRAWING))
+        rng = Stream.generator_of(_key(stored["source/seed"], Stream.DRAWING))
         again = drawn_curve(GaussCode.parse(stored["gauss_code_chiral"]), rng, rope, config)
     except (KnotgymError, ValueError, IndexError, TypeError, AttributeError) as error:
         yield f"its drawing can't be reproduced: {one_line(error)}"

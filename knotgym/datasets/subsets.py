@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidInput, Stream, atomic_writes, generator
+from knotgym.common import InvalidInput, Stream, atomic_writes
 from knotgym.datasets.conditions import matching_rows
 from knotgym.datasets.selectable import Rows, opened, require_file, write_rows
 
@@ -51,7 +51,7 @@ def select(
     if sample is not None:
         if not 0 < sample <= len(rows):
             raise InvalidInput(f"{len(rows)} rows match, can't sample {sample} of them")
-        rows = np.sort(generator(Stream.SELECTION, seed).choice(rows, sample, replace=False))
+        rows = np.sort(Stream.SELECTION.generator(seed).choice(rows, sample, replace=False))
     how: dict[str, Any] = {"where": where, "sample": sample}
     how = {name: value for name, value in how.items() if value} | ({"seed": seed} if sample else {})
     return write_rows(given, str(source), rows, how, Path(out), overwrite)
@@ -106,7 +106,7 @@ def split(
     shares, whole = _shares(parts), Path(out)
     given = opened(source)
     together = _groups(given.shared())
-    dealt = _dealt(together, [*shares.values()], generator(Stream.SELECTION, seed, 1))
+    dealt = _dealt(together, [*shares.values()], Stream.SELECTION.generator(seed, 1))
     if len(set(dealt.tolist())) < len(shares):
         raise InvalidInput(
             f"{source} can't be cut into {len(shares)} parts: its {given.count} rows share"

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from knotgym.common import Stream, generator
+from knotgym.common import Stream
 from knotgym.learn.clone_network import CloneNetwork, inputs
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.train_config import CloneConfig
@@ -62,7 +62,7 @@ class CloneTraining(Training):
         self.network.train()
         for _ in range(min(config.save_every, config.steps - self.step)):
             # a stream for each step, so that a resumed training draws what it would have drawn
-            rng = generator(Stream.LEARN_CLONE, config.seed, self.step)
+            rng = Stream.LEARN_CLONE.generator(config.seed, self.step)
             rows = rng.integers(len(self._fitted[-1]), size=config.batch)
             drawn = torch.from_numpy(rows).to(config.device)
             loss = _loss(self.network, [column[drawn] for column in self._fitted])
@@ -119,7 +119,7 @@ def first_guesses(network: CloneNetwork, data: Examples, seed: int) -> dict[str,
 def _held_out(episodes: NDArray[np.int64], seed: int) -> NDArray[np.bool_]:
     """Draw which decisions are held out, by whole episodes: bool (n,)."""
     numbers = np.unique(episodes)
-    rng = generator(Stream.LEARN_HELD_OUT, seed)
+    rng = Stream.LEARN_HELD_OUT.generator(seed)
     return np.isin(episodes, rng.permutation(numbers)[: round(_HELD_OUT * len(numbers))])
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.common import Stream, generator
+from knotgym.common import Stream
 from knotgym.learn.colour_reading import BEADS
 from knotgym.learn.reader import PIXEL, Reader, look, waves
 from knotgym.learn.shape_hypotheses import imagine
@@ -46,7 +46,7 @@ class ReaderTraining(Training):
     def advance(self) -> None:
         """Take one optimizer step."""
         count = self._config.batch
-        rng = generator(Stream.LEARN_PICTURES, self._config.seed, self.step)
+        rng = Stream.LEARN_PICTURES.generator(self._config.seed, self.step)
         true, guesses, moves = _drawn(self._data, self._chain, count, rng)
         seen = [look(draw(points)) for points in true]
         wanted = torch.from_numpy(true).float()

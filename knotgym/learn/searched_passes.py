@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from knotgym.common import Stream, derived_seed, generator
+from knotgym.common import Stream
 from knotgym.control import (
     BatchedSearch,
     PassPlan,
@@ -56,11 +56,11 @@ def demonstrate(config: CloneConfig, task: str, nx: int, first: int) -> Result:
         observation="state",
         engine="chain",
     )
-    seeds = [derived_seed(Stream.DEMONSTRATION, config.seed, *place, k) for k in numbers]
+    seeds = [Stream.DEMONSTRATION.derived_seed(config.seed, *place, k) for k in numbers]
     batch, ids = EpisodeBatch(setup, len(seeds)), np.arange(len(seeds))
     batch.begin(ids, seeds)
     values = pass_values(config.split, every_code=True)
-    rngs = [generator(Stream.DEMONSTRATION, seed) for seed in seeds]
+    rngs = [Stream.DEMONSTRATION.generator(seed) for seed in seeds]
     states, goals = batch.simulation.states(ids), batch.goals_of(ids)
     wanders = [
         [random_pass(setup.beads, rng) for _ in range(rng.integers(_WANDER + 1))] for rng in rngs

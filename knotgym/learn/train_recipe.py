@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import knotgym
-from knotgym.common import InvalidInput, Stream, generator, table_digest
+from knotgym.common import InvalidInput, Stream, table_digest
 from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.learn.checkpoint import CARD, CLONE, PICTURES, save_network
 from knotgym.learn.clone_training import CloneTraining, first_guesses
@@ -141,7 +141,7 @@ def _train_reader(
     data = states_and_pulls([one.episodes for one in opened])
     training = ReaderTraining(data, config)
     fit(training, checkpoint_of(place), config.save_every, "reader", progress)
-    rng = generator(Stream.LEARN_PLACES, config.seed)
+    rng = Stream.LEARN_PLACES.generator(config.seed)
     # drawn without replacement, in the order of the data
     rows = data.starts[np.sort(rng.permutation(len(data.starts))[: config.positions])]
     places = torch.from_numpy(data.frames[rows].mean(axis=1, dtype=np.float32))

@@ -17,7 +17,6 @@ from knotgym.common import (
     MissingExtra,
     Stream,
     atomic_write,
-    generator,
     install_command,
     require_output,
 )
@@ -78,7 +77,7 @@ def _rows(transitions: Transitions) -> dict[str, Any]:
 def _drawn_generator(transitions: Transitions) -> np.random.Generator | None:
     """Return the generator that the goals of all transitions are drawn from; None for none."""
     goals = transitions.window.goals if transitions.window else None
-    return None if goals is None else generator(Stream.SAMPLED_GOALS, goals.seed)
+    return None if goals is None else Stream.SAMPLED_GOALS.generator(goals.seed)
 
 
 def statistics(dataset: Any, **opening: Unpack[Opening]) -> dict[str, dict[str, NDArray[Any]]]:

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
-from knotgym.common import InvalidInput, Stream, generator
+from knotgym.common import InvalidInput, Stream
 from knotgym.datasets import EpisodeDataset, Episodes
 from knotgym.envs import TaskConfig
 from knotgym.loaders.transitions import Opening, Transitions
@@ -59,7 +59,7 @@ class EpisodeStream:
                 f"episodes {first} to {first + self._episodes - 1} have no such transitions: play"
                 " more of them for a batch"
             )
-        rng = generator(Stream.SAMPLED_GOALS, self._seed, number)
+        rng = Stream.SAMPLED_GOALS.generator(self._seed, number)
         # with replacement only where a block has too few
         few = len(transitions) < self._batch
         rows = rng.choice(len(transitions), self._batch, replace=few)

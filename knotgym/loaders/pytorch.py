@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, IterableDataset
 
-from knotgym.common import Stream, generator
+from knotgym.common import Stream
 from knotgym.envs import each
 from knotgym.loaders.episode_stream import EpisodeStream
 from knotgym.loaders.transitions import Transitions
@@ -41,7 +41,7 @@ class TransitionDataset(Dataset[dict[str, Any]]):
         if window is not None and window.goals is not None:
             # torch seeds every worker, from the DataLoader's own generator
             drawn = int(torch.randint(2**62, ()))
-            rng = generator(Stream.SAMPLED_GOALS, window.goals.seed, drawn)
+            rng = Stream.SAMPLED_GOALS.generator(window.goals.seed, drawn)
         several = self.transitions.batch(index, rng=rng)
         return {
             name if name in _SEVERAL else name.removesuffix("s"): each(column, _tensor)

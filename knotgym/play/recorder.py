@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, printable
-from knotgym.control import Player, Pulls, episode_seed, rollouts
+from knotgym.control import Player, Pulls, rollouts
 from knotgym.datasets import EpisodeDataset, MinariMetadata, open_episodes, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.play.session import HandPull
@@ -162,7 +162,7 @@ class Recorder:
         self._seeds.add(self._seed_of(number))
 
     def _seed_of(self, number: int) -> int:
-        return episode_seed(self._seed, number, _STREAM)
+        return _STREAM.derived_seed(self._seed, number)
 
     def _stored_seeds(self) -> set[int]:
         """Return the seeds of the episodes in the dataset, if there is one to continue."""

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Stream, generator
-from knotgym.control import Player, Policy, PolicyConfig, Pulls, episode_seed, make_policy
+from knotgym.common import Stream
+from knotgym.control import Player, Policy, PolicyConfig, Pulls, make_policy
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import ARRIVED, STRIDE, Array
 
@@ -81,7 +81,7 @@ class Session:
     @property
     def episode_seed(self) -> int:
         """The seed of the episode's start and goal."""
-        return episode_seed(self.seed, self.number, Stream.EVALUATION_EPISODE)
+        return Stream.EVALUATION_EPISODE.derived_seed(self.seed, self.number)
 
     def pull(self, bead: int, force: ArrayLike) -> None:
         """Pull a bead for one action; ignored once the episode is over.
@@ -136,7 +136,7 @@ class Session:
             made.compatible_task(self.task)
             self._policies[name] = made
         player = self._policies[name].player(self.batch)
-        player.begin(_ROPE, [generator(Stream.POLICY, self.episode_seed, len(self.pulls))])
+        player.begin(_ROPE, [Stream.POLICY.generator(self.episode_seed, len(self.pulls))])
         return player
 
     def _take(self, pull: HandPull) -> None:

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, Stream, as_json
-from knotgym.control import episode_seed
 from knotgym.datasets import encode
 from knotgym.envs import EpisodeBatch
 from knotgym.prompting.answers import read_actions, read_code
@@ -51,7 +50,7 @@ def play(config: PromptConfig, ask: Ask) -> Transcripts:
     """Play all episodes of a run; the recipe returns their transcripts."""
     count, most = config.episodes, config.task.horizon
     ids = np.arange(count)
-    seeds = [episode_seed(config.seed, k, Stream.EVALUATION_EPISODE) for k in range(count)]
+    seeds = [Stream.EVALUATION_EPISODE.derived_seed(config.seed, k) for k in range(count)]
     batch = EpisodeBatch(config.task, count)
     batch.begin(ids, seeds)
     begun = batch.infos(ids)

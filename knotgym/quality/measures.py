@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.common import Stream, generator, inner
+from knotgym.common import Stream, inner
 from knotgym.quality.limits import RESET_NOISE, Quality
 from knotgym.rendering import DEFAULT, PictureConfig, picture_of, project, strand_spacing
 from knotgym.rope import Array, noised
@@ -123,7 +123,7 @@ def noise_survival(
     p = np.asarray(points, dtype=np.float64)[None]
     if rng is None:
         seed = int.from_bytes(hashlib.sha256(p.tobytes()).digest()[:7], "little")
-        rng = generator(Stream.NOISE_SURVIVAL, seed)
+        rng = Stream.NOISE_SURVIVAL.generator(seed)
     varied = noised(np.repeat(p, draws, axis=0), scale, [rng] * draws)
     codes = label_many(np.concatenate([p, varied]))
     return float(np.mean([code == codes[0] for code in codes[1:]]))

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream, generator
+from knotgym.common import Stream
 from knotgym.rendering.appearances import TILT, AppearanceConfig
 from knotgym.rendering.camera import DEFAULT
 from knotgym.rendering.photo_look import (
@@ -185,7 +185,7 @@ def tilted(points: Array, tilt: float, heading: float) -> Array:
 def take(points: Array, look: Photo) -> Shot:
     """Take the photo of points (beads, 3) in the camera's axes with an appearance."""
     rope = PhotoRope(points, look.size)
-    rng = generator(Stream.IMAGE_GRAIN, look.seed)
+    rng = Stream.IMAGE_GRAIN.generator(look.seed)
     # random numbers are taken in the order of `_drawn`: first the ground, then what lies on it
     view, (texture, ground) = PhotoView(rope, look), ground_of(look, rng)
     # `region` stamps only what may be legible; a given appearance is shown in any case
@@ -207,9 +207,9 @@ def episode_look(points: Array, size: int, number: int) -> Photo:
         size: side of the picture, pixels.
         number: of the appearance.
     """
-    rng = generator(Stream.EPISODE_LOOK, 0, number)
+    rng = Stream.EPISODE_LOOK.generator(0, number)
     look = replace(drawn_look(Photo(size=size), rng), marked=True, occluders=0)
-    ground = ground_of(look, generator(Stream.IMAGE_GRAIN, look.seed))[1]
+    ground = ground_of(look, Stream.IMAGE_GRAIN.generator(look.seed))[1]
     view = PhotoView(PhotoRope(points, size), look)
     view.stamp(look.radius)
     return _coloured(look, view, ground, rng)
@@ -242,7 +242,7 @@ def _drawn(
     # another appearance costs less than another camera; four weren't measured against other numbers
     for _ in range(4):
         look = drawn_look(look, rng)
-        grain = generator(Stream.IMAGE_GRAIN, look.seed)
+        grain = Stream.IMAGE_GRAIN.generator(look.seed)
         texture, ground = ground_of(look, grain)
         look = _coloured(look, view, ground, rng)
         shot = painted(rope, view, look, region, texture, ground, grain)

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream, generator
+from knotgym.common import Stream
 from knotgym.rendering.appearances import APPEARANCES, PUBLISHED, AppearanceConfig
 from knotgym.rendering.camera import RGB, PictureConfig, bead_colours, project
 from knotgym.rendering.diagram import draw_lines
@@ -256,7 +256,7 @@ def through_lens(image: NDArray[np.uint8], look: Appearance) -> NDArray[np.uint8
     if look.blur > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), look.blur), dtype=np.uint8)
     if look.noise > 0:
-        grain = generator(Stream.IMAGE_GRAIN, look.seed).normal(0.0, look.noise, image.shape)
+        grain = Stream.IMAGE_GRAIN.generator(look.seed).normal(0.0, look.noise, image.shape)
         image = np.clip(np.rint(image + grain), 0, 255).astype(np.uint8)
     return image
 

@@ -23,7 +23,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import generator_of
+from knotgym.common import Stream
 
 if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig  # not at run time, so that loaders need no simulator
@@ -109,7 +109,7 @@ def drawn_actions(key: tuple[int, ...], steps: int) -> NDArray[np.float32]:
     The walk can be reproduced from the key of its random stream alone. A shorter walk with the
     same key is a prefix of a longer one.
     """
-    return generator_of(key).uniform(-1, 1, (steps, 6)).astype(np.float32)
+    return Stream.generator_of(key).uniform(-1, 1, (steps, 6)).astype(np.float32)
 
 
 def force_choices(forces: ArrayLike) -> NDArray[np.int64]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Stream, generator
+from knotgym.common import Stream
 
 DRAWS = 2000  # resamples per bootstrap
 _Z = 1.959963984540054  # normal quantile of a two-sided 95 % interval
@@ -71,7 +71,7 @@ def cluster_interval(
     counts = [int(side.max()) + 1 for side in sides]
     if rate in (0.0, 1.0):
         return wilson(rate * max(counts), max(counts))
-    rng = generator(Stream.INTERVAL, 0)
+    rng = Stream.INTERVAL.generator(0)
     variances = [_variance(outcome, side, rng) for side in sides]
     within = rate * (1 - rate) / n
     # V is at least each of its terms, but its estimate can fall below them by chance.

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.common.errors import InvalidInput
-from knotgym.common.streams import Stream, _words, derived_seed, generator, key
+from knotgym.common.streams import Stream, _sequence
 
 NUMBERS = st.integers(0, 2**63 - 1)
 KEYS = st.tuples(st.sampled_from(Stream), NUMBERS, st.lists(NUMBERS, max_size=3))
@@ -17,14 +17,14 @@ KEYS = st.tuples(st.sampled_from(Stream), NUMBERS, st.lists(NUMBERS, max_size=3)
 def test_keys_are_of_one_width_and_differ_where_what_they_are_for_differs(
     one: tuple[Stream, int, list[int]], other: tuple[Stream, int, list[int]]
 ) -> None:
-    first, second = (key(stream, seed, *counters) for stream, seed, counters in (one, other))
+    first, second = (stream.key(seed, *counters) for stream, seed, counters in (one, other))
     assert len(first) == len(second) == 5
-    assert (first == second) == (_words(first).tolist() == _words(second).tolist())
+    assert (first == second) == (_sequence(first).entropy == _sequence(second).entropy)
 
 
 def test_counters_that_are_not_named_do_not_make_another_purpose_draw_the_same() -> None:
     drawn = {
-        generator(stream, seed, *counters).integers(2**62)
+        stream.generator(seed, *counters).integers(2**62)
         for stream in Stream
         for seed in (0, 1, 5)
         for counters in ((), (1,), (0, 1), (0, 0, 1), (2**32,))
@@ -35,10 +35,10 @@ def test_counters_that_are_not_named_do_not_make_another_purpose_draw_the_same()
 @pytest.mark.parametrize("wrong", [(-1,), (2**63,), (0, -1), (0, 1, 2, 3, 4)])
 def test_a_seed_out_of_range_is_refused_in_one_line(wrong: tuple[int, ...]) -> None:
     with pytest.raises(InvalidInput) as caught:
-        key(Stream.SPLIT, *wrong)
+        Stream.SPLIT.key(*wrong)
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_a_derived_seed_is_held_exactly_by_json_and_float64() -> None:
-    seed = derived_seed(Stream.EPISODE, 3, 7)
+    seed = Stream.EPISODE.derived_seed(3, 7)
     assert seed == int(float(seed)) < 2**52

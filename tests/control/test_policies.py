@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidPolicy, Table
+from knotgym.common import InvalidPolicy, Stream, Table
 from knotgym.control import policies
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.own_policies import OwnPolicy
@@ -24,7 +24,7 @@ from knotgym.control.policies import (
 )
 from knotgym.control.policy_config import MIXED, PolicyConfig, PullPlannerConfig
 from knotgym.control.recorded_policy import RecordedPolicy
-from knotgym.control.sampler import Pulls, episode_seed, rollouts
+from knotgym.control.sampler import Pulls, rollouts
 from knotgym.datasets import PULLS, Episodes, differences, write_episodes
 from knotgym.envs import KnotEnv, TaskConfig
 from knotgym.states import States
@@ -33,7 +33,7 @@ from knotgym.topology import WIDTH, code_texts, label
 TASK = TaskConfig(task="tie", nx=2, engine="chain", observation="state", horizon=12)
 ENDLESS = dataclasses.replace(TASK, endless=True)
 QUICK = PullPlannerConfig(budget=80, batch_size=2)
-SEEDS = [episode_seed(0, number) for number in range(20)]
+SEEDS = [Stream.EPISODE.derived_seed(0, number) for number in range(20)]
 
 
 class Counter:
@@ -217,7 +217,7 @@ def test_an_episode_depends_on_its_own_seed_alone(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["reuses", "mutates", "keeps", "aliases", "shares"])
 def test_arrays_that_user_code_shares_or_changes_change_no_episode(name: str) -> None:
-    seeds = [episode_seed(1, number) for number in range(256)]
+    seeds = [Stream.EPISODE.derived_seed(1, number) for number in range(256)]
     many = played(f"own:{name}", seeds, 256)
     plain = played("own:plain" if name != "shares" else "random", seeds, 256)
     assert np.array_equal(many.steps["force"], plain.steps["force"])

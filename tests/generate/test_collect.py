@@ -8,8 +8,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidInput, sha256
-from knotgym.control import PolicyConfig, PullPlannerConfig, episode_seed, verify
+from knotgym.common import InvalidInput, Stream, sha256
+from knotgym.control import PolicyConfig, PullPlannerConfig, verify
 from knotgym.datasets import (
     FILE,
     columns_of,
@@ -49,7 +49,9 @@ def test_the_dataset_has_its_id_and_holds_every_episode(tmp_path: Path) -> None:
     folder = collect(config(), tmp_path, QUIET)
     assert folder == tmp_path / distinct_id(config())
     made = columns_of(folder)
-    assert made.episodes.episodes["seed"].tolist() == [episode_seed(0, k) for k in range(6)]
+    assert made.episodes.episodes["seed"].tolist() == [
+        Stream.EPISODE.derived_seed(0, k) for k in range(6)
+    ]
     assert set(made.episodes.episodes["policy"]) == {"random"}
     assert made.task == CHAIN and verify(folder) == []
     tally = run_facts(folder)["tally"]
@@ -98,7 +100,7 @@ def test_a_set_of_steps_is_verified_by_the_episodes_that_they_took(tmp_path: Pat
     found = open_episodes(made)
     seeds = found.episodes.episodes["seed"].copy()
     assert len(seeds) > asked.episodes
-    seeds[-1] = episode_seed(0, len(seeds))
+    seeds[-1] = Stream.EPISODE.derived_seed(0, len(seeds))
     spoilt = found.episodes._replace(episodes=found.episodes.episodes.replaced(seed=seeds))
     write_episodes(made / "data" / FILE, [spoilt], found.task, found.facts)
     faults = verify(made)

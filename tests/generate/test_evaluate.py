@@ -11,7 +11,7 @@ from PIL import Image
 from rich.console import Console
 
 from knotgym.common import InvalidInput, InvalidPolicy, Stream, sha256
-from knotgym.control import PolicyConfig, RandomPolicy, episode_seed, rollouts
+from knotgym.control import PolicyConfig, RandomPolicy, rollouts
 from knotgym.datasets import episodes_of
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluating
@@ -116,7 +116,7 @@ def test_a_result_says_in_which_view_the_policy_acted() -> None:
 def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     streams = (Stream.EPISODE, Stream.EVALUATION_EPISODE)
     kept, scored = (
-        {episode_seed(seed, number, stream) for seed in range(20) for number in range(200)}
+        {stream.derived_seed(seed, number) for seed in range(20) for number in range(200)}
         for stream in streams
     )
     assert not kept & scored
@@ -124,7 +124,7 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset() -> None:
     assert min(scored) > 2**32
     played = episodes_of(evaluating.play(PolicyConfig(), CHAIN, range(2), 0, True))
     assert played.episodes["seed"].tolist() == [
-        episode_seed(0, number, Stream.EVALUATION_EPISODE) for number in range(2)
+        Stream.EVALUATION_EPISODE.derived_seed(0, number) for number in range(2)
     ]
 
 

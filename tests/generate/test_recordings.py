@@ -7,8 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidFile, InvalidInput
-from knotgym.control import PolicyConfig, episode_seed, make_policy, rollouts
+from knotgym.common import InvalidFile, InvalidInput, Stream
+from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import Episodes, differences, episodes_of
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect_config import CollectConfig
@@ -31,7 +31,7 @@ CONFIG = CollectConfig(
 
 @pytest.fixture(scope="module")
 def played() -> Episodes:
-    seeds = [episode_seed(CONFIG.seed, number) for number in range(3)]
+    seeds = [Stream.EPISODE.derived_seed(CONFIG.seed, number) for number in range(3)]
     return rollouts(make_policy(CONFIG.policy), CONFIG.task, seeds)
 
 

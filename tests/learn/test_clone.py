@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidInput, InvalidPolicy
-from knotgym.control import PolicyConfig, episode_seed, make_policy, pass_values, rollouts, see
+from knotgym.common import InvalidInput, InvalidPolicy, Stream
+from knotgym.control import PolicyConfig, make_policy, pass_values, rollouts, see
 from knotgym.datasets import Episodes, differences
 from knotgym.envs import TaskConfig
 from knotgym.learn.train_config import CloneConfig
@@ -36,7 +36,7 @@ def test_its_episodes_do_not_depend_on_the_lanes_beside_them(clone: Path) -> Non
 
 def test_the_one_that_ships_reaches_easy_goals() -> None:
     task = TaskConfig(task="tie", nx=2, split="test", observation="state", engine="chain")
-    seeds = [episode_seed(0, number) for number in range(8)]
+    seeds = [Stream.EPISODE.derived_seed(0, number) for number in range(8)]
     policy = make_policy(PolicyConfig(policy="pretrained-clone"))
     assert rollouts(policy, task, seeds).episodes["success"].sum() >= 5
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from synthetic_episodes import TASK, TINY, episodes, written
 
-from knotgym.common import InvalidInput, Stream, Table, generator
+from knotgym.common import InvalidInput, Stream, Table
 from knotgym.datasets import STEPS, Episodes
 from knotgym.loaders import GoalSampling, Transitions, Window, arrays
 from knotgym.loaders.windows import other_codes
@@ -141,7 +141,7 @@ def test_every_number_of_a_window_equals_a_slow_reference(
         held = arrays(path, action=view, window=window)
         drawn = None
         if window.goals is not None:
-            rng = generator(Stream.SAMPLED_GOALS, window.goals.seed)
+            rng = Stream.SAMPLED_GOALS.generator(window.goals.seed)
             drawn = read.sample_goals(np.arange(len(read)), rng)
     states = [(k, t) for k, one in enumerate(chosen) for t in decisions(one, view)]
 

@@ -18,13 +18,14 @@ from knotgym.common import (
     InvalidFile,
     InvalidInput,
     Occupied,
+    Stream,
     Table,
     as_json,
     differences,
     require_output,
     sha256,
 )
-from knotgym.control import PolicyConfig, compile_planning, episode_seed, make_policy, rollouts
+from knotgym.control import PolicyConfig, compile_planning, make_policy, rollouts
 from knotgym.datasets import (
     FILE,
     PULLS,
@@ -253,7 +254,7 @@ def play(config: CollectConfig, numbers: range) -> Result:
     """Play a block of a collection's episodes."""
     policy = make_policy(config.policy)
     adviser = make_policy(replace(config.policy, policy="expert")) if config.labels else None
-    seeds = [episode_seed(config.seed, number) for number in numbers]
+    seeds = [Stream.EPISODE.derived_seed(config.seed, number) for number in numbers]
     kept = PULLS if config.form == "recording" else STEPS
     return rollouts(policy, config.policy_task, seeds, keep=kept, adviser=adviser).columns()
 

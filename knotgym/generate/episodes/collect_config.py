@@ -30,7 +30,7 @@ class CollectConfig:
         steps: keep as many episodes as it takes for so many steps, instead of `episodes`; 0 for
             `episodes`. More steps only add episodes.
         seed: random seed; the same seed gives the same bytes, and the same starts and goals for
-            every policy. Episode i has `rollouts.episode_seed(seed, i)`.
+            every policy. Episode i has `Stream.EPISODE.derived_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
         labels: "expert" stores the expert's action at every state.
         policy_observation: observation given to functions and objects of your own; "" for the one

@@ -41,7 +41,7 @@ from knotgym.common import (
     table_digest,
     write_tables,
 )
-from knotgym.control import RecordedPolicy, episode_seed, rollouts
+from knotgym.control import RecordedPolicy, rollouts
 from knotgym.datasets import PULLS, RECORDED, STEPS, Episodes, episodes_of, merged
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect import blocks
@@ -161,7 +161,7 @@ def replayed(entry: Entry, each: Map = map) -> Iterator[tuple[TaskConfig, Episod
         rows = [entry.rows.take(slice(own.start, own.stop)) for own in numbers]
         pulls = [entry.pulls.take(own) for own in pulled]
         seeds = [
-            [episode_seed(entry.config.seed, k, Stream.EVALUATION_EPISODE) for k in one]
+            [Stream.EVALUATION_EPISODE.derived_seed(entry.config.seed, k) for k in one]
             for one in few
         ]
         made = [*each(_replayed, [task] * len(few), seeds, rows, pulls)]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, Occupied, Stream, Table, atomic_write, require_output
-from knotgym.control import PolicyConfig, episode_seed, make_policy, rollouts, training_card
+from knotgym.control import PolicyConfig, make_policy, rollouts, training_card
 from knotgym.datasets import STEPS, Episodes, episodes_of, goal_reached, merged
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.episodes.collect import blocks
@@ -51,7 +51,7 @@ def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, whol
         seed: of the evaluation.
         whole: whether to keep their steps, to film or record them.
     """
-    seeds = [episode_seed(seed, number, Stream.EVALUATION_EPISODE) for number in numbers]
+    seeds = [Stream.EVALUATION_EPISODE.derived_seed(seed, number) for number in numbers]
     return rollouts(make_policy(policy), task, seeds, keep=STEPS if whole else None).columns()
 
 

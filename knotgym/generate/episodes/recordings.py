@@ -26,13 +26,14 @@ from knotgym.common import (
     InvalidFile,
     InvalidInput,
     Schema,
+    Stream,
     Table,
     as_json,
     from_json,
     read_tables,
     write_tables,
 )
-from knotgym.control import RecordedPolicy, episode_seed, rollouts
+from knotgym.control import RecordedPolicy, rollouts
 from knotgym.datasets import MACROS, PULLS, RECORDED, Episodes
 from knotgym.generate.episodes.collect_config import CollectConfig
 from knotgym.rope import FORCE_BINS, quantized
@@ -136,7 +137,7 @@ def replay(config: CollectConfig, numbers: range, path: Path = RECORDINGS) -> Re
             f" {config.episodes}"
         )
     own = recording.episodes.select(np.arange(numbers.start, numbers.stop))
-    seeds = [episode_seed(config.seed, number) for number in numbers]
+    seeds = [Stream.EPISODE.derived_seed(config.seed, number) for number in numbers]
     return rollouts(RecordedPolicy(own, config.policy.policy), config.policy_task, seeds).columns()
 
 

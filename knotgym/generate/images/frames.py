@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream, Table, derived_seed, generator
+from knotgym.common import Stream, Table
 from knotgym.control import PolicyConfig, make_policy, rollouts
 from knotgym.datasets import STARTS, STEPS
 from knotgym.envs import TaskConfig
@@ -77,7 +77,7 @@ def frames_of(
     for (index, pulls), points in _observed(config, ropes, start_qpos).items():
         rope = ropes[index]
         if kind.tilted:
-            camera = generator(Stream.IMAGE_CAMERA, config.seed, rope.number, pulls)
+            camera = Stream.IMAGE_CAMERA.generator(config.seed, rope.number, pulls)
             sight = drawn_camera(camera, look.tilt)
             points = tilted(points, *sight)
         crossings = find_crossings(points)
@@ -94,7 +94,7 @@ def frames_of(
         if faults:
             dropped[faults[0]] += 1
             continue
-        rng = generator(Stream.IMAGE_CHOICE, config.seed, rope.number, pulls)
+        rng = Stream.IMAGE_CHOICE.generator(config.seed, rope.number, pulls)
         symmetries = rng.integers((2, 2, 2, len(points)), size=(SYMMETRIES, 4))
         codes = [_shown(points, symmetry_of(one), config) for one in symmetries]
         grade = ease(quality, LEGIBLE)
@@ -133,7 +133,7 @@ def _observed(
         starts = schema.empty(len(own))
         starts["start_qpos"][:] = start_qpos[own]
         starts["seed"][:] = [
-            derived_seed(Stream.IMAGE_WALK, config.seed, ropes[index].number) for index in own
+            Stream.IMAGE_WALK.derived_seed(config.seed, ropes[index].number) for index in own
         ]
         played = rollouts(
             make_policy(PolicyConfig(policy=policy)),

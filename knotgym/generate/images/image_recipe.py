@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, InvalidInput, Stream, generator
+from knotgym.common import Failed, InvalidInput, Stream
 from knotgym.datasets import PictureRow, arrow, drawn, finish_images, shard_name
 from knotgym.generate.images.choice import Chooser, Quota
 from knotgym.generate.images.frames import PicturedRope, frames_of
@@ -113,7 +113,7 @@ def _splits_of(config: ImagesConfig, states: States, wanted: set[Quota]) -> NDAr
     most = {one: int(states.nx[family == one].max()) for one in set(family.tolist())}
     for nx in sorted(set(most.values())):
         same = [one for one in sorted(most) if most[one] == nx]
-        order = generator(Stream.IMAGE_FAMILIES, config.seed, nx).permutation(len(same))
+        order = Stream.IMAGE_FAMILIES.generator(config.seed, nx).permutation(len(same))
         test = round(config.test_share * len(same)) or int(config.test_share > 0)
         new = (round(config.code_share * len(same)) or 1) * (("test-code", nx) in wanted)
         names = ["train", *["test"] * test, *["test-code"] * new, *["train"] * len(same)]
@@ -164,7 +164,7 @@ class _Waves:
     def calls(self) -> list[Call]:
         """Draw the ropes of the next wave and return what pulls them."""
         config, first = self._config, len(self.ropes)
-        rng = generator(Stream.IMAGE_WAVE, config.seed, self._wave)
+        rng = Stream.IMAGE_WAVE.generator(config.seed, self._wave)
         lacking = self.chooser.lacking()
         # 10 % more ropes than the yield so far suggests, smoothed by 1 rope and 2 pictures
         wanted = {
@@ -241,7 +241,7 @@ def _files(config: ImagesConfig, waves: _Waves) -> dict[str, list[PictureRow]]:
     number = 0
     for place, split in enumerate(IMAGE_SPLITS):
         chosen = [one for one in waves.chooser.chosen if one.split == split]
-        order = generator(Stream.IMAGE_ORDER, config.seed, place).permutation(len(chosen)).tolist()
+        order = Stream.IMAGE_ORDER.generator(config.seed, place).permutation(len(chosen)).tolist()
         count = -(-len(chosen) // config.rows_per_file)
         for index in range(count):
             name = shard_name(split, index, count)

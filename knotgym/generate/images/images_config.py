@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field, NonNegativeInt, PositiveInt
 
-from knotgym.common import Distinct, InvalidInput, Seed, Share, Stream, configuration, generator
+from knotgym.common import Distinct, InvalidInput, Seed, Share, Stream, configuration
 from knotgym.quality import UNAMBIGUOUS, Limits
 from knotgym.rendering import APPEARANCES, AppearanceConfig
 from knotgym.rope import MUJOCO, EngineName
@@ -124,7 +124,7 @@ def held_out(config: ImagesConfig, codes: Mapping[int, Sequence[str]]) -> frozen
     out: list[str] = []
     for nx in config.trained:
         if len(codes[nx]) >= 4 and config.code_share > 0:
-            order = generator(Stream.IMAGE_CODES, config.seed, nx).permutation(len(codes[nx]))
+            order = Stream.IMAGE_CODES.generator(config.seed, nx).permutation(len(codes[nx]))
             count = max(1, round(config.code_share * len(codes[nx])))
             out += [codes[nx][k] for k in order[:count].tolist()]
     return frozenset(out)

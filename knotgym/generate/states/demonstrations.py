@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Stream, Table, derived_seed
+from knotgym.common import Stream, Table
 from knotgym.control import PassPlanner, PassPlannerConfig, Policy, PullPlanner, rollouts
 from knotgym.datasets import STARTS, Episodes, MinariMetadata, episodes_of, merged, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
@@ -154,7 +154,7 @@ def _demonstrate(task: TaskConfig, seed: int, goals: Sequence[int], attempt: int
         task = replace(task, horizon=min(task.horizon, _SHORT))
     batch, ids = EpisodeBatch(task, len(goals)), np.arange(len(goals))
     for index, goal in enumerate(goals):
-        own = derived_seed(Stream.DEMONSTRATED, seed, goal, attempt)
+        own = Stream.DEMONSTRATED.derived_seed(seed, goal, attempt)
         batch.begin(ids[index : index + 1], [own], {"goal": goal})
     schema = STARTS.sized(nq=batch.start_qpos.shape[1])
     columns = (batch.seed, batch.start_row, batch.goal_row, batch.start_qpos)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, Stream, Table, as_json, generator, generator_of, key
+from knotgym.common import Failed, Stream, Table, as_json
 from knotgym.drawing import drawn_curve
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.selection import Selection
@@ -157,7 +157,7 @@ def splits_of(config: GenerateConfig, rows: Table) -> NDArray[np.str_]:
     assigned = np.full(len(codes), STATE_SPLITS[0], dtype="<U5")
     for nx in config.nx:
         own = np.flatnonzero(rows["nx"] == nx)
-        rng = generator(Stream.SPLIT, config.seed, nx)
+        rng = Stream.SPLIT.generator(config.seed, nx)
         assigned[own] = split([codes[row] for row in own], config.train_share, rng)
     return keep_duplicates_together(assigned, rows["points"], codes)
 
@@ -212,8 +212,8 @@ def _drawn(
 ) -> dict[str, Any] | None:
     """Make one state; return None if it is rejected, and count the reasons in `rejected`."""
     rope = simulation.rope
-    seed = key(Stream.DRAWING, config.seed, code.nx, order.which, number)
-    rng = generator_of(seed)
+    seed = Stream.DRAWING.key(config.seed, code.nx, order.which, number)
+    rng = Stream.generator_of(seed)
     try:
         # all chance comes from the key of (seed, code, number): the same drawing on any machine
         curve = drawn_curve(code, rng, rope, config.drawing)

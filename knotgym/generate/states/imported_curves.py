@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common import InvalidInput, Stream, key
+from knotgym.common import InvalidInput, Stream
 from knotgym.generate.states.curve_files import Curve, read_curves
 from knotgym.generate.states.relaxation import relaxed
 from knotgym.generate.states.state_rows import judge, row_of, stacked, states_of
@@ -77,7 +77,7 @@ def _laid(curve: Array, number: int, simulation: Simulation) -> dict[str, Any]:
         several = possible_types(code)
         which = f"; it is one of {', '.join(several)}, which share polynomials" if several else ""
         raise InvalidInput(f"its knot, of {code.nx} crossings, can't be certified{which}")
-    stream, rest = key(Stream.IMPORT, 0, code.nx, number), np.zeros((_REST, 6), dtype=np.float32)
+    stream, rest = Stream.IMPORT.key(0, code.nx, number), np.zeros((_REST, 6), dtype=np.float32)
     why = "its strands can't be moved apart"
     for height, rounds in product(_HEIGHTS, _ROUNDS):
         points = _candidate(curve * (1, 1, height), rounds, code, rope)

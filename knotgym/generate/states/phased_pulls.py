@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Table, generator_of
+from knotgym.common import Stream, Table
 from knotgym.control import Ids, Player, Policy, Pulls, Scripted, rollouts
 from knotgym.datasets import STARTS
 from knotgym.envs import EpisodeBatch, TaskConfig
@@ -136,7 +136,9 @@ class _PhasePlayer(Player):
         for index in ids.tolist():
             key = self._policy.keys[self._batch.number[index]]
             self._drawn[index] = drawn_actions(key, self._policy.config.random)
-            self._rngs[index] = generator_of((*key[:-1], key[-1] + 1))  # actions have their own
+            self._rngs[index] = Stream.generator_of(
+                (*key[:-1], key[-1] + 1)
+            )  # actions have their own
         self._scripted.begin(ids, [self._rngs[index] for index in ids.tolist()])
 
     def act(self, ids: Ids) -> Pulls:

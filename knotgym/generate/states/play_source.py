@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, Table, key
+from knotgym.common import Failed, Table
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
 from knotgym.generate.states.phased_pulls import pulled_ropes
 from knotgym.generate.states.selection import Selection
@@ -121,7 +121,7 @@ def _key_of(config: GenerateConfig, rope: int) -> tuple[int, ...]:
     """Return the key of a rope's random stream."""
     stream = source_of(config.source).stream
     assert stream is not None
-    return key(stream, config.seed, rope)
+    return stream.key(config.seed, rope)
 
 
 def _pulls_of(config: GenerateConfig) -> PlayConfig:

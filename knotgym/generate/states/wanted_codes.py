@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import count, islice
 
-from knotgym.common import InvalidInput, Stream, generator
+from knotgym.common import InvalidInput, Stream
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.topology import (
     LISTED_NX,
@@ -43,14 +43,14 @@ class WantedCodes:
         counted = self.listed is not None and (config.codes or nx <= LISTED_NX)
         self.existing = len(self.listed or ()) if counted else None
         self._drawn: dict[GaussCode, None] = {}
-        self._rng = generator(Stream.DRAWING_CODES, config.seed, nx)
+        self._rng = Stream.DRAWING_CODES.generator(config.seed, nx)
         self._order: list[int] | None = None
         self.wanted = config.count
         if self.listed is None:
             return
         if not self.listed:
             raise InvalidInput(f"no diagram of {config.knot} has {nx} crossings")
-        order = generator(Stream.CODE_ORDER, config.seed, nx).permutation(len(self.listed))
+        order = Stream.CODE_ORDER.generator(config.seed, nx).permutation(len(self.listed))
         each = config.every_code or -(-config.count // len(self.listed))
         # first copies of all codes come before second copies
         self._order = order.tolist() * each
