@@ -26,8 +26,8 @@ from ..scripts import ROOT, run_script
 FOLDER = ROOT / "examples"
 SCRIPTS = [
     FOLDER / "to_lerobot.py",
-    FOLDER / "learners" / "flow.py",
     FOLDER / "learners" / "offline_rl.py",
+    FOLDER / "learners" / "offline_torch.py",
     FOLDER / "learners" / "online_ppo.py",
     FOLDER / "perception" / "photos.py",
     FOLDER / "perception" / "read.py",

@@ -86,10 +86,16 @@ def test_a_learner_of_d3rlpy_trains_and_plays(
     check_plays(out.stem, monkeypatch)
 
 
-def test_a_flow_policy_trains_and_plays(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "learner", ["DiscreteBC", "BC", "GCBC", "Flow", "IQL", "TD3BC", "GCIVL", "CRL"]
+)
+def test_a_learner_in_torch_trains_and_plays(
+    learner: str, room: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("torch")
-    run_script(FOLDER / "flow.py", ID, "--steps", 2, "--out", room / "flow.pt")
-    check_plays("flow", monkeypatch)
+    out = room / f"in_torch_{learner.lower()}.pt"
+    run_script(FOLDER / "offline_torch.py", learner, ID, "--steps", 2, "--out", out)
+    check_plays(out.stem, monkeypatch)
 
 
 def test_an_onnx_session_and_a_torch_module_act(room: Path) -> None:
