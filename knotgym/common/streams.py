@@ -64,6 +64,8 @@ class Stream(IntEnum):
     DEMONSTRATED = 66  # state, attempt: the seed of the episode that ends in its code
     SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
     IMAGE_CAMERA = 72  # rope, pulls: the camera of a photo
+    STREAM_ORDER = 76  # block: the order of its rows
+    STREAM_PICTURES = 77  # block: the seed of its pictures
 
     def key(self, seed: int, *counters: int) -> tuple[int, ...]:
         """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63)."""

@@ -25,6 +25,7 @@ from .episodes.suite_scores import CELL as CELL
 from .episodes.suite_scores import LINE as LINE
 from .episodes.suite_scores import read_scores as read_scores
 from .images.image_recipe import make_images as make_images
+from .images.image_recipe import picture_block as picture_block
 from .images.images_config import ImagesConfig as ImagesConfig
 from .states.generate_config import GenerateConfig as GenerateConfig
 from .states.generate_config import PlayConfig as PlayConfig

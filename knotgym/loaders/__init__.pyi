@@ -4,7 +4,6 @@ from .converters import stream as stream
 from .converters import to_d3rlpy as to_d3rlpy
 from .converters import to_tensordict as to_tensordict
 from .converters import torch_dataset as torch_dataset
-from .episode_stream import EpisodeStream as EpisodeStream
 from .perception import images as images
 from .row_policy import RowPolicy as RowPolicy
 from .row_policy import as_policy as as_policy

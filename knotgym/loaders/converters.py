@@ -20,7 +20,7 @@ from knotgym.common import (
     install_command,
     require_output,
 )
-from knotgym.loaders.episode_stream import EpisodeStream, Played
+from knotgym.loaders.data_stream import DataStream, Pictured, Played
 from knotgym.loaders.transitions import Opening, Transitions
 from knotgym.rope import DECISION, REAL
 
@@ -300,14 +300,16 @@ def import_client(module: str) -> Any:
 
 
 def stream(
-    config: Played,
+    config: Played | Pictured,
     seed: int = 0,
     *,
     batch: int = 256,
-    episodes: int = 64,
+    block: int = 64,
+    shuffled: int = 8,
+    repeats: int = 4,
     **opening: Unpack[Opening],
-) -> EpisodeStream:
-    """Play episodes without end, and return batches of their transitions.
+) -> DataStream:
+    """Make episodes or pictures without end, and return batches of their transitions or rows.
 
     Where torch is imported, it is a torch `IterableDataset`:
 
@@ -316,17 +318,21 @@ def stream(
 
     The batches are the same with any number of workers; ranks of `torch.distributed` take disjoint
     ones. With torchdata's `StatefulDataLoader` or by `state_dict`, training goes on after a kill
-    with the next batch. Memory holds one block of episodes.
+    with the next batch. Memory holds `shuffled` blocks, the shuffle buffer.
 
     Args:
-        config: which episodes: task, policy, labels.
+        config: a CollectConfig: which task, policy and labels; or an ImagesConfig: pictures of
+            split train alone, so that its other splits stay unseen.
         seed: of the episodes, as of `collect --seed`, and of what is drawn from them.
-        batch: transitions of a batch, all of one block.
-        episodes: of a block; the more, the less alike are the transitions of a batch.
-        opening: see `knotgym.loaders`.
+        batch: transitions or pictures of a batch, all of one block.
+        block: episodes or pictures of a block; the more, the less alike is a batch.
+        shuffled: blocks that take turns; nothing is made twice if it is a multiple of the number of
+            all workers.
+        repeats: batches of a block; its rows come in random order, and again if there are fewer.
+        opening: see `knotgym.loaders`; not for pictures, whose batches are those of `images`.
     """
     if "torch" not in sys.modules:
-        return EpisodeStream(config, seed, batch, episodes, opening)
+        return DataStream(config, seed, batch, block, shuffled, repeats, opening)
     from knotgym.loaders.pytorch import TorchStream
 
-    return TorchStream(config, seed, batch, episodes, opening)
+    return TorchStream(config, seed, batch, block, shuffled, repeats, opening)

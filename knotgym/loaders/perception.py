@@ -19,7 +19,7 @@ def images(
     Args:
         path: the folder, or one shard.
         split: "train", "test", "test-code" or "test-nx"; None for all rows.
-        kind: "torch" for a `knotgym.loaders.picture_dataset.PictureDataset`, which any number of
+        kind: "torch" for a `knotgym.loaders.pytorch.PictureDataset`, which any number of
             DataLoader workers can share; "huggingface" for a `datasets.Dataset`, or a `DatasetDict`
             of all splits if split is None.
         max_nx: pad labels to this number of crossings (torch only); None for the largest in the
@@ -33,7 +33,7 @@ def images(
     """
     if kind == "torch":
         import_client("torch")
-        from knotgym.loaders.picture_dataset import PictureDataset
+        from knotgym.loaders.pytorch import PictureDataset
 
         return PictureDataset(path, split, max_nx)
     if kind != "huggingface":

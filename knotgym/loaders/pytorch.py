@@ -1,5 +1,6 @@
-"""Torch datasets over `Transitions` and streams. Importing this needs torch."""
+"""Torch datasets over `Transitions`, pictures and streams. Importing this needs torch."""
 
+import os
 from collections.abc import Sequence
 from operator import itemgetter
 from typing import Any
@@ -10,8 +11,10 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset, IterableDataset
 
 from knotgym.common import Stream
+from knotgym.datasets import read_table
 from knotgym.envs import each
-from knotgym.loaders.episode_stream import EpisodeStream
+from knotgym.loaders.data_stream import DataStream
+from knotgym.loaders.pictures import Pictures
 from knotgym.loaders.transitions import Transitions
 
 _SEVERAL = ("pulls", "negatives")  # of one transition
@@ -49,8 +52,53 @@ class TransitionDataset(Dataset[dict[str, Any]]):
         }
 
 
-class TorchStream(EpisodeStream, IterableDataset[dict[str, Any]]):
-    """An `EpisodeStream` that a DataLoader takes, with `batch_size=None`."""
+class PictureDataset(Pictures, Dataset[dict[str, Any]]):
+    """Pictures with labels, zero-padded to max_nx crossings. An item is a dict of tensors:
+
+        image       uint8 (3, size, size), RGB
+        nx          int64 ()
+        visits      int64 (2 max_nx,): +k at the over strand of crossing k, -k at its under strand,
+                    in the order of the walk
+        signs       int64 (max_nx,): +1 for "c", -1 for "a", by crossing number
+        crossings   float32 (max_nx, 4): x and y in pixels, positions of the over and the under
+                    strand along the rope in beads
+        grade       int64 (): index in `knotgym.datasets.image_table.GRADES`
+        accepted    bool ()
+
+    The PNGs are kept in memory (about 3 kB for a picture of 128 x 128) and shared by forked
+    workers; they are decoded on demand. Pictures of one size batch with the default collate
+    function; for several sizes, pass your own batch sampler or collate function.
+
+    Attributes:
+        max_nx: number of crossings that labels are padded to.
+        codes: str (n,), the Gauss codes.
+        splits: str (n,).
+        labels: name -> tensor (n, ...); all of the above except the images.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], split: str | None = None, max_nx: int | None = None
+    ) -> None:
+        """Read a table; see `knotgym.loaders.images`."""
+        table = read_table(path, split, columns=self.COLUMNS)
+        whole = table if split is None else read_table(path, columns=["nx"])
+        most = max([0, *whole["nx"].to_pylist()]) if max_nx is None else max_nx
+        super().__init__(table, most)
+        self.max_nx = most
+        self.labels = {name: torch.from_numpy(column) for name, column in self.labels.items()}
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"index {index} is outside a dataset of {len(self)}")
+        row = index % len(self)
+        return {
+            "image": torch.from_numpy(self.picture(row)),
+            **{name: column[row] for name, column in self.labels.items()},
+        }
+
+
+class TorchStream(DataStream, IterableDataset[dict[str, Any]]):
+    """A `DataStream` that a DataLoader takes, with `batch_size=None`."""
 
 
 def _tensor(seen: NDArray[Any]) -> torch.Tensor:

@@ -1,8 +1,15 @@
-"""Streams: batches of episodes that are played as they are needed."""
+"""Streams: batches of episodes and pictures that are made as they are needed."""
 
 from __future__ import annotations
 
+import os
 import pickle
+import random
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,16 +21,21 @@ from knotgym.common import InvalidInput
 from knotgym.control import PolicyConfig
 from knotgym.datasets import open_episodes
 from knotgym.envs import TaskConfig
-from knotgym.generate import CollectConfig, collect
-from knotgym.loaders import EpisodeStream, Transitions, Window, stream
+from knotgym.generate import CollectConfig, ImagesConfig, collect
+from knotgym.loaders import Transitions, Window, stream
+from knotgym.loaders.data_stream import DataStream
 from knotgym.runs import RunOptions
 
 TASK = TaskConfig(task="tie", nx=1, engine="chain", observation="state", horizon=6)
 CONFIG = CollectConfig(task=TASK, policy=PolicyConfig(policy="random"), episodes=8, form="columns")
 
 
-def made(**words: Any) -> EpisodeStream:
-    return stream(CONFIG, 3, **{"batch": 8, "episodes": 4, **words})
+PICTURES = ImagesConfig(engine="chain", nx=(0, 1, 2), count=40)
+SMALL: dict[str, Any] = {"batch": 8, "block": 4, "shuffled": 2, "repeats": 2}
+
+
+def made(**words: Any) -> DataStream:
+    return stream(CONFIG, 3, **{**SMALL, **words})
 
 
 def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
@@ -46,6 +58,23 @@ def test_the_first_blocks_are_the_episodes_of_a_collection(tmp_path: Path) -> No
             assert (held["observations"] == seen).all(axis=1).any()
 
 
+def test_a_block_gives_each_of_its_rows_before_one_comes_again() -> None:
+    few = made(shuffled=1, batch=6, repeats=4, block=4)  # 24 transitions at most
+    seen = np.concatenate([batch["observations"] for batch in islice(few, 4)])
+    rows = len(Transitions(few._block(0).dataset))  # type: ignore[union-attr]
+    assert len(np.unique(seen, axis=0)) == min(rows, 24)
+
+
+def test_pictures_are_those_of_the_train_split() -> None:
+    pictures = stream(PICTURES, 1, **SMALL)
+    first, second = islice(pictures, 2)
+    assert first["image"].shape == (8, 3, 128, 128) and first["image"].dtype == np.uint8
+    assert not same(first, second) and same(first, pictures.batch_of(0))
+    assert set(first["nx"]) <= {0, 1}, "2 is held out for split test-nx"
+    names = {"image", "nx", "visits", "signs", "crossings", "grade", "accepted"}
+    assert set(first) == names
+
+
 def test_a_stream_goes_on_where_another_was() -> None:
     whole = [*islice(made(), 4)]
     first = made()
@@ -58,7 +87,7 @@ def test_a_stream_goes_on_where_another_was() -> None:
     # another iterator of the same stream goes on, too
     assert same(next(iter(first)), whole[2])
     with pytest.raises(InvalidInput, match="had seed 3, this one has 4"):
-        stream(CONFIG, 4, batch=8, episodes=4).load_state_dict(first.state_dict())
+        stream(CONFIG, 4, **SMALL).load_state_dict(first.state_dict())
 
 
 def test_windows_relabelling_and_own_rewards_reach_a_stream() -> None:
@@ -70,14 +99,63 @@ def test_windows_relabelling_and_own_rewards_reach_a_stream() -> None:
 
 
 def test_what_makes_no_batch_is_one_line() -> None:
-    with pytest.raises(InvalidInput, match="at least 1, got 0 and 4"):
+    with pytest.raises(InvalidInput, match="batch must be at least 1, got 0"):
         made(batch=0)
     with pytest.raises(InvalidInput, match="use action 'pull' or 'bead'"):
         made(action="decision")
+    with pytest.raises(InvalidInput, match="a stream of pictures takes no action"):
+        stream(PICTURES, action="bead")
+
+
+TRAINING = """
+import pickle, sys
+from pathlib import Path
+from torchdata.stateful_dataloader import StatefulDataLoader
+from knotgym.common import sha256
+from tests.loaders.test_stream import made
+
+folder, workers, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+if __name__ == "__main__":
+    loader = StatefulDataLoader(made(), batch_size=None, num_workers=workers)
+    kept, done = folder / "state", 0
+    if kept.exists():
+        done, state = pickle.loads(kept.read_bytes())
+        loader.load_state_dict(state)
+    for batch in loader:
+        (folder / "now").write_bytes(pickle.dumps({k: v.numpy() for k, v in batch.items()}))
+        (folder / "now").rename(folder / str(done))
+        done += 1
+        (folder / "new").write_bytes(pickle.dumps((done, loader.state_dict())))
+        (folder / "new").rename(kept)
+        if done >= count:
+            break
+"""
 
 
 @pytest.mark.clients
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_killed_trainings_see_the_batches_of_an_unbroken_one(tmp_path: Path, workers: int) -> None:
+    pytest.importorskip("torchdata")
+    kills, count, rng = int(os.environ.get("KILLS", "2")), 12, random.Random(workers)
+    program = tmp_path / "training.py"
+    program.write_text(TRAINING)
+    command = [sys.executable, str(program), str(tmp_path), str(workers)]
+    for kill in range(kills):
+        wanted = (kill + 1) * count // (kills + 1)
+        child = subprocess.Popen([*command, str(count)], start_new_session=True)
+        while child.poll() is None and not (tmp_path / str(wanted)).exists():
+            time.sleep(0.01)
+        time.sleep(rng.random() * 0.2)
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+    subprocess.run([*command, str(count)], check=True)
+    for number, right in enumerate(islice(made(), count)):
+        assert same(pickle.loads((tmp_path / str(number)).read_bytes()), right), number
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize("workers", [1, 2, 4])
 def test_workers_give_the_batches_of_a_single_process(workers: int) -> None:
     pytest.importorskip("torch")
     from torch.utils.data import DataLoader

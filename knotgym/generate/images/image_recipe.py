@@ -6,6 +6,8 @@ a time (`datasets.image_rows`). All frames of a rope are in one split.
 """
 
 from collections import Counter
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,12 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Failed, InvalidInput, Stream
-from knotgym.datasets import PictureRow, arrow, drawn, finish_images, shard_name
+from knotgym.datasets import (
+    PictureRow,
+    arrow,
+    drawn,
+    finish_images,
+    record,
+    shard_name,
+    table_of,
+)
 from knotgym.generate.images.choice import Chooser, Quota
 from knotgym.generate.images.frames import PicturedRope, frames_of
 from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
 from knotgym.rope import RopeConfig
-from knotgym.runs import Call, Progress, Recipe, Result, RunOptions, compile_first, identity, run
+from knotgym.runs import (
+    Call,
+    Progress,
+    Recipe,
+    Result,
+    RunOptions,
+    compile_first,
+    compute,
+    identity,
+    run,
+)
 from knotgym.states import IMAGE_SPLITS, States, families, held_form, read_states, resolve_states
 from knotgym.topology import codes_of
 
@@ -58,6 +78,24 @@ def make_images(
         progress,
         prepare=lambda shown, pool: compile_first(shown, config.engine, pool=pool),
     )
+
+
+def picture_block(config: ImagesConfig, number: int, count: int, seed: int) -> Any:
+    """Return a pyarrow.Table of pictures for split train, as `ImagesConfig.pictured` describes."""
+    plan, nx = _plan_of(config), config.trained
+    quota = {
+        ("train", one): count // len(nx) + (index < count % len(nx)) for index, one in enumerate(nx)
+    }
+    own = Stream.STREAM_PICTURES.derived_seed(seed, number)
+    waves = _Waves(replace(config, seed=own), plan._replace(quota=quota))
+    compute(_filled(waves))
+    files = _files(waves)
+    return table_of([record(row, config.appearance) for rows in files.values() for row in rows])
+
+
+@lru_cache(maxsize=2)
+def _plan_of(config: ImagesConfig) -> "_Plan":
+    return _Plan.of(config, read_states(resolve_states(None), images=False))
 
 
 class _Plan(NamedTuple):
@@ -125,10 +163,8 @@ def _splits_of(config: ImagesConfig, states: States, wanted: set[Quota]) -> NDAr
 
 def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Path) -> Recipe[str]:
     """Make pictures in the new folder `place`; the result is a summary."""
-    waves = _Waves(config, plan)
-    while waves.chooser.lacking():
-        waves.take((yield waves.calls()))
-    rows_of = _files(config, waves)
+    waves = yield from _filled(_Waves(config, plan))
+    rows_of = _files(waves)
     results = yield [
         Call(f"rendering pictures {name}", drawn, (rows, config.appearance))
         for name, rows in rows_of.items()
@@ -141,10 +177,18 @@ def _pictures(config: ImagesConfig, plan: _Plan, made: dict[str, Any], place: Pa
     return f"{len(waves.chooser.chosen)} pictures"
 
 
+def _filled(waves: "_Waves") -> Recipe["_Waves"]:
+    """Pull ropes until all quotas are full."""
+    while waves.chooser.lacking():
+        waves.take((yield waves.calls()))
+    return waves
+
+
 class _Waves:
     """Ropes that are pulled, wave after wave, until their frames fill all quotas.
 
     Attributes:
+        config: of the pictures.
         ropes: all ropes so far; the number of a rope is its index.
         chooser: chooses among their frames.
     """
@@ -154,7 +198,7 @@ class _Waves:
             list[PicturedRope](),
             Chooser(plan.quota, plan.held_out, config),
         )
-        self._config, self._plan = config, plan
+        self.config, self._plan = config, plan
         self._quota_of = list[Quota]()  # that each rope is for
         # by quota: ropes that were pulled for it, and pictures that they gave
         self._pulled, self._gave = Counter[Quota](), Counter[Quota]()
@@ -163,7 +207,7 @@ class _Waves:
 
     def calls(self) -> list[Call]:
         """Draw the ropes of the next wave and return what pulls them."""
-        config, first = self._config, len(self.ropes)
+        config, first = self.config, len(self.ropes)
         rng = Stream.IMAGE_WAVE.generator(config.seed, self._wave)
         lacking = self.chooser.lacking()
         # 10 % more ropes than the yield so far suggests, smoothed by 1 rope and 2 pictures
@@ -203,7 +247,7 @@ class _Waves:
                 self._gave[self._quota_of[number]] += chosen
         self._wave += 1
         self._idle = 0 if len(self.chooser.chosen) > before else self._idle + 1
-        if self._idle == self._config.idle:
+        if self._idle == self.config.idle:
             lacking = sorted(self.chooser.lacking().items())
             missing = ", ".join(f"{n} of {split} with nx {nx}" for (split, nx), n in lacking)
             raise Failed(
@@ -235,10 +279,10 @@ class _Waves:
         raise Failed(f"no state is left for {split} with nx {nx}; start from more states")
 
 
-def _files(config: ImagesConfig, waves: _Waves) -> dict[str, list[PictureRow]]:
+def _files(waves: _Waves) -> dict[str, list[PictureRow]]:
     """Return the rows of every file by its name; each split's rows are in random order."""
+    config, number = waves.config, 0
     files: dict[str, list[PictureRow]] = {}
-    number = 0
     for place, split in enumerate(IMAGE_SPLITS):
         chosen = [one for one in waves.chooser.chosen if one.split == split]
         order = Stream.IMAGE_ORDER.generator(config.seed, place).permutation(len(chosen)).tolist()

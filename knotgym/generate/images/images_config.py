@@ -1,7 +1,7 @@
 """The configuration of `knotgym images`, with its quotas and held-out codes."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, NonNegativeInt, PositiveInt
 
@@ -98,6 +98,15 @@ class ImagesConfig:
     def trained(self) -> tuple[int, ...]:
         """The crossing numbers of the other splits."""
         return tuple(nx for nx in self.nx if nx not in self.held_nx)
+
+    def pictured(self, number: int, count: int, seed: int) -> Any:
+        """Make a block of pictures for split train, a pyarrow.Table, by its number and the seed.
+
+        What this configuration holds out for the other splits is held out.
+        """
+        from knotgym.generate import picture_block  # through the door, as it imports this module
+
+        return picture_block(self, number, count, seed)
 
 
 def quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int], int]:
