@@ -27,7 +27,7 @@ import json
 import resource
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +50,14 @@ from knotgym.rope import (
 from knotgym.rope import simulation as simulation_of
 from knotgym.states import read_states, shipped
 from knotgym.topology import (
+    UNKNOT,
     GaussCode,
+    faces,
     find_crossings,
-    is_unknot,
     label,
     label_many,
     removals,
-    sideways,
+    shows,
 )
 
 HOLD = 20  # actions with the same bead and direction
@@ -150,7 +151,7 @@ def verdict(points: Array, code: GaussCode, rng: Random) -> str:
     """Whether the rope is "unknotted" or "knotted", seen from other sides where one can't tell."""
     for _ in range(8):
         try:
-            return "unknotted" if is_unknot(code) else "knotted"
+            return "unknotted" if shows(code, UNKNOT) else "knotted"
         except InvalidInput:  # beads on one another
             found = "no diagram"
         except Failed:
@@ -171,10 +172,34 @@ def is_flip(before: GaussCode, after: GaussCode) -> bool:
     return other - one not in (1, 2 * after.nx - 1)
 
 
+def sideways(code: GaussCode) -> Iterator[GaussCode]:
+    """Yield the codes one move away with as many crossings: base point shifts and third moves."""
+    if code.nx:
+        # the base point slides over the first crossing, or back over the last
+        yield code.rebased(1)
+        yield code.rebased(-1)
+    visits, count = code.visits, len(code.visits)
+    for face in faces(code) if code.nx >= 3 else ():
+        # dart 2 k and 2 k + 1 are the two sides of edge k, which leads from visit k to the next
+        edges = [dart // 2 for dart in face]
+        ends = [(visits[edge], visits[(edge + 1) % count]) for edge in edges]
+        labels = {abs(visit) for pair in ends for visit in pair}
+        # A triangle allows a third move if one of its edges is over at both ends, one under at
+        # both, and one over at one end. The move swaps the two visits of each edge.
+        heights = sorted((a > 0) + (b > 0) for a, b in ends)
+        if len(face) == len(labels) == 3 and heights == [0, 1, 2]:
+            moved = list(visits)
+            # each strand passes its two crossings in the other order
+            for edge in edges:
+                after = (edge + 1) % count
+                moved[edge], moved[after] = moved[after], moved[edge]
+            yield code.of_visits(tuple(moved))
+
+
 def is_one_move(before: GaussCode, after: GaussCode) -> bool:
     """Whether one Reidemeister move, or a slide of the base point, leads from code to code."""
     down, up = sorted((before, after), key=lambda code: code.nx)
-    return down in [move.code for move in removals(up)] or after in sideways(before)
+    return down in [*removals(up)] or after in sideways(before)
 
 
 def changes_within(

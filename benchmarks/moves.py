@@ -38,7 +38,7 @@ from knotgym.control import (
 )
 from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.rope import Array, Pass
-from knotgym.topology import DIAGRAM, UNKNOT, GaussCode, canonical, codes_of, label
+from knotgym.topology import UNKNOT, GaussCode, Symmetry, canonical, codes_of, label
 
 TASKS = (("tie", 2), ("tie", 3), ("tie", 4), ("convert", 3), ("unknot", 4))
 MOST_NX = 5  # crossings of the diagrams that are counted
@@ -204,11 +204,11 @@ def goals_of(batch: EpisodeBatch, which: str) -> list[GaussCode]:
     if which == "every":
         return every
     held = {
-        canonical(code, DIAGRAM)
+        canonical(code, Symmetry.DIAGRAM)
         for task, nx in TASKS
         for code in EpisodeBatch(TaskConfig(task=task, nx=nx, split="test-code")).side_codes("goal")
     }
-    return [code for code in every if canonical(code, DIAGRAM) not in held]
+    return [code for code in every if canonical(code, Symmetry.DIAGRAM) not in held]
 
 
 def main() -> None:

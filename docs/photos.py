@@ -17,7 +17,7 @@ from knotgym.common import Failed
 from knotgym.drawing import drawn_curve
 from knotgym.rendering import Shot, photograph
 from knotgym.states import read_states, shipped
-from knotgym.topology import DIAGRAM, canonical, pd_text, uniform_code
+from knotgym.topology import Symmetry, canonical, pd_text, uniform_code
 
 PAGES = Path(__file__).parent
 _SIDE, _GAP, _ACROSS = 152, 2, 8  # pixels of a tile and between tiles; tiles
@@ -60,6 +60,9 @@ if __name__ == "__main__":
         for number, shot in enumerate(made):
             cv2.imwrite(str(folder / f"{number:03d}.png"), shot.image[..., ::-1])
             code = shot.crossings.code
-            names = {"pd_code": pd_text(code), "canonical_code": str(canonical(code, DIAGRAM))}
+            names = {
+                "pd_code": pd_text(code),
+                "canonical_code": str(canonical(code, Symmetry.DIAGRAM)),
+            }
             codes[f"{number:03d}"] = {"gauss_code": code.chiral, **names}
         (folder.parent / f"{folder.name}-codes.json").write_text(json.dumps(codes, indent=1))

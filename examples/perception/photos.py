@@ -25,7 +25,7 @@ from pictures import Misread, page, shown_rows
 from knotgym.datasets import decode, read_rows
 from knotgym.learn import RopeReader, StrandNetwork, load_rope_reader
 from knotgym.rendering import photograph
-from knotgym.topology import REBASE, REVERSE, GaussCode, find_crossings, images
+from knotgym.topology import GaussCode, Symmetry, find_crossings, images
 
 SIDE, PLACES, MOST = 256, 512, 12  # of a training picture: side, places on the line, crossings
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ def read(given: argparse.Namespace) -> None:
     for row in shown_rows(given.folder, given.split, given.count):
         code, image = GaussCode.parse(row["gauss_code_chiral"]), decode(row["image"])
         found = reader.read(image, given.views)
-        right = found is not None and found.code in images(code, REVERSE | REBASE)
+        right = found is not None and found.code in images(code, Symmetry.REVERSE | Symmetry.REBASE)
         factors = {**row["appearance"], **(row.get("photo") or {})}
         numbers = {name: one for name, one in factors.items() if isinstance(one, int | float)}
         known = {"nx": code.nx, "right": right, "accepted": row["accepted"]}

@@ -24,14 +24,12 @@ from pictures import shown_rows
 
 from knotgym.datasets import decode
 from knotgym.topology import (
-    NEGATIVE,
-    POSITIVE,
-    REBASE,
-    REVERSE,
     GaussCode,
+    Symmetry,
+    chiralities,
     images,
-    is_planar,
     knot_type,
+    letters_of,
     pd_text,
 )
 
@@ -160,13 +158,13 @@ def walked(arcs: list[Array], pairs: dict[End, tuple[End, int, float]]) -> Gauss
     letters = {}
     for number in label.values():
         o, u = directions[number], directions[-number]
-        letters[number] = POSITIVE if o[0] * u[1] - o[1] * u[0] > 0 else NEGATIVE
+        letters[number] = letters_of([o[0] * u[1] - o[1] * u[0]])
     return GaussCode.relabelled(visits, letters)
 
 
 def same_diagram(one: GaussCode, other: GaussCode) -> bool:
     """Return whether both are codes of one diagram, from any base points, in any directions."""
-    return other in images(one, REVERSE | REBASE)
+    return other in images(one, Symmetry.REVERSE | Symmetry.REBASE)
 
 
 def main() -> None:
@@ -183,7 +181,8 @@ def main() -> None:
             parser.error("these pictures aren't line drawings; make some with --appearance line")
         code, found = GaussCode.parse(row["gauss_code_chiral"]), read(decode(row["image"]))
         exact = found is not None and same_diagram(found, code)
-        knot = exact or (found is not None and is_planar(found) and knot_type(found) == row["knot"])
+        planar = found is not None and found.chirality in chiralities(found)
+        knot = exact or (planar and knot_type(found) == row["knot"])
         tally.setdefault(code.nx, []).append((exact, knot))
         own = "" if found is None else pd_text(found)
         answers.append(json.dumps({"pd_code": row["pd_code"], "answer": own, "right": exact}))

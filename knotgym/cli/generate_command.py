@@ -11,7 +11,7 @@ import numpy as np
 from knotgym.cli.options import RUN, Given, command, extra, numbers
 from knotgym.common import InvalidInput, Stream
 from knotgym.generate import GenerateConfig
-from knotgym.topology import GaussCode, parse_code, split_codes
+from knotgym.topology import UNKNOT, GaussCode, parse_codes
 
 HARD_UNKNOTS = "hard-unknots"  # the list of codes that ships
 MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
@@ -48,7 +48,7 @@ def generate(given: Given) -> None:
     """
     from knotgym.datasets import loading_lines
     from knotgym.generate import make_states
-    from knotgym.topology import UNKNOT, diagram_of
+    from knotgym.topology import diagram_of
 
     options, progress, knot = given.run, given.progress, given.get("knot")
     codes, every_code, nx = given["codes"], given.get("every_code"), given["nx"]
@@ -76,7 +76,7 @@ def generate(given: Given) -> None:
 def code_list(
     path: Path, nx: Sequence[int] | None, count: int | None, rng: np.random.Generator
 ) -> list[GaussCode]:
-    """Read Gauss, PD or DT codes from a file; see `split_codes`.
+    """Read Gauss, PD or DT codes from a file; see `parse_codes`.
 
     Args:
         path: the file, of at most MOST_CODES codes, or HARD_UNKNOTS for the one that ships.
@@ -93,18 +93,11 @@ def code_list(
         raise InvalidInput(f"--codes {path} is not a regular file")
     try:
         with open(path, encoding="utf-8-sig") as lines:
-            texts = [*islice(split_codes(lines), MOST_CODES + 1)]
+            found = [*islice(parse_codes(lines), MOST_CODES + 1)]
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"--codes {path} can't be read: {error}") from error
-    found = []
-    for text in texts:
-        try:
-            found.append(parse_code(text))
-        except InvalidInput as error:
-            first = text.partition("\n")[0]
-            given = path.read_text(encoding="utf-8-sig").splitlines()
-            number = [one.partition("#")[0].strip() for one in given].index(first) + 1
-            raise InvalidInput(f"--codes {path}, line {number}: {error}") from None
+    except InvalidInput as error:
+        raise InvalidInput(f"--codes {path}, {error}") from None
     if len(found) > MOST_CODES:
         raise InvalidInput(f"--codes {path} has more than {MOST_CODES} codes: split it")
     kept = [code for code in found if nx is None or code.nx in nx]

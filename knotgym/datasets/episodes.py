@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import Column, InvalidInput, Schema, Table, joined
 from knotgym.envs import TaskConfig
-from knotgym.topology import NEGATIVE, POSITIVE, GaussCode
+from knotgym.topology import GaussCode, letters_of
 
 
 def _of(what: str, *columns: Column) -> tuple[Column, ...]:
@@ -306,8 +306,7 @@ def gauss_code(visits: NDArray[np.int16], signs: NDArray[np.int8] | None = None)
     numbers = tuple(visits[visits != 0].tolist())
     if signs is None:
         return GaussCode(numbers)
-    letters = [POSITIVE if sign > 0 else NEGATIVE for sign in signs[: len(numbers) // 2].tolist()]
-    return GaussCode(numbers, "".join(letters))
+    return GaussCode(numbers, letters_of(signs[: len(numbers) // 2].tolist()))
 
 
 def _within_tow(episodes: Episodes, tow_limit: float | None) -> NDArray[np.bool_]:

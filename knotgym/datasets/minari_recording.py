@@ -76,7 +76,7 @@ def _episode(
 ) -> Episodes:
     """Read one episode of T pulls."""
     from knotgym.rope import Rope, decode_actions
-    from knotgym.topology import read_codes
+    from knotgym.topology import CodeArrays
 
     def read(key: str) -> NDArray[Any]:
         require_stored_here(items[f"{name}/{key}"], key)
@@ -98,7 +98,7 @@ def _episode(
     terminated = read("terminations")
     truncated = read("truncations") & ~terminated
     truncated[-1] = not terminated[-1]
-    codes = read_codes(np.concatenate([points, goals[:1].astype(np.float64)]))
+    codes = CodeArrays.read(np.concatenate([points, goals[:1].astype(np.float64)]))
     sizes = {
         "beads": task.beads,
         "nq": Rope(rope).nq,

@@ -38,7 +38,7 @@ from knotgym.rope import (
     simulation,
     start_qpos,
 )
-from knotgym.topology import CodeArrays, GaussCode, code_texts, plain_codes, read_codes, visits_of
+from knotgym.topology import CodeArrays, GaussCode
 
 Ids = NDArray[np.int64]
 Seed = int | np.random.Generator
@@ -99,7 +99,7 @@ class EpisodeBatch:
         self.start_qpos = np.zeros((count, self.simulation.rope.nq))
         self.hold = np.full(count, task.hold, dtype=np.int64)
         self.steps, self.held = np.zeros((2, count), dtype=np.int64)
-        self.visits, self.signs, self.crossings = read_codes(self.simulation.points)
+        self.visits, self.signs, self.crossings = CodeArrays.read(self.simulation.points)
         self.wanted = np.zeros_like(self.visits)
         self.shown, self.failed, self.towed = np.zeros((3, count), dtype=bool)
         self.centre, self.forces = np.zeros((2, count, 3))
@@ -213,7 +213,7 @@ class EpisodeBatch:
         self.failed[ids] = self.towed[ids] = False
         self.beads[ids], self.forces[ids], self.applied_shares[ids] = -1, 0.0, 1.0
         if "goal_visits" in rows:
-            goals = plain_codes(np.asarray(rows["goal_visits"], dtype=np.int16))
+            goals = CodeArrays(np.asarray(rows["goal_visits"], dtype=np.int16)).objects()
         else:
             goals = [_parsed(str(code)) for code in self.goals.gauss_code[self.goal_row[ids]]]
         self.seek(ids, goals)
@@ -221,7 +221,7 @@ class EpisodeBatch:
 
     def seek(self, ids: Ids, goals: Sequence[GaussCode]) -> None:
         """Replace the goals' codes of ropes; `goal_row` and the goals' pictures stay."""
-        visits = visits_of(goals, self.wanted.shape[1] // 2)
+        visits = CodeArrays.of(goals, self.wanted.shape[1] // 2).visits
         self._widen(visits.shape[1])
         self.wanted[ids], self._old_texts[ids] = visits, True
         self._read(ids)
@@ -326,11 +326,11 @@ class EpisodeBatch:
 
     def codes_of(self, ids: Ids) -> list[GaussCode]:
         """Return the Gauss codes of ropes, with chirality."""
-        return CodeArrays(self.visits[ids], self.signs[ids], self.crossings[ids]).objects()
+        return CodeArrays(self.visits[ids], self.signs[ids]).objects()
 
     def goals_of(self, ids: Ids) -> list[GaussCode]:
         """Return the goals' codes, without chirality."""
-        return plain_codes(self.wanted[ids])
+        return CodeArrays(self.wanted[ids]).objects()
 
     def goal_points(self, index: int) -> Array:
         """Return a copy of the goal configuration, float64 (beads, 3), metres."""
@@ -394,8 +394,11 @@ class EpisodeBatch:
         else:
             old = ids[self._old_texts[ids]]
             self._old_texts[old] = False
-            seen, goals, chiral = self.visits[old], self.wanted[old], self.signs[old]
-            self._texts[:, old] = code_texts(seen), code_texts(seen, chiral), code_texts(goals)
+            seen, goals = self.visits[old], self.wanted[old]
+            chiral = CodeArrays(seen, self.signs[old])
+            self._texts[:, old] = [
+                one.texts() for one in (CodeArrays(seen), chiral, CodeArrays(goals))
+            ]
             shown = self._texts[0, ids], self._texts[1, ids], self._texts[2, ids]
         infos = {
             "gauss_code": shown[0],
@@ -417,7 +420,7 @@ class EpisodeBatch:
     def _read(self, ids: Ids) -> None:
         """Read the codes of ropes after they moved, or of their goals."""
         points, threads = self.simulation.points, self.simulation.threads
-        codes = read_codes(points, self.visits.shape[1] // 2, threads, ids)
+        codes = CodeArrays.read(points, self.visits.shape[1] // 2, threads, ids)
         self._widen(codes.visits.shape[1])
         self._old_texts[ids] |= (codes.signs != self.signs[ids]).any(axis=1)
         self._old_texts[ids] |= (codes.visits != self.visits[ids]).any(axis=1)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import Threads
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering import PictureConfig, draw_many, drawer_of, picture_of
-from knotgym.topology import plain_codes
+from knotgym.topology import CodeArrays
 
 if TYPE_CHECKING:
     from knotgym.rendering import Appearance
@@ -174,7 +174,7 @@ def observe(
     if task.observation == "marked":
         from knotgym.envs.marked import join, mark
 
-        return join(mark(points, plain_codes(goal_visits)))
+        return join(mark(points, CodeArrays(np.asarray(goal_visits)).objects()))
     if task.observation == "symbolic":
         return cut(np.stack([visits, goal_visits], axis=1))
     seen: dict[str, NDArray[Any]] = {}
@@ -183,7 +183,7 @@ def observe(
     if task.observation == "state" and task.frame == "canonical":
         from knotgym.envs.marked import frames_of
 
-        frames = frames_of(points, plain_codes(goal_visits))
+        frames = frames_of(points, CodeArrays(np.asarray(goal_visits)).objects())
         return frames.states(np.asarray(points, dtype=np.float64), goal_points)
     if task.observation != "pixels":
         seen["state"] = _state(points, goal_points)

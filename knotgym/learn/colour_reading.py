@@ -19,7 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knotgym.common import inner
-from knotgym.topology import OVER_PLACE, UNDER_PLACE, X, Y, scan
+from knotgym.topology import CROSSING, scan
 
 Array = NDArray[np.float64]
 
@@ -148,8 +148,9 @@ def crossing_votes(picture: NDArray[np.uint8], vertices: Array, colours: Array) 
     _, _, table = scan(flat)
     votes = np.zeros((len(table), 3))
     for row in range(len(table)):
-        votes[row, 0], votes[row, 1] = table[row, OVER_PLACE], table[row, UNDER_PLACE]
-        x, y = table[row, X] + SIZE / 2, SIZE / 2 - table[row, Y]
+        votes[row, 0] = table[row, CROSSING.over_place]
+        votes[row, 1] = table[row, CROSSING.under_place]
+        x, y = table[row, CROSSING.x] + SIZE / 2, SIZE / 2 - table[row, CROSSING.y]
         total = 0.0
         # 3 x 3 pixels, each weighed by exp(-(d / 0.6)^2) of its distance d from the crossing
         for r in range(int(y) - 1, int(y) + 2):

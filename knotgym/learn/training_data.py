@@ -11,7 +11,7 @@ from knotgym.datasets import Episodes
 from knotgym.envs import TaskConfig, mark
 from knotgym.learn.colour_reading import BEADS
 from knotgym.rope import RopeConfig
-from knotgym.topology import GaussCode, plain_codes
+from knotgym.topology import CodeArrays, GaussCode
 
 
 class TrainingData(NamedTuple):
@@ -108,7 +108,7 @@ def decisions_of(one: Episodes, first: int = 0) -> Examples:
     macros = [steps[f"macro_{name}"][chosen] for name in ("bead", "target", "side")]
     return examples(
         steps["observation"][chosen],
-        plain_codes(np.asarray(episodes["goal_visits"][number], np.int16)),
+        CodeArrays(np.asarray(episodes["goal_visits"][number], np.int16)).objects(),
         np.stack(macros, axis=1).astype(np.int64),
         episodes["success"][number],
         first + number,

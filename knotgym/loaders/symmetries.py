@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.common import InvalidInput
 from knotgym.envs import SYMBOLS, each
 from knotgym.rope import chosen_forces, force_choices
-from knotgym.topology import Symmetry, plain_code
+from knotgym.topology import CodeArrays, Symmetry
 
 Array = NDArray[Any]
 _OBSERVATIONS = ("observations", "next_observations", "negatives")
@@ -91,7 +91,7 @@ class Symmetries(Symmetry):
         # few different codes in a batch: each is mapped once
         different, at = np.unique(rows, axis=0, return_inverse=True)
         for row in different:
-            code = plain_code(row[:SYMBOLS])
+            (code,) = CodeArrays(row[None, :SYMBOLS]).objects()
             code = code.switched() if row[-2] else code
             code = code.reversed() if row[-1] else code
             row[: len(code.visits)] = code.visits

@@ -41,7 +41,7 @@ from knotgym.rendering.photo_painting import (
     projected,
 )
 from knotgym.rendering.variation import Appearance, Drawer, Drawn
-from knotgym.topology import DIAGRAM, canonical
+from knotgym.topology import Symmetry, canonical
 
 Array = NDArray[Any]
 
@@ -89,7 +89,7 @@ def _with_answers(shot: Shot) -> Drawn:
     }
     measured = {name: getattr(shot, name) for name in ("contrast", "order", "region")}
     columns = {
-        "canonical_code": str(canonical(shot.crossings.code, DIAGRAM)),
+        "canonical_code": str(canonical(shot.crossings.code, Symmetry.DIAGRAM)),
         "strands": shot.strands,
         "boxes": boxes,
         "line": shot.line.ravel().tolist(),

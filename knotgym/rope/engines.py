@@ -63,14 +63,16 @@ def simulation_of(count: int, config: RopeConfig, engine: str = MUJOCO) -> Simul
 
 def is_compiled(engine: str) -> bool:
     """Return whether numba's cache holds the kernels of an engine and of the crossing search."""
-    from knotgym.topology import scan_is_compiled
+    from knotgym.topology import scan
 
-    compiled = scan_is_compiled()
-    if engine == CHAIN and compiled:
+    kernels = {"crossing_kernel.scan": scan}
+    if engine == CHAIN:
         from knotgym.rope.chain.solver import advance
 
-        return any(Path(advance.stats.cache_path).glob("solver.advance-*.nbi"))
-    return compiled
+        kernels["solver.advance"] = advance
+    return all(
+        any(Path(kernel.stats.cache_path).glob(f"{name}-*.nbi")) for name, kernel in kernels.items()
+    )
 
 
 def compile_engine(engine: str) -> None:

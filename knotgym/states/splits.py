@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from knotgym.states.near_duplicates import families, nearest
 from knotgym.states.sources import STATE_SPLITS
-from knotgym.topology import DIAGRAM, GaussCode, canonical
+from knotgym.topology import GaussCode, Symmetry, canonical
 
 if TYPE_CHECKING:
     from knotgym.states.state_file import States
@@ -35,7 +35,7 @@ def held_form(code: str, *, marked: bool) -> str:
             its diagram, so these are one: `topology.canonical`, which also takes mirror images
             and switched crossings for the same.
     """
-    return code if marked else str(canonical(GaussCode.parse(code), DIAGRAM))
+    return code if marked else str(canonical(GaussCode.parse(code), Symmetry.DIAGRAM))
 
 
 def split(
@@ -109,13 +109,18 @@ def overlap(states: States, nx: int) -> dict[str, Any]:
         name: [GaussCode.parse(text) for text in states.gauss_code[rows].tolist()]
         for name, rows in (("train", train), ("test", test))
     }
-    known, diagrams = set(codes["train"]), {canonical(code, DIAGRAM) for code in codes["train"]}
+    known, diagrams = (
+        set(codes["train"]),
+        {canonical(code, Symmetry.DIAGRAM) for code in codes["train"]},
+    )
     every = np.flatnonzero(states.split == "train")
     near = len(test) and len(every)
     return {
         "test_states": len(test),
         "code_in_train": sum(code in known for code in codes["test"]),
-        "diagram_in_train": sum(canonical(code, DIAGRAM) in diagrams for code in codes["test"]),
+        "diagram_in_train": sum(
+            canonical(code, Symmetry.DIAGRAM) in diagrams for code in codes["test"]
+        ),
         "nearest": (
             float(nearest(states.points[test], states.points[every])[0].min()) if near else None
         ),

@@ -41,7 +41,7 @@ from knotgym.states.schema import (
     RopeAtRest,
 )
 from knotgym.states.sources import STATE_SPLITS
-from knotgym.topology import DIAGRAM, UNKNOWN, GaussCode, canonical, same_spot
+from knotgym.topology import UNKNOWN, GaussCode, Symmetry, canonical, same_spot
 
 _BY_VERTICES = "vertices"  # attribute `form` of states that were laid from their vertices
 _OF_EPISODES = ("dataset", "trajectory", "drawing")  # of `source`; most rows have none of them
@@ -198,7 +198,10 @@ class States:
         if not by_code or nx < 2:
             return rows
         train, test = (
-            [canonical(GaussCode.parse(code), DIAGRAM) for code in self.gauss_code[own].tolist()]
+            [
+                canonical(GaussCode.parse(code), Symmetry.DIAGRAM)
+                for code in self.gauss_code[own].tolist()
+            ]
             for own in (self.rows(nx, "train"), self.rows(nx, "test"))
         )
         # diagrams of test in the order in which they are held out: absent from train first

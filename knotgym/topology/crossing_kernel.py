@@ -5,11 +5,20 @@ The search runs in five steps:
 0. `_distinct`: vertices on the spot of the one before are taken out, as edges without a length
    cross nothing; their neighbours would seem to cross each other.
 1. `_hits`: pairs of edges (i, j), i < j, whose projections cross. Bounding boxes of blocks of
-   neighbouring edges rule out most pairs; four exact orientation tests decide the rest.
+   neighbouring edges rule out most pairs; four exact orientation tests (`side`) decide the rest.
 2. `_locate`: each hit h has two strands, strand 2 h on edge i and strand 2 h + 1 on edge j. Find
    where along its edge (fraction in [0, 1]) and at which height each strand passes the crossing.
 3. `_walk`: sort the strands by their position along the rope.
 4. `scan`: follow the walk, number the crossings in order of first visit, and compare heights.
+
+`side` tells exactly on which side of a line a point lies, and never that it lies on the line. The
+sign of a 2 x 2 determinant is computed in floating point where an error bound guarantees it, and in
+exact expansion arithmetic otherwise (J. R. Shewchuk, "Adaptive Precision Floating-Point Arithmetic
+and Fast Robust Geometric Predicates", 1997). If the determinant is exactly zero, the tie is broken
+symbolically, as if bead k were moved in x and then in y by amounts each infinitely smaller than all
+before (H. Edelsbrunner and E. P. Muecke, "Simulation of Simplicity", 1990). All answers together
+are then those of one curve in general position, so a strand that passes exactly over a bead is
+counted once. The test is exact unless a product of two coordinates over- or underflows.
 
 Arrays are copied element by element, here and in the other kernels: for a slice assignment numba
 also compiles its error message, which adds seconds to the first run.
@@ -18,16 +27,15 @@ After a change run `pytest tests/topology/test_crossings.py
 tests/topology/test_reference_labeller.py` and `python benchmarks/labels.py`: no label may be wrong.
 """
 
-from pathlib import Path
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
 from knotgym.common import inner
-from knotgym.topology.orientation import side
 
-# columns of the crossing table
-OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
+Columns = namedtuple("Columns", "over_place under_place over_z under_z sign x y")
+CROSSING = Columns(*range(7))  # columns of the table of crossings
 
 ALL = np.iinfo(np.int64).max  # crossings
 # Vertices that are no farther apart along any axis than this share of the curve's largest extent
@@ -37,6 +45,11 @@ ALL = np.iinfo(np.int64).max  # crossings
 SAME = 2.0**-48
 # about speed alone; `python benchmarks/labels.py` measures it
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
+
+_HALF_ULP = 2.0**-53  # rounding error of one operation, relative
+# Shewchuk's ccwerrboundA: |error of the determinant| <= _FILTER * (|left| + |right|)
+_FILTER = (3.0 + 16.0 * _HALF_ULP) * _HALF_ULP
+_SPLITTER = 2.0**27 + 1.0  # splits the 53 bits of a float64 into two halves that multiply exactly
 
 
 @njit(cache=True, nogil=True)
@@ -49,7 +62,7 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     Returns:
         finite: whether all coordinates are finite; if not, nothing is searched.
         visits: int64 (2 n,), signed crossing labels in the order of the walk.
-        table: float64 (n, 7), one row per crossing in order of labels, columns OVER_PLACE to Y.
+        table: float64 (n, 7), one row per crossing in order of labels; see CROSSING.
     """
     if not _all_finite(points):
         return False, np.empty(0, np.int64), np.empty((0, 7))
@@ -69,14 +82,15 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
             # visited first counts as the upper one, so the code is always well defined.
             over = walk[k] if heights[walk[k]] >= heights[walk[k] ^ 1] else walk[k] ^ 1
             row = table[nx - 1]
-            row[OVER_PLACE] = edges[hits[h, over % 2]] + fractions[over]
-            row[UNDER_PLACE] = edges[hits[h, 1 - over % 2]] + fractions[over ^ 1]
-            row[OVER_Z], row[UNDER_Z] = heights[over], heights[over ^ 1]
+            row[CROSSING.over_place] = edges[hits[h, over % 2]] + fractions[over]
+            row[CROSSING.under_place] = edges[hits[h, 1 - over % 2]] + fractions[over ^ 1]
+            row[CROSSING.over_z], row[CROSSING.under_z] = heights[over], heights[over ^ 1]
             # hits[h, 2] is the sign of d_i x d_j; the crossing sign is that of d_over x d_under
-            row[SIGN] = hits[h, 2] if over % 2 == 0 else -hits[h, 2]
+            row[CROSSING.sign] = hits[h, 2] if over % 2 == 0 else -hits[h, 2]
             start, end = hits[h, 0], (hits[h, 0] + 1) % points.shape[0]
-            row[X] = points[start, 0] + fractions[2 * h] * (points[end, 0] - points[start, 0])
-            row[Y] = points[start, 1] + fractions[2 * h] * (points[end, 1] - points[start, 1])
+            for axis, column in enumerate((CROSSING.x, CROSSING.y)):
+                step = points[end, axis] - points[start, axis]
+                row[column] = points[start, axis] + fractions[2 * h] * step
             visits[k] = nx if over == walk[k] else -nx
             first_visits[h] = visits[k]
         else:
@@ -108,7 +122,7 @@ def scan_rows(points: np.ndarray, visits: np.ndarray, signs: np.ndarray, counts:
             for k in range(2 * width):
                 visits[rope, k] = walked[k] if k < 2 * nx else 0
             for k in range(width):
-                signs[rope, k] = 0 if k >= nx else 1 if table[k, SIGN] > 0 else -1
+                signs[rope, k] = 0 if k >= nx else 1 if table[k, CROSSING.sign] > 0 else -1
     return most
 
 
@@ -327,6 +341,98 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     return walk
 
 
-def scan_is_compiled() -> bool:
-    """Return whether numba's cache holds machine code of `scan` from an earlier process."""
-    return any(Path(scan.stats.cache_path).glob("crossing_kernel.scan-*.nbi"))
+@inner
+def side(points: np.ndarray, a: int, b: int, c: int) -> int:
+    """Return on which side bead c lies, seen along the line from bead a to bead b.
+
+    Args:
+        points: float64 (n, 2 or more); x and y are used.
+        a, b, c: three different rows.
+
+    Returns:
+        +1 on the left, -1 on the right.
+    """
+    # (a - c) x (b - c), which has the sign of (b - a) x (c - a)
+    left = (points[a, 0] - points[c, 0]) * (points[b, 1] - points[c, 1])
+    right = (points[a, 1] - points[c, 1]) * (points[b, 0] - points[c, 0])
+    determinant = left - right
+    bound = _FILTER * (abs(left) + abs(right))
+    if determinant > bound:
+        return 1
+    if determinant < -bound:
+        return -1
+    sign: int = _exact_sign(
+        points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1]
+    )
+    if sign == 0:
+        sign = _tie(points, a, b, c)
+    return sign
+
+
+@inner
+def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
+    """Break a tie by the first perturbation term that doesn't vanish.
+
+    The determinant of the perturbed beads is a polynomial in the infinitesimal moves. Its terms are
+    looked at from the largest down; each is the determinant's derivative by one move.
+    """
+    # Sort the rows, counting swaps: a move of a lower row is infinitely larger.
+    sign = 1
+    if a > b:
+        a, b, sign = b, a, -sign
+    if b > c:
+        b, c, sign = c, b, -sign
+    if a > b:
+        a, b, sign = b, a, -sign
+    if points[b, 1] != points[c, 1]:  # d/d(a_x) = b_y - c_y
+        return sign if points[b, 1] > points[c, 1] else -sign
+    if points[b, 0] != points[c, 0]:  # d/d(a_y) = c_x - b_x
+        return sign if points[c, 0] > points[b, 0] else -sign
+    if points[c, 1] != points[a, 1]:  # d/d(b_x) = c_y - a_y
+        return sign if points[c, 1] > points[a, 1] else -sign
+    return -sign  # d2/d(a_y) d(b_x) = -1, a constant
+
+
+@inner
+def _exact_sign(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> int:
+    """Return the exact sign of (b - a) x (c - a).
+
+    The determinant is expanded into six products, ax by - ax cy + bx cy - bx ay + cx ay - cx by.
+    Each is held as a sum of two floats, and the twelve floats are added without rounding.
+    """
+    factors = (ax, by, -ax, cy, bx, cy, -bx, ay, cx, ay, -cx, by)
+    # An expansion in Shewchuk's sense: its floats don't overlap and grow in magnitude, so the last
+    # one that isn't zero has the sign of the sum.
+    total = np.zeros(12)
+    length = 0
+    for k in range(6):
+        high, low = _product(factors[2 * k], factors[2 * k + 1])
+        for part in (low, high):
+            # GROW-EXPANSION: push `part` through by TWO-SUM, leaving each rounding error behind
+            carry = part
+            for m in range(length):
+                upper = carry + total[m]
+                virtual = upper - carry
+                total[m] = (carry - (upper - virtual)) + (total[m] - virtual)
+                carry = upper
+            total[length] = carry
+            length += 1
+    for m in range(length - 1, -1, -1):
+        if total[m] != 0.0:
+            return 1 if total[m] > 0.0 else -1
+    return 0
+
+
+@inner
+def _product(u: float, v: float) -> tuple[float, float]:
+    """Return u * v exactly, as the rounded product and its rounding error (Dekker, Veltkamp)."""
+    high = u * v
+    # Veltkamp's split: u = u_high + u_low, each with at most 26 bits
+    scaled = _SPLITTER * u
+    u_high = scaled - (scaled - u)
+    u_low = u - u_high
+    scaled = _SPLITTER * v
+    v_high = scaled - (scaled - v)
+    v_low = v - v_high
+    low = u_low * v_low - (((high - u_high * v_high) - u_low * v_high) - u_high * v_low)
+    return high, low

@@ -2,14 +2,13 @@
 
 Two edges of the closed polyline through the beads (including the closing edge) cross where their
 projections onto the plane z = 0 meet; edges that share a bead never cross. Which edges cross is
-decided exactly, without a tolerance (`orientation`). A vertex on the spot of the one before, as at
-the end of a curve that repeats its first point, counts as one with it (`same_spot`).
+decided exactly, without a tolerance (`crossing_kernel`). A vertex on the spot of the one before, as
+at the end of a curve that repeats its first point, counts as one with it (`same_spot`).
 
 If two strands have the same height at a crossing, the one visited first counts as the upper one.
 Positions along edges and heights are ordinary float64, so the order of two visits is unreliable
-when they are closer than rounding error (three strands near one point): `visit_spacing` returns how
-close they are. It doesn't detect strands that overlap exactly for a stretch, which happens on
-integer grids but not for ropes; the code of such a curve need not be planar.
+when they are closer than rounding error (three strands near one point). Strands that overlap
+exactly for a stretch, as on integer grids but not on ropes, may give a code that isn't planar.
 
 Coordinates are in metres. A place along the rope is a fractional bead index: 2.25 is a quarter of
 the way from bead 2 to bead 3.
@@ -24,20 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common import InvalidInput
-from knotgym.topology.code_arrays import FINITE, read_codes
-from knotgym.topology.crossing_kernel import (
-    OVER_PLACE,
-    OVER_Z,
-    SAME,
-    SIGN,
-    UNDER_PLACE,
-    UNDER_Z,
-    X,
-    Y,
-    count_hits,
-    scan,
-)
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
+from knotgym.topology.code_arrays import FINITE, CodeArrays
+from knotgym.topology.crossing_kernel import CROSSING, SAME, Columns, count_hits, scan
+from knotgym.topology.gauss import GaussCode, letters_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,23 +65,29 @@ def find_crossings(points: ArrayLike) -> Crossings:
         InvalidInput: the shape is wrong, or a coordinate is not finite.
     """
     visits, table = _scan(points)
-    # indexed by a list, so these are copies and not views of the table
-    position, sign = table[:, [X, Y]], table[:, SIGN].astype(np.int8)
-    columns: list[NDArray[Any]] = [
-        table[:, column].copy() for column in (OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z)
-    ]
-    for array in (*columns, position, sign):
+    c = Columns(*table.T.copy())
+    position, sign = table[:, [CROSSING.x, CROSSING.y]], c.sign.astype(np.int8)
+    arrays = c.over_place, c.under_place, position, c.over_z, c.under_z, sign
+    for array in arrays:
         array.setflags(write=False)
-    over_place, under_place, over_z, under_z = columns
-    return Crossings(
-        over_place, under_place, position, over_z, under_z, sign, _gauss_code(visits, sign)
-    )
+    return Crossings(*arrays, _gauss_code(visits, sign))
 
 
-def label(points: ArrayLike) -> GaussCode:
-    """Read the Gauss code of one rope, with chirality; see `find_crossings` for the arguments."""
+def label(points: ArrayLike, most: int | None = None) -> GaussCode:
+    """Read the Gauss code of one rope, with chirality.
+
+    Args:
+        points: as for `find_crossings`.
+        most: crossings; n points may have n^2 / 2, and the search ends when there are more. No
+            limit if None.
+
+    Raises:
+        InvalidInput: as `find_crossings`; or there are more crossings.
+    """
+    if most is not None and count_hits(_checked(points, 2), most) > most:
+        raise InvalidInput(f"it has more than {most} crossings")
     visits, table = _scan(points)
-    return _gauss_code(visits, table[:, SIGN])
+    return _gauss_code(visits, table[:, CROSSING.sign])
 
 
 def label_many(points: ArrayLike) -> list[GaussCode]:
@@ -106,33 +100,7 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
         InvalidInput: the shape is wrong, or a coordinate is not finite.
     """
     # one object for equal codes, of which a batch shows few
-    return read_codes(_checked(points, 3)).objects()
-
-
-def count_crossings(points: ArrayLike, most: int) -> int:
-    """Count the crossings of one rope, at most to `most` + 1, as n points may have n^2 / 2.
-
-    Args:
-        points: finite; otherwise as for `find_crossings`.
-    """
-    # the kernel stops at the first hit too many
-    return int(count_hits(_checked(points, 2), most))
-
-
-def visit_spacing(crossings: Crossings, beads: int) -> float:
-    """Return the smallest distance between consecutive visits, in beads; inf without crossings.
-
-    The step over the base bead counts too. Near-triple points and kinks give small distances.
-
-    Args:
-        crossings: the crossings of a rope.
-        beads: number of beads of that rope.
-    """
-    if crossings.nx == 0:
-        return np.inf
-    # Both strands of each crossing count: a kink's two visits may be its smallest distance.
-    places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
-    return float(np.diff(places, append=places[0] + beads).min())
+    return CodeArrays.read(_checked(points, 3)).objects()
 
 
 def same_spot(points: ArrayLike) -> NDArray[np.bool_]:
@@ -178,7 +146,4 @@ def _scan(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 
 def _gauss_code(visits: NDArray[Any], signs: NDArray[Any]) -> GaussCode:
     # what the kernel found needs no check that each label comes once over and once under
-    return trusted_code(
-        tuple(visits.tolist()),
-        "".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs.tolist()]),
-    )
+    return GaussCode.trusted(tuple(visits.tolist()), letters_of(signs.tolist()))

@@ -26,7 +26,7 @@ from itertools import product
 import numpy as np
 
 from knotgym.common import InvalidInput
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
+from knotgym.topology.gauss import GaussCode, letters_of
 
 
 def is_planar(code: GaussCode) -> bool:
@@ -54,9 +54,12 @@ def with_chirality(code: GaussCode) -> GaussCode:
         # flip each part so that its first letter is "a"
         flips = {number: -signs[part.index(number)] for number in set(part)}
         return GaussCode(
-            code.visits, _letters([sign * flips[part[k]] for k, sign in enumerate(signs)])
+            code.visits, letters_of([sign * flips[part[k]] for k, sign in enumerate(signs)])
         )
-    raise not_planar(code)
+    text = str(code) if code.chirality is None else code.chiral
+    raise InvalidInput(
+        f"no closed curve shows the code {text!r}; expected one that is_planar() accepts"
+    )
 
 
 def chiralities(code: GaussCode) -> tuple[str, ...]:
@@ -76,7 +79,7 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
     # Components may be flipped independently, so there are 2 ** parts patterns.
     for flips in product((1, -1), repeat=max(part, default=-1) + 1):  # one per part
         signs = _signs(code.visits, [turn * flips[part[label]] for label, turn in enumerate(turns)])
-        patterns.append(_letters(signs))
+        patterns.append(letters_of(signs))
     return tuple(sorted(patterns))
 
 
@@ -207,10 +210,6 @@ def _signs(visits: tuple[int, ...], turns: list[int] | tuple[int, ...]) -> list[
     return [turn if visit > 0 else -turn for turn, visit in zip(turns, first.values(), strict=True)]
 
 
-def _letters(signs: list[int]) -> str:
-    return "".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs])
-
-
 def _code_positions(visits: tuple[int, ...]) -> list[list[int]]:
     """Return, for each label, the indices of its two visits."""
     positions: list[list[int]] = [[] for _ in range(len(visits) // 2)]
@@ -315,11 +314,3 @@ def _planar_turns(code: GaussCode) -> tuple[list[int], list[int]] | None:
     part, turns = _walked(code.visits)
     # the rule holds for planar codes alone, so the faces are counted, too
     return (part, turns) if _is_sphere(_face_permutation(code.visits, turns)) else None
-
-
-def not_planar(code: GaussCode) -> InvalidInput:
-    """Make the error for a code that no closed curve in the plane has."""
-    text = str(code) if code.chirality is None else code.chiral
-    return InvalidInput(
-        f"no closed curve shows the code {text!r}; expected one that is_planar() accepts"
-    )

@@ -20,10 +20,7 @@ from dataclasses import dataclass
 
 from knotgym.common import InvalidInput
 
-POSITIVE = "c"
-NEGATIVE = "a"
-
-_SWITCHED = {ord(NEGATIVE): POSITIVE, ord(POSITIVE): NEGATIVE}
+_SWITCHED = str.maketrans("ac", "ca")
 _VISIT = re.compile(r"\s*([1-9][0-9]*)\s*([+-])\s*([ac]?)\s*")
 
 
@@ -55,7 +52,7 @@ class GaussCode:
             object.__setattr__(self, "chirality", "")
         _check_visits(self.visits)
         letters = self.chirality
-        if letters is not None and (len(letters) != self.nx or letters.strip(POSITIVE + NEGATIVE)):
+        if letters is not None and (len(letters) != self.nx or letters.strip("ac")):
             raise invalid_code(
                 "wrong chirality", letters, f"expected {self.nx} letters, each 'a' or 'c'"
             )
@@ -103,6 +100,16 @@ class GaussCode:
         return cls(tuple(visits), chirality or None)
 
     @classmethod
+    def trusted(cls, visits: tuple[int, ...], chirality: str | None) -> GaussCode:
+        """Make a code without checking it, which takes a tenth of the time."""
+        # `__post_init__` is what takes nine tenths of the time: codes made from codes, or by the
+        # labeller, are right already.
+        code = object.__new__(cls)
+        object.__setattr__(code, "visits", visits)
+        object.__setattr__(code, "chirality", chirality)
+        return code
+
+    @classmethod
     def relabelled(
         cls, visits: Iterable[int], letters: Mapping[int, str] | None = None
     ) -> GaussCode:
@@ -147,7 +154,7 @@ class GaussCode:
         # the plain loop has chirality "", which says as much as None
         if self.chirality is None or not self.visits:
             return self
-        return trusted_code(self.visits, None)
+        return GaussCode.trusted(self.visits, None)
 
     @property
     def signs(self) -> tuple[int, ...]:
@@ -156,7 +163,7 @@ class GaussCode:
         Raises:
             InvalidInput: the chirality is unknown.
         """
-        return tuple([1 if letter == POSITIVE else -1 for letter in self._letters()])
+        return tuple([1 if letter == "c" else -1 for letter in self._letters()])
 
     @property
     def writhe(self) -> int:
@@ -179,12 +186,12 @@ class GaussCode:
         """
         # Over becomes under. The strands keep their directions and exchange their heights, so each
         # sign (d_over x d_under) changes, too.
-        return trusted_code(tuple([-visit for visit in self.visits]), self._flipped())
+        return GaussCode.trusted(tuple([-visit for visit in self.visits]), self._flipped())
 
     def reflected(self) -> GaussCode:
         """Return the code after x -> -x: heights stay the same, every letter changes."""
         # heights stay, and x -> -x turns every left turn into a right one
-        return trusted_code(self.visits, self._flipped())
+        return GaussCode.trusted(self.visits, self._flipped())
 
     def reversed(self) -> GaussCode:
         """Return the code of the walk in the other direction from the same base point.
@@ -235,17 +242,16 @@ class GaussCode:
         letters = self.chirality
         if letters is not None:
             letters = "".join([letters[label - 1] for label in new])
-        return trusted_code(renamed, letters)
+        return GaussCode.trusted(renamed, letters)
 
 
-def trusted_code(visits: tuple[int, ...], chirality: str | None) -> GaussCode:
-    """Make a code without checking it, which takes a tenth of the time."""
-    # `__post_init__` is what takes nine tenths of the time: codes made from codes, or by the
-    # labeller, are right already.
-    code = object.__new__(GaussCode)
-    object.__setattr__(code, "visits", visits)
-    object.__setattr__(code, "chirality", chirality)
-    return code
+def letters_of(signs: Iterable[float]) -> str:
+    """Write crossing signs as chirality letters.
+
+    >>> letters_of([1, -1])
+    'ca'
+    """
+    return "".join(["c" if sign > 0 else "a" for sign in signs])
 
 
 def _numbers(visits: tuple[int, ...]) -> dict[int, int]:

@@ -8,30 +8,41 @@ polynomial have 11 crossings (J. Hoste, M. Thistlethwaite and J. Weeks, "The Fir
 of the unknot (R. E. Tuzun and A. S. Sikora, "Verification of the Jones Unknot Conjecture up to 24
 Crossings", 2021).
 
-Types are named as in KnotInfo's table (`knot_table`), regardless of handedness: both trefoils are
-"3_1", and "3_1#3_1" is both the granny knot and the square knot. A diagram of up to 10 crossings is
-identified by its polynomials, or because it is in the table.
+The table has a diagram of each prime knot of up to ten crossings. Names are those of KnotInfo:
+Rolfsen's without the pair that he listed twice, 3_1 to 10_165. "m" before a name means the
+mirror image and "#" a connected sum, as in "m3_1#4_1". The diagrams in `data/knots.json` were made
+from KnotInfo's PD notation (C. Livingston and A. H. Moore, knotinfo.org). A name means the
+handedness with KnotInfo's Jones polynomial, so 3_1 is the right-handed trefoil and m3_1 the
+left-handed one.
 
-After a change run `pytest tests/topology/test_knots.py`: no hard unknot may be called knotted, and
-all 249 knots of the table keep their names.
+A knot type is a name regardless of handedness: both trefoils are "3_1", and "3_1#3_1" is both the
+granny knot and the square knot. A diagram of up to 10 crossings is identified by its polynomials,
+or because it is in the table.
+
+After a change run `pytest tests/topology/test_knots.py tests/topology/test_knot_table.py`: no hard
+unknot may be called knotted, and both polynomials of all 249 knots must be those of KnotInfo's own
+columns.
 """
 
+import json
+import re
+from collections import defaultdict
+from collections.abc import Iterator
 from functools import lru_cache
+from importlib.resources import files
+from itertools import combinations_with_replacement, product
 
-from knotgym.common import Failed
+from knotgym.common import Failed, InvalidInput
 from knotgym.topology.diagrams import planar_codes, summands, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import (
-    UNKNOT,
-    composite_type,
-    diagram_of,
-    small_types,
-    table_type,
-    type_of,
-    types_from_polynomials,
+from knotgym.topology.polynomials import (
+    JonesPolynomial,
+    alexander_polynomial,
+    jones_polynomial,
+    mirrored_jones,
 )
-from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial
-from knotgym.topology.reidemeister import simplify, without_bigons
+from knotgym.topology.reidemeister import connected_sum, is_alternating, simplify, without_bigons
+from knotgym.topology.symmetry import Symmetry, images
 
 UNKNOWN = "unknown"
 ALEXANDER_DECIDES = 10
@@ -40,6 +51,12 @@ LISTED_NX = 6  # with more crossings there are too many codes for codes_of
 
 # Diagrams of at most 7 crossings are named by their Alexander polynomials alone, see `small_types`.
 _SMALL = 7
+UNKNOT = "0_1"
+TABLED = 10  # all knots with at most this many crossings are in the table
+
+Polynomials = tuple[tuple[int, ...], JonesPolynomial]
+
+_SUMMAND = re.compile(r"(m?)([0-9]+_[0-9]+)")
 
 
 @lru_cache(maxsize=65536)
@@ -103,7 +120,7 @@ def shows(code: GaussCode, knot: str) -> bool:
 
     Args:
         code: a planar code.
-        knot: a name as for `knot_table.diagram_of`.
+        knot: a name as for `diagram_of`.
 
     Raises:
         InvalidInput: no closed curve shows the code.
@@ -161,3 +178,177 @@ def _name(summand: GaussCode) -> str:
     except Failed:
         return UNKNOWN
     return types[0] if len(types) == 1 else UNKNOWN
+
+
+@lru_cache(maxsize=1)
+def prime_diagrams() -> dict[str, GaussCode]:
+    """Return a minimal diagram with chirality of each of the 249 prime knots, by type."""
+    table = json.loads((files("knotgym.topology") / "data" / "knots.json").read_text("utf-8"))
+    return {name: GaussCode.parse(text) for name, text in table["diagrams"].items()}
+
+
+@lru_cache(maxsize=256)
+def diagram_of(knot: str) -> GaussCode:
+    """Return a minimal diagram of a knot, with chirality; the name fixes the handedness.
+
+    Raises:
+        InvalidInput: the table has no such knot.
+
+    >>> diagram_of("m3_1").chiral
+    '1+a,2-a,3+a,1-a,2+a,3-a'
+    """
+    codes = []
+    for mirror, name in _summands(knot):
+        if name != UNKNOT:
+            code = prime_diagrams()[name]
+            codes.append(code.switched() if mirror else code)
+    return connected_sum(codes)
+
+
+def type_of(knot: str) -> str:
+    """Return the type of a named knot: without handedness, summands in order of the table.
+
+    Raises:
+        InvalidInput: the table has no such knot.
+
+    >>> type_of("m4_1#3_1")
+    '3_1#4_1'
+    """
+    return composite_type([name for _, name in _summands(knot)])
+
+
+def composite_type(types: list[str]) -> str:
+    """Return the type of the connected sum of knots of these types.
+
+    >>> composite_type(["10_2", "0_1", "3_1"])
+    '3_1#10_2'
+    """
+    proper = [name for name in types if name != UNKNOT]
+    return "#".join(sorted(proper, key=_rank)) or UNKNOT
+
+
+def based_diagrams(code: GaussCode) -> list[GaussCode]:
+    """List a diagram's codes from every base point, in both directions, from above and from below.
+
+    All of them are of the same knot with the same handedness.
+    """
+    # seen from below, every crossing is switched and the picture is reflected
+    sides = code, code.switched().reflected()
+    found = {image for side in sides for image in images(side, Symmetry.REVERSE | Symmetry.REBASE)}
+    return sorted(found, key=lambda one: (one.visits, one.chirality or ""))
+
+
+def table_type(code: GaussCode) -> str | None:
+    """Return the type of a diagram that is in the table, up to the base point; None otherwise.
+
+    Args:
+        code: a code with chirality of one summand.
+    """
+    if not 3 <= code.nx <= TABLED:
+        return None
+    # visits alone, without letters: a reflected diagram has the same ones, and types say no
+    # handedness
+    return _by_diagram().get(min(one.visits for one in based_diagrams(code)))
+
+
+def types_from_polynomials(code: GaussCode) -> list[str]:
+    """List the types of the table that both polynomials and the crossing number leave possible.
+
+    Args:
+        code: a code with chirality of one summand, as returned by `reidemeister.simplify`.
+    """
+    if code.nx > TABLED:
+        return []
+    types = [
+        name
+        for name in _types_by_polynomials().get(_polynomials(code), ())
+        if sum(_rank(one)[0] for one in name.split("#")) <= code.nx
+    ]
+    if is_alternating(code):
+        # A reduced alternating diagram is minimal (Kauffman, Murasugi, Thistlethwaite, 1987), and
+        # it is visibly composite if its knot is (Menasco, 1984).
+        types = [name for name in types if "#" not in name and _rank(name)[0] == code.nx]
+    return types
+
+
+@lru_cache(maxsize=1)
+def small_types(nx: int) -> dict[tuple[int, ...], str]:
+    """Map Alexander polynomials to the types of at most nx crossings, composite ones included.
+
+    Up to 7 crossings they are all different, and regardless of handedness.
+    """
+    sums = [names for names in _sums() if sum(_rank(name)[0] for name in names) <= nx]
+    diagrams = prime_diagrams()
+    return {(1,): UNKNOT} | {
+        alexander_polynomial(connected_sum([diagrams[name] for name in names])): "#".join(names)
+        for names in sums
+    }
+
+
+@lru_cache(maxsize=1)
+def _by_diagram() -> dict[tuple[int, ...], str]:
+    """Map the smallest visits over all base points, directions and sides to the type."""
+    return {
+        min(one.visits for one in based_diagrams(code)): name
+        for name, code in prime_diagrams().items()
+    }
+
+
+@lru_cache(maxsize=1)
+def _types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
+    """Map polynomials to the types that have them, including composite ones.
+
+    The Jones polynomial is taken up to the mirror image.
+    """
+    found: dict[Polynomials, dict[str, None]] = defaultdict(dict)
+    for names in _sums():
+        diagrams = [prime_diagrams()[name] for name in names]
+        # the Jones polynomial of a sum depends on the relative handedness of its summands
+        # The first summand keeps its hand: mirroring all of them mirrors the sum, and the
+        # polynomial is taken up to that.
+        for mirrors in product((False, True), repeat=len(names) - 1):
+            hands = [
+                code.switched() if mirror else code
+                for code, mirror in zip(diagrams, (False, *mirrors), strict=True)
+            ]
+            found[_polynomials(connected_sum(hands))][composite_type(list(names))] = None
+    return {polynomials: tuple(types) for polynomials, types in found.items()}
+
+
+def _sums() -> Iterator[tuple[str, ...]]:
+    """Yield the summands of every type in the table: prime ones first, then composite ones."""
+    names = list(prime_diagrams())
+    yield from ((name,) for name in names)
+    # a summand of a composite knot leaves room for another one of three crossings at least
+    small = [name for name in names if _rank(name)[0] <= TABLED - 3]
+    for count in range(2, TABLED // 3 + 1):
+        for several in combinations_with_replacement(small, count):
+            if sum(_rank(name)[0] for name in several) <= TABLED:
+                yield several
+
+
+def _polynomials(code: GaussCode) -> Polynomials:
+    """Return the Alexander and the Jones polynomial, the latter smallest up to mirroring."""
+    jones = jones_polynomial(code)
+    return alexander_polynomial(code), min(jones, mirrored_jones(jones))
+
+
+def _summands(knot: str) -> list[tuple[bool, str]]:
+    """Parse a name; return for each summand whether it is mirrored, and its type."""
+    found = []
+    for word in knot.split("#"):
+        match = _SUMMAND.fullmatch(word)
+        if match is None or (match[2] != UNKNOT and match[2] not in prime_diagrams()):
+            raise InvalidInput(
+                f"no knot {knot!r}; there are 0_1, the prime knots of up to {TABLED} crossings from"
+                " 3_1 to 10_165, mirror images (m3_1), and sums (3_1#4_1)"
+            )
+        found.append((bool(match[1]), match[2]))
+    return found
+
+
+def _rank(name: str) -> tuple[int, int]:
+    """Return the crossing number and the index of a prime type."""
+    # so 10_2 comes after 9_49, as in the tables, and not before it as text
+    crossings, number = name.split("_")
+    return int(crossings), int(number)

@@ -31,10 +31,11 @@ come back, and spherogram and SnapPy read the same knot.
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
 
 from knotgym.common import InvalidInput
 from knotgym.topology.diagrams import is_planar
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, invalid_code
+from knotgym.topology.gauss import GaussCode, invalid_code
 
 MOST_CROSSINGS = 1000  # of a code that is read
 _MOST_CHARACTERS = 30 * MOST_CROSSINGS
@@ -43,6 +44,7 @@ _NUMBER = r"-?\d{1,9}"
 _LIST = rf"{_NUMBER}(?:,{_NUMBER})*"
 _CROSSING = r"X?[\[(]\d{1,9}(?:,\d{1,9}){3}[\])]"
 _BARE = r"X(?:\d{4}|\d{1,9}(?:,\d{1,9}){3})"  # the Knot Atlas: X1425 or X1,10,2,11
+_LETTERS = {"+": "c", "-": "a"}
 _OVER_UNDER = re.compile(r"([OoUu])(\d{1,9})([+-]?)")
 
 
@@ -146,7 +148,7 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
         if corner:
             # an upper strand that comes in at d runs to b, as the drawing of a positive crossing
             # has it
-            letters[crossing + 1] = POSITIVE if corner == 3 else NEGATIVE
+            letters[crossing + 1] = "c" if corner == 3 else "a"
         corner = (corner + 2) % 4
         # the edge's other end is where the walk arrives next
         one, other = ends[crossings[crossing][corner]]
@@ -217,27 +219,31 @@ def parse_code(text: str) -> GaussCode:
     return code
 
 
-def split_codes(lines: Iterable[str]) -> Iterator[str]:
-    """Yield the codes of a list, one a line; "#" begins a comment.
+def parse_codes(lines: Iterable[str]) -> Iterator[GaussCode]:
+    """Read the codes of a list, one a line; "#" begins a comment.
 
     Brackets may be closed in a later line.
 
-    >>> [*split_codes(["1+,1-", "4 6 2 # DT", "", "PD[", "X[1,1,2,2]", "];"])]
-    ['1+,1-', '4 6 2', 'PD[\\nX[1,1,2,2]\\n];']
+    Raises:
+        InvalidInput: as `parse_code`, with the number of the line.
+
+    >>> [code.nx for code in parse_codes(["1+,1-", "4 6 2 # DT", "", "PD[", "X[1,1,2,2]", "];"])]
+    [1, 3, 1]
     """
     held: list[str] = []
-    opened = 0
-    for line in lines:
-        text = line.partition("#")[0].strip()
-        if text:
+    opened = first = 0
+    for number, line in enumerate(chain(lines, [None]), 1):
+        if text := (line or "").partition("#")[0].strip():
+            first = first if held else number
             held.append(text)
             # brackets that are closed too often open nothing in the next line
             opened = max(0, opened + text.count("[") - text.count("]"))
-        if held and not opened or len(held) > MOST_CROSSINGS + 2:
-            yield "\n".join(held)
+        if held and (not opened or line is None or len(held) > MOST_CROSSINGS + 2):
+            try:
+                yield parse_code("\n".join(held))
+            except InvalidInput as error:
+                raise InvalidInput(f"line {first}: {error}") from None
             held, opened = [], 0
-    if held:
-        yield "\n".join(held)
 
 
 def _numbers(text: str) -> list[int]:
@@ -322,8 +328,8 @@ def _from_signed(numbers: list[int], signs: str = "") -> GaussCode:
             "Gauss",
             "give each crossing a sign, or none",
         )
-    letters = [POSITIVE if sign == "+" else NEGATIVE for sign in signs]
-    code = GaussCode.relabelled(numbers, dict(zip(labels, letters, strict=True)) if signs else None)
+    letters = {label: _LETTERS[sign] for label, sign in zip(labels, signs, strict=False)}
+    code = GaussCode.relabelled(numbers, letters or None)
     return _planar(code, numbers, "Gauss")
 
 
@@ -342,8 +348,7 @@ def _from_over_under(text: str) -> GaussCode:
         )
     letters: dict[int, str] = {}
     for (_, number, sign), _ in zip(visits, signs, strict=True) if signed else ():
-        letter = POSITIVE if sign == "+" else NEGATIVE
-        if letters.setdefault(int(number), letter) != letter:
+        if letters.setdefault(int(number), _LETTERS[sign]) != _LETTERS[sign]:
             raise _invalid(
                 f"crossing {number} has two signs", text, "Gauss", "both visits have the same sign"
             )

@@ -18,9 +18,8 @@ from collections import deque
 from collections.abc import Iterator
 
 from knotgym.topology.diagrams import face_permutation, summands, with_chirality
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
-from knotgym.topology.single_moves import removals
-from knotgym.topology.symmetry import PLAIN, REBASE, canonical
+from knotgym.topology.gauss import GaussCode, letters_of
+from knotgym.topology.symmetry import Symmetry, canonical
 
 # Neither was measured against others: what must hold is that the hard unknots of
 # data/hard-unknots.txt are found trivial, and the table's knots named
@@ -50,6 +49,36 @@ def simplify(code: GaussCode) -> GaussCode:
     )
 
 
+def removals(code: GaussCode) -> Iterator[GaussCode]:
+    """Yield the codes without one kink or one bigon, each a first or second move away.
+
+    The base point stays on its strand. A bigon may be the outer face: then the upper strand is
+    moved across the whole diagram.
+
+    >>> [one.chiral for one in removals(GaussCode.parse("1+a,1-a,2-c,2+c"))]
+    ['', '1-c,1+c', '1+a,1-a']
+    """
+    visits, signs = code.visits, code.signs
+    count = len(visits)
+    # where each visit stands; `-first` is the other visit of the same crossing
+    index = {visit: k for k, visit in enumerate(visits)}
+    # k and k - 1 are neighbouring visits; with one crossing both pairs are the same kink
+    for k in range(1, 2) if count == 2 else range(count):
+        first, second = visits[k - 1], visits[k]
+        # Two visits of one crossing in a row: the edge between them is a loop.
+        kink = first == -second
+        if kink or (
+            first > 0
+            and second > 0
+            and signs[first - 1] != signs[second - 1]
+            # Both strands meet the same two crossings one after the other, one strand over at both.
+            # With signs that differ they cross there and back, and bound a bigon.
+            and (index[-first] - index[-second]) % count in (1, count - 1)
+        ):
+            gone = abs(first), abs(second)
+            yield code.of_visits(tuple([visit for visit in visits if abs(visit) not in gone]))
+
+
 def without_bigons(code: GaussCode) -> GaussCode:
     """Remove kinks and bigons until none are left; the base point stays on its strand.
 
@@ -60,8 +89,8 @@ def without_bigons(code: GaussCode) -> GaussCode:
     0
     """
     # any order leads to a diagram without either; which one may depend on it, the knot doesn't
-    while (move := next(removals(code), None)) is not None:
-        code = move.code
+    while (smaller := next(removals(code), None)) is not None:
+        code = smaller
     return code
 
 
@@ -100,7 +129,7 @@ def _fewest_crossings(code: GaussCode) -> GaussCode:
     # Each diagram reached is reduced at once; `level` holds those with as many crossings, up to the
     # base point and reflection, whose lifts have not been tried.
     # without letters, so that reflected summands are one
-    seen = {canonical(code, REBASE | PLAIN)}
+    seen = {canonical(code, Symmetry.REBASE | Symmetry.PLAIN)}
     level = deque([code])
     for _ in range(_EFFORT):
         if not level or code.nx < 3:  # every knot with fewer than 3 crossings is trivial
@@ -109,7 +138,7 @@ def _fewest_crossings(code: GaussCode) -> GaussCode:
             lower = _without_liftable(neighbour)
             if lower.nx < code.nx:
                 return _fewest_crossings(lower)
-            key = canonical(lower, REBASE | PLAIN)
+            key = canonical(lower, Symmetry.REBASE | Symmetry.PLAIN)
             if key not in seen:
                 seen.add(key)
                 level.append(lower)
@@ -257,7 +286,7 @@ def _with_overstrand(rest: GaussCode, path: list[int]) -> GaussCode:
     under: dict[int, int] = {}  # edge -> the new visit on it; a shortest path meets it only once
     for label, dart in enumerate(path, rest.nx + 1):
         under[dart // 2] = -label
-        letters[label] = POSITIVE if dart % 2 == 0 else NEGATIVE
+        letters[label] = letters_of([1 - 2 * (dart % 2)])
     # edge k starts at visit k, so the new under-visit follows it; the new strand comes last
     visits: list[int] = []
     for edge, visit in enumerate(rest.visits):

@@ -21,7 +21,17 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.topology.gauss import GaussCode
 
 
-class Symmetry(NamedTuple):
+class _Motion(NamedTuple):
+    """The fields of a `Symmetry`."""
+
+    turn: Any = 0.0
+    reflect: Any = False
+    switch: Any = False
+    reverse: Any = False
+    base_shift: Any = 0
+
+
+class Symmetry(_Motion):
     """Reflect, switch and turn a rope, then reverse its walk, then shift its base point.
 
     The fields are numbers, for one symmetry, or arrays (n,), for a symmetry of each of n ropes.
@@ -33,13 +43,15 @@ class Symmetry(NamedTuple):
         reverse: bool, the new vertex j is the old vertex -j.
         base_shift: int, vertices; after the reversal, the new vertex j is the old vertex
             j + base_shift.
+
+    The constants are what leads from a code to another of the same rope or diagram; their sums are
+    sets of them. Letters don't count under PLAIN; MOTIONS are those of a rope whose base bead
+    stays; DIAGRAM, all that keep a diagram, lacks REFLECT, which changes nothing but letters.
     """
 
-    turn: Any = 0.0
-    reflect: Any = False
-    switch: Any = False
-    reverse: Any = False
-    base_shift: Any = 0
+    REFLECT, SWITCH, REVERSE, REBASE, PLAIN = 1, 2, 4, 8, 16
+    MOTIONS = REFLECT | SWITCH | REVERSE
+    DIAGRAM = SWITCH | REVERSE | REBASE | PLAIN
 
     def vectors(self, vectors: ArrayLike) -> NDArray[Any]:
         """Transform positions or forces, (..., 3) or (n, ..., 3), without renumbering them."""
@@ -74,14 +86,7 @@ def _wide(field: Any, dimensions: int) -> NDArray[Any]:
     return values.reshape(values.shape + (1,) * (dimensions - values.ndim))
 
 
-# what leads from a code to another of the same rope or diagram; their sums are sets of them
-REFLECT, SWITCH, REVERSE, REBASE = 1, 2, 4, 8
-PLAIN = 16  # letters don't count
-MOTIONS = REFLECT | SWITCH | REVERSE  # of a rope whose base bead stays
-DIAGRAM = SWITCH | REVERSE | REBASE | PLAIN  # to reflect changes nothing but letters
-
-
-def images(code: GaussCode, symmetries: int = MOTIONS) -> tuple[GaussCode, ...]:
+def images(code: GaussCode, symmetries: int = Symmetry.MOTIONS) -> tuple[GaussCode, ...]:
     """Return the codes of a rope reflected, switched, walked either way, from other base points.
 
     Some are equal. Reflecting, switching and reversing are commuting involutions, the bits 0, 1 and
@@ -89,22 +94,23 @@ def images(code: GaussCode, symmetries: int = MOTIONS) -> tuple[GaussCode, ...]:
 
     Args:
         code: the first of them.
-        symmetries: REFLECT, SWITCH, REVERSE, REBASE and PLAIN, added.
+        symmetries: constants of `Symmetry`, added.
     """
-    code = code.plain if symmetries & PLAIN else code
-    bases = range(max(1, 2 * code.nx)) if symmetries & REBASE else range(1)
+    code = code.plain if symmetries & Symmetry.PLAIN else code
+    bases = range(max(1, 2 * code.nx)) if symmetries & Symmetry.REBASE else range(1)
     members = [code.rebased(base) if base else code for base in bases]
     # bit 2 of the index is the walk, bit 1 the heights, bit 0 the reflection
-    if symmetries & REVERSE:
+    if symmetries & Symmetry.REVERSE:
         members += [member.reversed() for member in members]
-    for flag, moved in ((SWITCH, GaussCode.switched), (REFLECT, GaussCode.reflected)):
-        if symmetries & flag:
-            members = [one for member in members for one in (member, moved(member))]
+    if symmetries & Symmetry.SWITCH:
+        members = [one for member in members for one in (member, member.switched())]
+    if symmetries & Symmetry.REFLECT:
+        members = [one for member in members for one in (member, member.reflected())]
     return tuple(members)
 
 
 @lru_cache(maxsize=400_000)
-def canonical(code: GaussCode, symmetries: int = MOTIONS) -> GaussCode:
+def canonical(code: GaussCode, symmetries: int = Symmetry.MOTIONS) -> GaussCode:
     """Return the representative of a code's images: the first by visits, then chirality.
 
     Args:
@@ -113,7 +119,7 @@ def canonical(code: GaussCode, symmetries: int = MOTIONS) -> GaussCode:
 
     >>> canonical(GaussCode.parse("1+a,1-a")) == canonical(GaussCode.parse("1-c,1+c"))
     True
-    >>> str(canonical(GaussCode.parse("1-,2+,2-,1+"), DIAGRAM))
+    >>> str(canonical(GaussCode.parse("1-,2+,2-,1+"), Symmetry.DIAGRAM))
     '1-,1+,2-,2+'
     """
     return min(images(code, symmetries), key=lambda one: (one.visits, one.chirality or ""))

@@ -38,7 +38,7 @@ from knotgym.rendering import AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs import RunOptions
 from knotgym.states import IMAGE_SPLITS, NEAR, distances
-from knotgym.topology import DIAGRAM, GaussCode, Symmetry, canonical, label
+from knotgym.topology import GaussCode, Symmetry, canonical, label
 
 from ..small_job import knotgym
 
@@ -216,7 +216,7 @@ def test_pictures_without_marks_hold_out_diagrams(
     folder = made(tmp_path / "table", config)
     shown: dict[str, set[GaussCode]] = {}
     for row in read_rows(folder):
-        code = canonical(GaussCode.parse(row["gauss_code"]), DIAGRAM)
+        code = canonical(GaussCode.parse(row["gauss_code"]), Symmetry.DIAGRAM)
         shown.setdefault(row["split"], set()).add(code)
     assert shown["test-code"] and not shown["test-code"] & (shown["train"] | shown["test"])
     assert "up to base, direction" in (folder / "README.md").read_text()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from knotgym.common import InvalidFile, InvalidInput
 from knotgym.rendering import photograph
 from knotgym.states import States, read_states, shipped
-from knotgym.topology import REBASE, REVERSE, GaussCode, find_crossings, images, label
+from knotgym.topology import GaussCode, Symmetry, find_crossings, images, label
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("safetensors")
@@ -48,7 +48,7 @@ def states() -> States:
 
 def same_diagram(one: GaussCode, other: GaussCode) -> bool:
     """Return whether both are codes of one diagram, from any base points, in any directions."""
-    return other in images(one, REVERSE | REBASE)
+    return other in images(one, Symmetry.REVERSE | Symmetry.REBASE)
 
 
 def projected(points: Array) -> tuple[Array, Tensor]:

@@ -1,5 +1,6 @@
 """Photos: the answers are what an outside computation from points and camera finds."""
 
+import json
 import math
 import sys
 import time
@@ -15,7 +16,7 @@ from knotgym.rendering import photo_kernels
 from knotgym.rendering.photo import photograph, take
 from knotgym.rendering.photo_painting import Shot
 from knotgym.states import read_states, shipped
-from knotgym.topology import pd_code
+from knotgym.topology import pd_text
 
 Array = NDArray[np.float64]
 
@@ -97,7 +98,7 @@ def faults(points: Array, shot: Shot) -> list[str]:
         into = order.index(k) + 1  # the edge that leads to the over visit
         if answers.strands[int(y), int(x)] not in (into, into % edges + 1):
             wrong.append("order")
-        a_, b_, c_, d_ = pd_code(answers.crossings.code)[k - 1]
+        a_, b_, c_, d_ = json.loads(pd_text(answers.crossings.code))[k - 1]
         under = order.index(-k) + 1
         if (a_, c_) != (under, under % edges + 1) or {b_, d_} != {into, into % edges + 1}:
             wrong.append("pd")

@@ -18,7 +18,7 @@ from knotgym.quality import Limits
 from knotgym.states.resolving import SETS, shipped
 from knotgym.states.schema import ATTRIBUTES, DIGEST, STATES
 from knotgym.states.state_file import States, merge_states, read_states, write_states
-from knotgym.topology import DIAGRAM, GaussCode, canonical
+from knotgym.topology import GaussCode, Symmetry, canonical
 
 
 @pytest.fixture
@@ -152,7 +152,10 @@ def test_splits_by_code_share_no_diagram_and_are_parts_of_the_splits(name: str, 
     train, test = states.rows(nx, "train-code"), states.rows(nx, "test-code")
     assert {*train} <= {*states.rows(nx, "train")} and {*test} <= {*states.rows(nx, "test")}
     diagrams = [
-        {canonical(GaussCode.parse(code), DIAGRAM) for code in states.gauss_code[rows].tolist()}
+        {
+            canonical(GaussCode.parse(code), Symmetry.DIAGRAM)
+            for code in states.gauss_code[rows].tolist()
+        }
         for rows in (train, test)
     ]
     assert not diagrams[0] & diagrams[1]

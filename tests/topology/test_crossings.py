@@ -11,14 +11,13 @@ from numba import njit
 
 from knotgym.common import InvalidInput
 from knotgym.states import read_states, shipped
-from knotgym.topology import orientation
+from knotgym.topology import crossing_kernel
 from knotgym.topology.crossings import (
-    count_crossings,
+    Crossings,
     find_crossings,
     label,
     label_many,
     same_spot,
-    visit_spacing,
 )
 from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import GaussCode
@@ -26,8 +25,14 @@ from knotgym.topology.gauss import GaussCode
 
 @njit
 def side(points: np.ndarray, a: int, b: int, c: int) -> int:
-    """Call `orientation.side`, which Python can't."""
-    return int(orientation.side(points, a, b, c))
+    """Call `crossing_kernel.side`, which Python can't."""
+    return int(crossing_kernel.side(points, a, b, c))
+
+
+def visit_spacing(crossings: Crossings, beads: int) -> float:
+    """The smallest distance of consecutive visits, beads; small where strands nearly meet."""
+    places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
+    return float(np.diff(places, append=places[:1] + beads).min(initial=np.inf))
 
 
 # An eight whose strands meet at (0, 0); the one from the lower left is over.
@@ -208,8 +213,8 @@ def test_vertices_that_are_repeated_change_no_code() -> None:
     for rope in [*read_states(shipped()).points, EIGHT, *map(random_curve, range(30))]:
         code = label(rope)
         for which, again in repeated_in(rope).items():
-            shown = (label(again), *label_many(again[None]), count_crossings(again, 99))
-            assert shown == (code, code, code.nx), which
+            shown = (label(again), *label_many(again[None]), label(again, most=code.nx))
+            assert shown == (code, code, code), which
 
 
 @pytest.mark.parametrize("winding", [1, 3])
@@ -348,18 +353,12 @@ def test_what_is_no_curve_is_refused(points: np.ndarray, problem: str) -> None:
             label_many(np.array([EIGHT, points]))
 
 
-def test_spacing_is_cyclic() -> None:
-    assert visit_spacing(find_crossings(EIGHT), 6) == 3.0
-    assert visit_spacing(find_crossings(np.roll(EIGHT, -1, axis=0)), 6) == 3.0
-    bowtie = find_crossings(np.roll(np.delete(EIGHT, 2, axis=0), 1, axis=0))
-    assert visit_spacing(bowtie, 5) == 2.0
-    assert visit_spacing(find_crossings(np.eye(3)), 3) == np.inf
-
-
 def test_many_crossings_are_all_found() -> None:
     # every edge crosses all but itself and two neighbours
     star = 2.0 * np.pi * np.arange(101) * 50 / 101
     points = np.column_stack([np.cos(star), np.sin(star), np.cos(7.0 * star)])
     assert label(points).nx == 101 * 98 // 2
+    with pytest.raises(InvalidInput, match="more than 4948 crossings"):
+        label(points, most=101 * 98 // 2 - 1)
     several = label_many(np.stack([points, np.roll(points, 1, axis=0), points]))
     assert several == [label(points), label(np.roll(points, 1, axis=0)), label(points)]

@@ -8,14 +8,15 @@ import pytest
 
 from knotgym.common import InvalidInput
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import (
+from knotgym.topology.knots import (
     _types_by_polynomials,
     based_diagrams,
     diagram_of,
+    knot_type,
     prime_diagrams,
+    shows,
     type_of,
 )
-from knotgym.topology.knots import knot_type, shows
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
 from knotgym.topology.reidemeister import is_alternating
 

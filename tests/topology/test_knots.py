@@ -12,8 +12,7 @@ from knotgym.common import InvalidInput
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import chiralities, faces, is_planar, planar_codes, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import diagram_of, prime_diagrams
-from knotgym.topology.knots import is_unknot, knot_type, shows
+from knotgym.topology.knots import diagram_of, is_unknot, knot_type, prime_diagrams, shows
 from knotgym.topology.notation import from_dt
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
 from knotgym.topology.reidemeister import connected_sum, simplify, without_bigons

@@ -18,20 +18,19 @@ from knotgym.topology import notation
 from knotgym.topology.crossings import label_many
 from knotgym.topology.diagrams import parts, uniform_code, with_chirality
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import diagram_of, prime_diagrams
-from knotgym.topology.knots import is_unknot, knot_type
+from knotgym.topology.knots import diagram_of, is_unknot, knot_type, prime_diagrams
 from knotgym.topology.notation import (
     dt_code,
     dt_text,
     from_dt,
     from_pd,
     parse_code,
+    parse_codes,
     pd_code,
     pd_text,
-    split_codes,
 )
 from knotgym.topology.reidemeister import without_bigons
-from knotgym.topology.symmetry import DIAGRAM, canonical
+from knotgym.topology.symmetry import Symmetry, canonical
 
 CODES = Path(__file__).parents[1] / "codes"
 TREFOIL = GaussCode.parse("1-c,2+c,3-c,1+c,2-c,3+c")
@@ -200,7 +199,7 @@ def require_same_abroad(code: GaussCode, knot: str) -> None:
         if without_nugatory(code):
             again = spherogram.Link(f"DT: [{tuple(dt_code(code))}]")
             read = from_dt([*again.DT_code()[0]])  # at another base point, or switched
-            assert canonical(read, DIAGRAM) == canonical(code, DIAGRAM)
+            assert canonical(read, Symmetry.DIAGRAM) == canonical(code, Symmetry.DIAGRAM)
     link.simplify("basic")
     if link.crossings:
         link.simplify("global")
@@ -246,7 +245,7 @@ def test_the_249_knots_are_those_of_knotinfo() -> None:
         assert dt_text(table_dt) == info[name]["dt_notation"]
         assert knot_type(table_dt) in (name, "unknown")
         gauss = parse_code(f"KnotInfo:{info[name]['gauss_notation']}")
-        assert canonical(gauss, DIAGRAM) == canonical(code, DIAGRAM)
+        assert canonical(gauss, Symmetry.DIAGRAM) == canonical(code, Symmetry.DIAGRAM)
         require_same_abroad(code, name)
 
 
@@ -319,8 +318,8 @@ def test_other_programs_write_the_left_handed_trefoil(text: str) -> None:
 def test_a_notation_is_a_row_of_the_table_of_readers(monkeypatch: pytest.MonkeyPatch) -> None:
     row = re.compile(r"Kinks:\d+"), lambda tight, _: GaussCode.parse(kinks_of(int(tight[6:])))
     monkeypatch.setattr(notation, "_READERS", (row, *notation._READERS))
-    (text,) = split_codes(["Kinks:3 # curls"])
-    assert str(parse_code(text)) == kinks_of(3) and parse_code("[4,6,2]") == from_dt([4, 6, 2])
+    (code,) = parse_codes(["Kinks:3 # curls"])
+    assert str(code) == kinks_of(3) and parse_code("[4,6,2]") == from_dt([4, 6, 2])
     with pytest.raises(InvalidInput, match="cannot read the visit"):
         parse_code("Kinks:x")
 
@@ -332,8 +331,10 @@ def kinks_of(count: int) -> str:
 def test_a_list_has_a_code_a_line() -> None:
     lines = ["# five", "O1U1", "4 6 8 2", "4 6 8 2 # twice the figure-eight knot", "[[1,1,2,2]]"]
     lines += ["PD[", "X[1,5,2,4],", "", "X[5,3,6,2],X[3,1,4,6]", "];"]
-    codes = [parse_code(text) for text in split_codes(lines)]
+    codes = [*parse_codes(lines)]
     assert [code.nx for code in codes] == [1, 4, 4, 1, 3] and codes[4] == TREFOIL
+    with pytest.raises(InvalidInput, match="line 4: "):
+        [*parse_codes([*lines[:3], "[[1,2", "]]"])]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import chiralities, planar_codes
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import (
-    DIAGRAM,
     Symmetry,
     canonical,
     images,
@@ -126,7 +125,7 @@ def test_no_symmetry_is_bit_for_bit_nothing(configurations: NDArray[np.float64])
 def test_diagrams_are_told_apart_and_their_form_is_one_of_their_codes(
     nx: int, diagrams: int
 ) -> None:
-    forms = {code: canonical(code, DIAGRAM) for code in planar_codes(nx)}
+    forms = {code: canonical(code, Symmetry.DIAGRAM) for code in planar_codes(nx)}
     assert len(set(forms.values())) == diagrams
     assert all(forms[form] == form for form in forms.values())
     for code, form in forms.items():

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from knotgym.common import Column, Schema, Table, read_tables, write_tables
 from knotgym.control.planning.sights import IMAGES, Diagram, Sight
 from knotgym.rope import Array, Pass
-from knotgym.topology import NEGATIVE, POSITIVE, REVERSE, SWITCH, GaussCode, trusted_code
+from knotgym.topology import GaussCode, Symmetry, letters_of
 
 FORMAT, VERSION = "knotgym-moves", 2
 NODES = Schema(
@@ -86,21 +86,21 @@ class PassTemplate(NamedTuple):
         """Return the pass of a rope whose diagram is the image of the template's diagram."""
         # Walked backwards, what lay at position p along the 2 nx + 1 arcs lies at 2 nx + 1 - p.
         # `abs`: without a reversal flip is 0, and the position itself is meant.
-        flip = 2 * sight.diagram.nx + 1 if image & REVERSE else 0
+        flip = 2 * sight.diagram.nx + 1 if image & Symmetry.REVERSE else 0
         bead = sight.bead(abs(flip - _arcs(self.bead)))
         if self.kind == ALONG:
             target = (bead + (-self.target if flip else self.target)) % int(sight.cuts[-1])
         else:
             target = sight.bead(abs(flip - _arcs(self.target)))
-        return Pass(bead, target, -self.side if image & SWITCH else self.side)
+        return Pass(bead, target, -self.side if image & Symmetry.SWITCH else self.side)
 
     def image(self, number: int, nx: int) -> PassTemplate:
         """The template of the image of a diagram of nx crossings."""
         kind, bead, target, side = self
-        if number & REVERSE:
+        if number & Symmetry.REVERSE:
             flip = 100 * (2 * nx + 1)
             bead, target = flip - bead, -target if kind == ALONG else flip - target
-        return PassTemplate(kind, bead, target, -side if number & SWITCH else side)
+        return PassTemplate(kind, bead, target, -side if number & Symmetry.SWITCH else side)
 
 
 class Moves:
@@ -218,9 +218,9 @@ class Moves:
         columns = (nodes[name].tolist() for name in ("visits", "signs", "outer"))
         counts = (nodes["visits"] != 0).sum(axis=1).tolist()
         for count, visits, signs, outer in zip(counts, *columns, strict=True):
-            letters = "".join(POSITIVE if signs >> k & 1 else NEGATIVE for k in range(count // 2))
+            letters = letters_of(signs >> k & 1 for k in range(count // 2))
             darts = tuple(d for d in range(max(2, 2 * count)) if outer >> d & 1)
-            table._append(Diagram(trusted_code(tuple(visits[:count]), letters), darts))
+            table._append(Diagram(GaussCode.trusted(tuple(visits[:count]), letters), darts))
         table.rows = np.stack([outcomes[name] for name in _NAMES], axis=1).astype(np.int64)
         table._arrange(())
         return table

@@ -22,17 +22,7 @@ import numpy as np
 from numba import njit
 
 from knotgym.rope import Array
-from knotgym.topology import (
-    OVER_PLACE,
-    REFLECT,
-    REVERSE,
-    UNDER_PLACE,
-    GaussCode,
-    faces,
-    images,
-    label_many,
-    scan,
-)
+from knotgym.topology import CROSSING, GaussCode, Symmetry, faces, images, label_many, scan
 
 # The eight symmetries are numbered as `symmetry.images` numbers a code's images. The bits of a
 # number say which are applied, so applying k after j is applying k ^ j.
@@ -132,9 +122,10 @@ def _images(diagram: Diagram) -> tuple[Diagram, ...]:
     found = []
     for number, code in enumerate(members):
         outer: Sequence[int] = diagram.outer
-        if number & REVERSE:  # visit k becomes visit edges - 1 - k, and edges are walked backwards
+        # visit k becomes visit edges - 1 - k, and edges are walked backwards
+        if number & Symmetry.REVERSE:
             outer = [2 * ((edges - 2 - dart // 2) % edges) + 1 - dart % 2 for dart in outer]
-        if number & REFLECT:
+        if number & Symmetry.REFLECT:
             outer = [dart ^ 1 for dart in outer]
         # sorted, as a face is a cycle that may begin anywhere
         found.append(Diagram(code, tuple(sorted(outer))))
@@ -159,7 +150,7 @@ def _sights(points, most):  # type: ignore[no-untyped-def]
         _, _, table = scan(points[rope])
         found = 0
         for k in range(len(table)):
-            for column in (OVER_PLACE, UNDER_PLACE):
+            for column in (CROSSING.over_place, CROSSING.under_place):
                 # inserted in order: `np.sort` of so few would take seconds to compile
                 place, at = table[k, column], found
                 while at > 0 and cuts[rope, at - 1] > place:

@@ -22,11 +22,10 @@ from knotgym.topology import (
     GaussCode,
     codes_of,
     diagram_of,
-    is_planar,
     knot_type,
-    not_planar,
     shows,
     type_of,
+    with_chirality,
 )
 
 if TYPE_CHECKING:
@@ -158,8 +157,7 @@ class GenerateConfig:
                 f" takes nx up to {LISTED_NX}; give a count"
             )
         for code in self.parsed:
-            if not is_planar(code):
-                raise not_planar(code)
+            with_chirality(code)
             if code.nx not in self.nx:
                 raise InvalidInput(
                     f"nx must include the crossings of all codes, got {self.nx} and {str(code)!r}"

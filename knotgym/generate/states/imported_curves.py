@@ -27,7 +27,7 @@ from knotgym.rope import (
     simulation_of,
 )
 from knotgym.states import States
-from knotgym.topology import UNKNOWN, GaussCode, count_crossings, knot_type, label, possible_types
+from knotgym.topology import UNKNOWN, GaussCode, knot_type, label, possible_types
 
 # Heights are scaled, which changes no code, and the curve is relaxed; the first to pass is kept.
 _HEIGHTS, _ROUNDS = (1.0, 0.4, 0.15), (0, 1, 2, 4, 8, 16, 32, 64)
@@ -112,10 +112,7 @@ def _shown_code(curve: Array, rope: Rope) -> GaussCode:
     """
     laid = rope.from_curve(curve, max_overlap=np.inf)
     require_embedded(curve)
-    most = rope.config.beads
-    if count_crossings(curve, most) > most:
-        raise InvalidInput(f"it has more than {most} crossings")
-    code = label(curve)
+    code = label(curve, most=rope.config.beads)
     if label(laid) != code:
         raise InvalidInput(
             f"with {rope.config.beads} beads it shows another Gauss code: it is too intricate for"

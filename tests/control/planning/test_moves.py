@@ -7,12 +7,13 @@ import pytest
 from knotgym.common import InvalidFile, MissingFile
 from knotgym.control.planning.moves import ALONG, AT, Moves, PassTemplate
 from knotgym.control.planning.sights import IMAGES, Diagram
-from knotgym.topology import GaussCode, chiralities, planar_codes
+from knotgym.topology import GaussCode, chiralities, codes_of
 
 CODES = [
     GaussCode(code.visits, letters)
     for nx in range(4)
-    for code in planar_codes(nx)
+    for knot in ("0_1", "3_1")
+    for code in codes_of(knot, nx)
     for letters in chiralities(code)
 ]
 GOAL = GaussCode.parse("1+,2+,2-,1-")
