@@ -17,7 +17,7 @@ from knotgym.runs.progress import Progress
 
 def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))  # nothing compiled there
-    monkeypatch.setattr("knotgym.topology.crossing_kernel.scan", kernel)
+    monkeypatch.setattr("knotgym.topology.scan", kernel)
     stages: list[str] = []
     monkeypatch.setattr(Progress, "stage", lambda _, name: stages.append(name))
     compile_first(Progress(quiet=True))
@@ -28,7 +28,7 @@ def test_a_first_environment_says_once_that_it_compiles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))
-    monkeypatch.setattr("knotgym.topology.crossing_kernel.scan", kernel)
+    monkeypatch.setattr("knotgym.topology.scan", kernel)
     monkeypatch.setattr("knotgym.rope.engines._warned", set())
     for _ in range(2):
         warn_of_compilation("mujoco")
