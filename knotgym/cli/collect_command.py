@@ -2,23 +2,19 @@
 
 from itertools import product
 from pathlib import Path
-from typing import Any
 
-from knotgym.cli.options import RUN, Given, command, extra
+from knotgym.cli.options import RUN, Given, Listed, Numbers, command, numbers
 from knotgym.generate import CollectConfig
-
-MINARI_ROOT = extra("out", Path, help="Minari root to write to; Minari's own by default.")
 
 
 @command(
     {"": CollectConfig},
     "episodes policy.policy task.split keep_failed=--keep-failed/--drop-failed"
     f" dataset_id=--id form task.states task.observation task.engine {RUN}",
-    extra("task", tuple[str, ...], ("tie",)),
-    extra("nx", tuple[int, ...], (2,)),
-    MINARI_ROOT,
 )
-def collect(given: Given) -> None:
+def collect(
+    given: Given, *, task: Listed = None, nx: Numbers = None, out: Path | None = None
+) -> None:
     """Roll out a policy and write its episodes as a Minari dataset.
 
     Several tasks or values of --nx make one dataset each; with --id they make a single one, whose
@@ -35,33 +31,30 @@ def collect(given: Given) -> None:
         knotgym collect --policy pretrained --set labels=expert
 
     Args:
-        task: Tasks, comma-separated: tie, unknot, convert.
-        nx: Numbers of crossings: 3, 2,3 or 0-4.
+        task: Tasks, comma-separated: tie, unknot, convert; tie by default.
+        nx: Numbers of crossings: 3, 2,3 or 0-4; 2 by default.
+        out: Minari root to write to; Minari's own by default.
     """
     from knotgym.datasets import loading_lines
     from knotgym.generate import collect as run
     from knotgym.generate import named, require_collectable
 
-    options, out = given.run, given["out"]
+    options = given.run
     several = [
-        given[name] if name in given.typed else given.get(f"task.{name}") for name in ("task", "nx")
+        given.get("task.task") if task is None else [one.strip() for one in task.split(",")],
+        given.get("task.nx") if nx is None else numbers(nx),
     ]
+    several = [[*one] if isinstance(one, (list, tuple)) else [one] for one in several]
     if given.get("dataset_id"):
-        pairs = [tuple(one[0] if len(one) == 1 else one for one in map(_listed, several))]
+        pairs = [tuple(one[0] if len(one) == 1 else one for one in several)]
     else:
-        every = [*product(*map(_listed, several))]
+        every = [*product(*several)]
         # settings may hold anything, also what can't be hashed; it is refused below
         pairs = [pair for number, pair in enumerate(every) if pair not in every[:number]]
-    seen = "" if given.has("task.observation") else "state"
+    usual = {"policy_observation": "" if given.has("task.observation") else "state"}
     configs = [
-        named(
-            given.config(
-                CollectConfig,
-                {"task.task": task, "task.nx": nx},
-                usual={"policy_observation": seen},
-            )
-        )
-        for task, nx in pairs
+        named(given.config(CollectConfig, {"task.task": one, "task.nx": of}, usual=usual))
+        for one, of in pairs
     ]
     for config in configs:  # refuse any of them before playing the first
         require_collectable(config, out, options)
@@ -69,7 +62,3 @@ def collect(given: Given) -> None:
         run(config, out, options, progress=given.progress)
         if options.shard.is_whole:
             given.progress.say_how_to_load(loading_lines(config.dataset_id, out))
-
-
-def _listed(value: Any) -> tuple[Any, ...]:
-    return tuple(value) if isinstance(value, (list, tuple)) else (value,)

@@ -1,28 +1,31 @@
 """The commands `knotgym dataset ...`, which inspect, check, convert and cut datasets."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Annotated, Any
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
-from knotgym.cli.options import APP, Given, command, extra
+from knotgym.cli.options import APP, DrawSeed, Given, command
 from knotgym.common import Failed, InvalidInput
 from knotgym.datasets import export_help
 
 _command = partial(command, {}, lines=False)
-_SOURCE = extra(
-    "PATH-OR-ID",
+Source = Annotated[
     str,
-    ...,
-    "A run's folder or its minari folder, a states.h5, an episode file, a folder of pictures, or a"
-    " Minari dataset id; show also takes transcripts.",
-)
-_FILE = extra("out", Path, ..., "File to write: .h5, or .parquet for pictures.")
-_SEED = extra("seed", int, 0, "Seed of the random choice.")
+    Parameter(
+        name="PATH-OR-ID",
+        help="A run's folder or its minari folder, a states.h5, an episode file, a folder of"
+        " pictures, or a Minari dataset id; show also takes transcripts.",
+    ),
+]
+File = Annotated[Path, Parameter(help="File to write: .h5, or .parquet for pictures.")]
+Format = Annotated[str, Parameter(help=export_help())]
 
 
-@_command("", _SOURCE)
-def show(given: Given) -> None:
+@_command("")
+def show(given: Given, source: Source, /) -> None:
     """Summarize a dataset.
 
     Prints crossings, codes, chirality, splits, quality and rejections. For transcripts of `knotgym
@@ -30,11 +33,11 @@ def show(given: Given) -> None:
     """
     from knotgym.cli.inspection import show as look
 
-    look(given["path_or_id"], given.progress.console)
+    look(source, given.progress.console)
 
 
-@_command("run.overwrite", _SOURCE, extra("out", Path))
-def gallery(given: Given) -> None:
+@_command("run.overwrite")
+def gallery(given: Given, source: Source, /, *, out: Path | None = None) -> None:
     """Draw a contact sheet of knot diagrams with their codes.
 
     It shows all states, or the final states of 64 episodes, framed green for success and red for
@@ -43,14 +46,13 @@ def gallery(given: Given) -> None:
     Args:
         out: PNG to write; gallery.png in the folder by default.
     """
-    from knotgym.cli.inspection import gallery as draw
+    from knotgym.datasets import write_sheet
 
-    out = _out(given, "gallery.png")
-    given.progress.say(f"{out}: {draw(given['path_or_id'], out, given.run.overwrite)}")
+    _write(given, source, out, "gallery.png", write_sheet)
 
 
-@_command("", _SOURCE)
-def verify(given: Given) -> None:
+@_command("")
+def verify(given: Given, source: Source, /) -> None:
     """Check a dataset.
 
     Compares checksums and schema, recomputes Gauss codes with two implementations, replays the
@@ -59,18 +61,23 @@ def verify(given: Given) -> None:
     from knotgym.cli.inspection import checked, faults
     from knotgym.runs import compile_first
 
-    path, progress, count = given["path_or_id"], given.progress, 0
-    compile_first(progress)
-    for fault in faults(path, progress):
+    compile_first(given.progress)
+    found = 0
+    for fault in faults(source, given.progress):
         _print(given, f"fault: {fault}")
-        count += 1
-    if count:
-        raise Failed(f"{path}: {count} faults")
-    progress.say(f"{path}: {checked(path)}: no faults")
+        found += 1
+    if found:
+        raise Failed(f"{source}: {found} faults")
+    given.progress.say(f"{source}: {checked(source)}: no faults")
 
 
-@_command("run.overwrite", extra("SOURCES", list[str]), extra("out", Path), extra("id", str, ""))
-def merge(given: Given) -> None:
+@_command("run.overwrite")
+def merge(
+    given: Given,
+    *sources: Annotated[str, Parameter(name="SOURCES")],
+    out: Path | None = None,
+    id: str = "",
+) -> None:
     """Merge datasets of one kind. Data is copied, not encoded again.
 
     Shards of a run are merged by running its command again, without run.shard, where the journals
@@ -87,17 +94,16 @@ def merge(given: Given) -> None:
         out: File to write; with --id the Minari root, Minari's own by default.
         id: Write episodes as a Minari dataset with this id.
     """
-    sources = given["sources"] or ()
     if not sources:
         raise InvalidInput("name what to merge: two datasets at least")
     from knotgym.datasets import merge as merge_datasets
 
     given.progress.stage("merging")
-    given.progress.say(merge_datasets(sources, given["out"], given["id"], given.run.overwrite))
+    given.progress.say(merge_datasets(sources, out, id, given.run.overwrite))
 
 
-@_command("run.overwrite", _SOURCE, extra("out", Path), extra("row", int, 0))
-def replay(given: Given) -> None:
+@_command("run.overwrite")
+def replay(given: Given, source: Source, /, *, out: Path | None = None, row: int = 0) -> None:
     """Replay the actions of a state or an episode, check the result bit for bit, and film it.
 
     Arrows show the pulls, both codes are printed below, and the last frame says "reached" or
@@ -110,13 +116,11 @@ def replay(given: Given) -> None:
     """
     from knotgym.cli.inspection import film
 
-    out, progress = _out(given, "replay.gif"), given.progress
-    filmed = film(given["path_or_id"], given["row"], out, given.run.overwrite, progress)
-    progress.say(f"{out}: {filmed}")
+    film(source, row, out, given.run.overwrite, given.progress)
 
 
-@_command("run.overwrite", _SOURCE, extra("out", Path))
-def page(given: Given) -> None:
+@_command("run.overwrite")
+def page(given: Given, source: Source, /, *, out: Path | None = None) -> None:
     """Write a self-contained HTML page for browsing a dataset offline.
 
     States can be rotated in 3D and episodes played. Large sets are sampled, so that the page has at
@@ -125,17 +129,14 @@ def page(given: Given) -> None:
     Args:
         out: HTML file to write; page.html in the folder by default.
     """
-    from knotgym.cli.inspection import page as write
+    from knotgym.datasets import write_page
 
-    out = _out(given, "page.html")
     given.progress.stage("writing the page")
-    given.progress.say(f"{out}: {write(given['path_or_id'], out, given.run.overwrite)}")
+    _write(given, source, out, "page.html", write_page)
 
 
-@_command(
-    "run.overwrite", _SOURCE, extra("out", Path, ...), extra("to", str, "compact", export_help())
-)
-def export(given: Given) -> None:
+@_command("run.overwrite")
+def export(given: Given, source: Source, /, *, out: Path, to: Format = "compact") -> None:
     """Convert a dataset to another format, or to a folder ready to upload.
 
     Args:
@@ -146,12 +147,20 @@ def export(given: Given) -> None:
     from knotgym.datasets import export as convert
 
     given.progress.stage("exporting")
-    path, out, to = given["path_or_id"], given["out"], given["to"]
-    given.progress.say(f"{out}: {convert(path, out, to, replay, overwrite=given.run.overwrite)}")
+    given.progress.say(f"{out}: {convert(source, out, to, replay, overwrite=given.run.overwrite)}")
 
 
-@_command("run.overwrite", _SOURCE, extra("where", str, ""), extra("sample", int), _SEED, _FILE)
-def select(given: Given) -> None:
+@_command("run.overwrite")
+def select(
+    given: Given,
+    source: Source,
+    /,
+    *,
+    where: str = "",
+    sample: int | None = None,
+    out: File,
+    seed: DrawSeed = 0,
+) -> None:
     """Write the states, episodes or pictures that fulfil a condition as a new file.
 
     `dataset merge` makes a Minari dataset of it.
@@ -168,17 +177,13 @@ def select(given: Given) -> None:
             those that there are. Needs the extra select.
         sample: Keep this many of the rows, drawn at random.
     """
-    from knotgym.datasets import kept
-    from knotgym.datasets import select as select_rows
+    from knotgym.datasets import select
 
-    given.progress.stage("selecting")
-    chosen = {name: given[name] for name in ("where", "sample", "seed", "out")}
-    made = select_rows(given["path_or_id"], **chosen, overwrite=given.run.overwrite)
-    given.progress.say(f"{made}: {kept(made)}")
+    _cut(given, partial(select, source, where=where, sample=sample, seed=seed, out=out))
 
 
-@_command("run.overwrite", _SOURCE, extra("parts", str, ...), _SEED, _FILE)
-def split(given: Given) -> None:
+@_command("run.overwrite")
+def split(given: Given, source: Source, /, *, parts: str, out: File, seed: DrawSeed = 0) -> None:
     """Write a dataset as several files, OUT-NAME each, by fractions of its rows.
 
     Near-duplicates, rows of one walk, and episodes with a common start or goal state stay together.
@@ -186,33 +191,25 @@ def split(given: Given) -> None:
     Args:
         parts: Names and fractions of the parts, such as train=0.8,val=0.2.
     """
-    from knotgym.datasets import kept
-    from knotgym.datasets import split as split_rows
+    from knotgym.datasets import split
 
-    given.progress.stage("splitting")
-    chosen = {name: given[name] for name in ("parts", "seed", "out")}
-    for made in split_rows(given["path_or_id"], **chosen, overwrite=given.run.overwrite):
-        given.progress.say(f"{made}: {kept(made)}")
+    _cut(given, partial(split, source, parts=parts, seed=seed, out=out))
 
 
-@_command("run.overwrite", _SOURCE, extra("rows", str, ...), _FILE)
-def delete(given: Given) -> None:
+@_command("run.overwrite")
+def delete(given: Given, source: Source, /, *, rows: str, out: File) -> None:
     """Write a dataset without some of its rows as a new file.
 
     Args:
         rows: Rows of states or pictures, or numbers of episodes, such as 3,7-9.
     """
-    from knotgym.datasets import delete as delete_rows
-    from knotgym.datasets import kept
+    from knotgym.datasets import delete
 
-    given.progress.stage("deleting")
-    chosen = {name: given[name] for name in ("rows", "out")}
-    made = delete_rows(given["path_or_id"], **chosen, overwrite=given.run.overwrite)
-    given.progress.say(f"{made}: {kept(made)}")
+    _cut(given, partial(delete, source, rows=rows, out=out))
 
 
-@_command("run.overwrite", extra("CURVES", list[str]), extra("out", Path, ...))
-def import_(given: Given) -> None:
+@_command("run.overwrite")
+def import_(given: Given, *curves: Annotated[Path, Parameter(name="CURVES")], out: Path) -> None:
     """Write closed curves as states of the rope.
 
     A curve is cut into beads, scaled to the rope's length, relaxed where needed, and judged by the
@@ -225,15 +222,14 @@ def import_(given: Given) -> None:
             .vect, .json, .npy or .npz.
         out: State file to write, such as states.h5.
     """
-    if not given["curves"]:
+    if not curves:
         raise InvalidInput("name the files of curves to import")
     from knotgym.common import atomic_write, require_output
     from knotgym.generate import import_curves
     from knotgym.states import write_states
 
-    out, overwrite = given["out"], given.run.overwrite
+    overwrite = given.run.overwrite
     given.progress.stage("relaxing curves")
-    curves = [Path(name) for name in given["curves"]]
     require_output(out, folder=False, overwrite=overwrite, reads=curves)
     states, refused = import_curves(curves)
     with atomic_write(out, overwrite=overwrite) as temporary:
@@ -256,8 +252,28 @@ def _print(given: Given, *lines: str) -> None:
         given.progress.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
-def _out(given: Given, name: str) -> Path:
-    """Return the output that was typed, or a file of this name beside the dataset."""
+def _write(
+    given: Given, source: str, out: Path | None, name: str, write: Callable[[Path, Any], str]
+) -> None:
+    """Write a file about a dataset, by default of this name beside it, and say what it is."""
+    from knotgym.common import atomic_write, require_output
     from knotgym.datasets import locate
 
-    return given["out"] or locate(given["path_or_id"]).folder / name
+    found, overwrite = locate(source), given.run.overwrite
+    out = out or found.folder / name
+    if out.suffix.lower() != Path(name).suffix:
+        raise InvalidInput(f"the output must end in {Path(name).suffix}, got {out}")
+    require_output(out, folder=False, overwrite=overwrite, reads=found.files)
+    with atomic_write(out, overwrite=overwrite) as temporary:
+        written = write(temporary, found)
+    given.progress.say(f"{out}: {written}")
+
+
+def _cut(given: Given, cut: Callable[..., Path | list[Path]]) -> None:
+    """Write some rows of a dataset as new files, and say what each holds."""
+    from knotgym.datasets import kept
+
+    given.progress.stage("choosing rows")
+    made = cut(overwrite=given.run.overwrite)
+    for one in [made] if isinstance(made, Path) else made:
+        given.progress.say(f"{one}: {kept(one)}")

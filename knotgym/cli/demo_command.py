@@ -3,11 +3,11 @@
 import importlib.util
 from pathlib import Path
 
-from knotgym.cli.options import Given, command, extra
+from knotgym.cli.options import Given, command
 
 
-@command({}, "run.overwrite", extra("out", Path, Path("knotgym-data/demo")))
-def demo(given: Given) -> None:
+@command({}, "run.overwrite")
+def demo(given: Given, *, out: Path = Path("knotgym-data/demo")) -> None:
     """Film the expert tying a knot diagram, in about 20 seconds.
 
     Writes an observation, a film and an HTML page.
@@ -15,14 +15,13 @@ def demo(given: Given) -> None:
     Args:
         out: Folder to make.
     """
-    progress, out, overwrite = given.progress, given["out"], given.run.overwrite
+    progress, overwrite = given.progress, given.run.overwrite
     progress.stage("loading the simulator")
     from PIL import Image
 
-    from knotgym.cli.inspection import page
     from knotgym.common import atomic_write, require_output
     from knotgym.control import PolicyConfig, compile_planning
-    from knotgym.datasets import open_episodes
+    from knotgym.datasets import locate, open_episodes, write_page
     from knotgym.envs import TaskConfig
     from knotgym.generate import CollectConfig, collect, film
     from knotgym.loaders import Transitions
@@ -50,7 +49,7 @@ def demo(given: Given) -> None:
         progress.stage("drawing the film and the page")
         frames = [frame for row in range(2) for frame in film(played.episodes, config.task, row)]
         write_film(folder / film_name, frames)
-        page(str(dataset), folder / "page.html", overwrite=False)
+        write_page(folder / "page.html", locate(str(dataset)))
     reached = int(played.episodes.episodes["success"].sum())
     progress.say(f"{out / 'reset.png'}: the first observation, with the rope beside its goal")
     progress.say(f"{out / film_name}: the expert reaches the goal in {reached} of 2 episodes")

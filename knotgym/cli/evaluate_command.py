@@ -1,26 +1,36 @@
 """The command `knotgym evaluate`."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from knotgym.cli.options import RUN, Given, as_typed, command, extra, field_help
+from cyclopts import Parameter
+
+from knotgym.cli.options import RUN, Given, as_typed, command, field_help
 from knotgym.common import printable
 from knotgym.control import PolicyConfig
 from knotgym.generate import EvaluateConfig
+
+Policies = Annotated[
+    list[str] | None,
+    Parameter(
+        help=f"{field_help(PolicyConfig, 'policy')} May be repeated; random by default.",
+    ),
+]
 
 
 @command(
     {"": EvaluateConfig, "policy": PolicyConfig},
     f"tasks=--task nx splits=--split episodes task.states task.engine {RUN}",
-    extra(
-        "policy", list[str], ("random",), f"{field_help(PolicyConfig, 'policy')} May be repeated."
-    ),
-    extra("out", Path),
-    extra("video", Path),
-    extra("record", Path),
     lines=False,
 )
-def evaluate(given: Given) -> None:
+def evaluate(
+    given: Given,
+    *,
+    policy: Policies = None,
+    out: Path | None = None,
+    video: Path | None = None,
+    record: Path | None = None,
+) -> None:
     """Measure the success rates of policies, with 95 % confidence intervals.
 
     Every combination of policy, task, split and number of crossings is one row. What isn't given of
@@ -40,22 +50,21 @@ def evaluate(given: Given) -> None:
     """
     from knotgym.generate import evaluate
 
-    more = _trained_on(given)
-    if "policy" in given.typed or given.has("policy"):
+    names = policy or ["random"]
+    more = _trained_on(given, names)
+    if policy or given.has("policy"):
         more["policies"] = [
-            given.config(PolicyConfig, {"policy": name}, section="policy")
-            for name in given["policy"]
+            given.config(PolicyConfig, {"policy": name}, section="policy") for name in names
         ]
     config = given.config(EvaluateConfig, more)
-    outputs = {name: given[name] for name in ("out", "video", "record")}
-    evaluate(config, given.run, **outputs, progress=given.progress)
+    evaluate(config, given.run, out=out, video=video, record=record, progress=given.progress)
 
 
-def _trained_on(given: Given) -> dict[str, Any]:
+def _trained_on(given: Given, policies: list[str]) -> dict[str, Any]:
     """Return what all learners were trained on, of the settings that weren't given."""
     from knotgym.control import training_card
 
-    cards = [card for name in given["policy"] if (card := training_card(name)) is not None]
+    cards = [card for name in policies if (card := training_card(name)) is not None]
     setups = [one for card in cards if isinstance(one := card.get("trained_on"), dict)]
     found: dict[str, Any] = {}
     for path in ("tasks", "nx", "task.states", "task.engine"):

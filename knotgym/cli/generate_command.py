@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.cli.options import RUN, Given, command, extra, numbers
+from knotgym.cli.options import RUN, Given, Numbers, command, numbers, run_folder
 from knotgym.common import InvalidInput, Stream
 from knotgym.generate import GenerateConfig
 from knotgym.topology import UNKNOT, GaussCode, parse_codes
@@ -20,11 +20,10 @@ MOST_CODES = 100_000  # of a list; the states' provenance holds all of them
 @command(
     {"": GenerateConfig},
     f"count source every_code demonstrations knot engine {RUN}",
-    extra("nx", str, "3, or those of --knot"),
-    extra("out", Path),
-    extra("codes", Path),
 )
-def generate(given: Given) -> None:
+def generate(
+    given: Given, *, nx: Numbers = None, out: Path | None = None, codes: Path | None = None
+) -> None:
     """Generate rope states with train and test splits, and demonstrations of their Gauss codes.
 
     Examples:
@@ -40,7 +39,7 @@ def generate(given: Given) -> None:
         knotgym generate --nx 0-3 --count 200 --source play
 
     Args:
-        nx: Numbers of crossings: 3, 2,3 or 0-4.
+        nx: Numbers of crossings: 3, 2,3 or 0-4; by default 3, or those of --knot.
         out: Folder to write; by default knotgym-data/nx3, or nx3-3_1 with --knot 3_1.
         codes: File of Gauss, PD or DT codes, one per line, or hard-unknots for the 21 diagrams of
             Burton and others. --nx chooses by crossings, --count at random; --every-code gives the
@@ -50,27 +49,23 @@ def generate(given: Given) -> None:
     from knotgym.generate import make_states
     from knotgym.topology import diagram_of
 
-    options, progress, knot = given.run, given.progress, given.get("knot")
-    codes, every_code, nx = given["codes"], given.get("every_code"), given["nx"]
-    if "nx" not in given.typed:
-        nx = str(diagram_of(knot).nx) if knot != UNKNOT else "3"
-    usual = {"nx": numbers(nx)}
-    marks = [f"nx{nx}", *([codes.stem] if codes else []), *([knot] if knot != UNKNOT else [])]
-    folder = given.folder("-".join(marks))
-    more: dict[str, Any] = {}
+    knot = given.get("knot")
+    usual = str(diagram_of(knot).nx) if knot != UNKNOT else "3"
+    marks = [f"nx{usual if nx is None else nx}", codes and codes.stem, knot != UNKNOT and knot]
+    folder = run_folder(out, "-".join(str(mark) for mark in marks if mark))
+    more: dict[str, Any] = {} if nx is None else {"nx": numbers(nx)}
     if codes is not None:
-        wanted = numbers(nx) if "nx" in given.typed else None
-        count = given.get("count") if "count" in given.typed else None
+        count = given.get("count") if given.has("count") else None
         rng = Stream.SELECTION.generator(given.get("seed"), 2)
-        found = code_list(codes, wanted, count, rng)
+        found = code_list(codes, more.get("nx"), count, rng)
         more["nx"] = tuple(dict.fromkeys(code.nx for code in found))
         more["codes"] = [str(code) if code.chirality is None else code.chiral for code in found]
-        more["every_code"] = every_code or 1
-    config = given.config(GenerateConfig, more, usual=usual)
-    root = make_states(config, folder, options, progress=progress) / "minari"
+        more["every_code"] = given.get("every_code") or 1
+    config = given.config(GenerateConfig, more, usual={"nx": numbers(usual)})
+    root = make_states(config, folder, given.run, progress=given.progress) / "minari"
     for dataset in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
         shown = dataset.relative_to(root).as_posix()
-        progress.say_how_to_load(loading_lines(shown, root))
+        given.progress.say_how_to_load(loading_lines(shown, root))
 
 
 def code_list(

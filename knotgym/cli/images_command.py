@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from knotgym.cli.options import RUN, Given, as_typed, command, extra
+from knotgym.cli.options import RUN, Given, as_typed, command, run_folder
 from knotgym.generate import ImagesConfig
 
 
@@ -10,10 +10,8 @@ from knotgym.generate import ImagesConfig
     {"": ImagesConfig},
     "nx count appearance.name=--appearance appearance.vary=--vary appearance.sizes=--size"
     f" engine {RUN}",
-    extra("out", Path),
-    extra("states", str),
 )
-def images(given: Given) -> None:
+def images(given: Given, *, out: Path | None = None, states: str | None = None) -> None:
     """Generate labelled pictures for perception.
 
     Each comes with its Gauss code, crossings, rope coordinates and a grade of difficulty. Needs the
@@ -37,11 +35,12 @@ def images(given: Given) -> None:
     from knotgym.generate import make_images
     from knotgym.states import is_bundled
 
-    states, config = given["states"], given.config(ImagesConfig)
-    whence = states if is_bundled(states) else Path(states).absolute().parent.name
-    marks = [f"-from-{whence}" if states else ""]
-    name = config.appearance.name
-    marks += [f"-{name}" if name != ImagesConfig().appearance.name else ""]
-    marks += ["-varied" if config.appearance.vary else ""]
-    folder = given.folder(f"images-nx{as_typed(config.nx)}{''.join(marks)}")
+    config, usual = given.config(ImagesConfig), ImagesConfig().appearance.name
+    marks = [f"images-nx{as_typed(config.nx)}"]
+    if states:
+        whence = states if is_bundled(states) else Path(states).absolute().parent.name
+        marks.append(f"from-{whence}")
+    marks += [name for name in (config.appearance.name,) if name != usual]
+    marks += ["varied"] * bool(config.appearance.vary)
+    folder = run_folder(out, "-".join(marks))
     make_images(config, folder, given.run, states=states, progress=given.progress)

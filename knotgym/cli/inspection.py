@@ -2,39 +2,48 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TypeAlias
+from textwrap import TextWrapper, fill
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
 from knotgym.common import Failed, InvalidInput, atomic_write, require_output
 from knotgym.control import dataset_faults, replay
 from knotgym.datasets import (
-    Located,
+    CardTable,
     differences,
     expanded,
+    image_card_tables,
+    in_words,
     locate,
     open_episodes,
     read_manifest,
     read_table,
+    shards,
+    show_episodes,
+    state_card_tables,
     try_files,
-    write_page,
-    write_sheet,
 )
 from knotgym.generate import Result, is_entry, read_entry, replayed, result_of
 from knotgym.generate import film as film_of
 from knotgym.generate import show as show_results
+from knotgym.prompting import show_transcripts
 from knotgym.rendering import film_frames, require_film, write_film
 from knotgym.rope import rope_of, simulation_of
-from knotgym.runs import Progress, executor
+from knotgym.runs import Progress, executor, narrow_table
 from knotgym.states import read_states, resolve
 
 Image: TypeAlias = NDArray[np.uint8]
 _LARGE = 4_000_000  # bytes; larger tables are checked faster by several processes than by one
+_WIDTH, _GAP = 80, 3  # characters of a line, and between columns
+# paths stay whole, to be copied
+_FACTS = TextWrapper(
+    _WIDTH, subsequent_indent=" " * 21, break_on_hyphens=False, break_long_words=False
+)
 
 
 def show(named: str, console: Console) -> None:
@@ -43,12 +52,12 @@ def show(named: str, console: Console) -> None:
         return
     found = locate(named)
     if found.pictures:
-        print_images(found.pictures, console)
+        _print_images(found.pictures, console)
     elif found.states:
-        print_states(named, found.states, console)
+        _print_states(named, found.states, console)
     else:
         for one in found.episodes:
-            print_episodes(one, console)
+            _print_facts(show_episodes(one), console)
 
 
 def faults(named: str, progress: Progress) -> Iterator[str]:
@@ -98,38 +107,17 @@ def checked(named: str) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
-def gallery(named: str, out: Path, overwrite: bool) -> str:
-    """Write a contact sheet; return a one-line summary."""
-    found = locate(named)
-    _require_picture_or_page(out, ".png", overwrite, found)
-    with atomic_write(out, overwrite=overwrite) as temporary:
-        return write_sheet(temporary, found)
-
-
-def page(named: str, out: Path, overwrite: bool) -> str:
-    """Write an HTML page for browsing a dataset; return a one-line summary."""
-    found = locate(named)
-    _require_picture_or_page(out, ".html", overwrite, found)
-    with atomic_write(out, overwrite=overwrite) as temporary:
-        return write_page(temporary, found)
-
-
-def _require_picture_or_page(out: Path, suffix: str, overwrite: bool, found: Located) -> None:
-    """Raise if the output can't be written, or might be a file of the dataset beside it."""
-    if out.suffix.lower() != suffix:
-        raise InvalidInput(f"the output must end in {suffix}, got {out}")
-    require_output(out, folder=False, overwrite=overwrite, reads=found.files)
-
-
-def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -> str:
-    """Replay a state or an episode and write it as a video; return a one-line summary.
+def film(named: str, row: int, out: Path | None, overwrite: bool, progress: Progress) -> None:
+    """Replay a state or an episode and write it as a video, by default beside the dataset.
 
     Raises:
         InvalidInput: there is no such row, or it has no recorded actions.
         Failed: the replay ended in another state; nothing is written.
     """
+    found = locate(named)
+    out = out or found.folder / "replay.gif"
     require_film(out)
-    found = locate(named).only("states", "episodes")
+    found = found.only("states", "episodes")
     require_output(out, folder=False, overwrite=overwrite, reads=found.files)
     made = _state_film(found.states, row) if found.states else _episode_film(found.episodes[0], row)
     frames, steps, difference = made
@@ -138,7 +126,7 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
     progress.stage("writing")
     with atomic_write(out, overwrite=overwrite) as temporary:
         write_film(temporary, frames)
-    return f"bit for bit the same, {steps} steps"
+    progress.say(f"{out}: bit for bit the same, {steps} steps")
 
 
 def _state_film(path: Path, row: int) -> tuple[list[Image], int, str]:
@@ -178,3 +166,77 @@ def _episode_film(path: Path, row: int) -> tuple[list[Image], int, str]:
 def _require_row(row: int, count: int) -> None:
     if row >= count:
         raise InvalidInput(f"there is no row {row}; the dataset has {count} rows, counted from 0")
+
+
+def _print_states(path: str, file: Path, console: Console) -> None:
+    """Print a summary of a state file and of the run in its folder's manifest."""
+    states = read_states(file, images=False)
+    report = read_manifest(file.parent)[0].get("report", {})
+    _say(console, f"{path}: {len(states)} states")
+    if "policy" in states.source:
+        made = sorted(Counter(states.source["policy"].tolist()).items())
+        _say(console, f"sources: {', '.join(f'{policy} {count}' for policy, count in made)}")
+    _print_tables(state_card_tables(states, report), console)
+
+
+def _print_images(path: Path, console: Console) -> None:
+    """Print a summary of a perception table."""
+    size = sum(shard.stat().st_size for shard in shards(path))
+    count = len(read_table(path, columns=["nx"]))
+    _say(console, f"{path}: {count} pictures, {size / count:.0f} bytes each")
+    _print_tables(image_card_tables(path), console)
+
+
+def print_transcripts(path: str | Path, console: Console) -> bool:
+    """Print totals of the transcripts in a file or a folder; return whether it has any."""
+    found = show_transcripts(path)
+    if found is None:
+        return False
+    facts, rows = found
+    _print_facts(facts, console)
+    if rows:
+        table = narrow_table(rows[0], left=rows[0][:1])
+        for row in rows[1:]:
+            table.add_row(*row)
+        console.print(table)
+    return True
+
+
+def _print_facts(facts: Mapping[str, Any], console: Console) -> None:
+    """Print a line for each fact that is known."""
+    for name, value in facts.items():
+        if text := in_words(value):
+            for line in _FACTS.wrap(f"{name:20} {text}"):
+                _say(console, line)
+
+
+def _print_tables(tables: Mapping[str, CardTable], console: Console) -> None:
+    for one in tables.values():
+        if not one.rows:
+            continue
+        title: str | None = one.title
+        for chosen in _parts(one):
+            shown = narrow_table([one.head[k] for k in chosen], title=title, left=one.left)
+            for row in one.rows:
+                shown.add_row(*(str(row[k]) for k in chosen))
+            console.print(shown)
+            title = None
+        if one.says:
+            _say(console, one.says)
+
+
+def _parts(table: CardTable) -> list[list[int]]:
+    """Deal the columns of a table to parts of 80 characters, each of which repeats the first."""
+    cells = zip(*([table.head, *table.rows]), strict=True)
+    widths = [max(len(str(cell)) for cell in column) + _GAP for column in cells]
+    parts = [[0]]
+    for k, width in enumerate(widths[1:], 1):
+        if len(parts[-1]) > 1 and sum(widths[one] for one in parts[-1]) + width > _WIDTH:
+            parts.append([0])
+        parts[-1].append(k)
+    return parts
+
+
+def _say(console: Console, line: str) -> None:
+    text = fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
+    console.print(text, highlight=False, markup=False, soft_wrap=True)

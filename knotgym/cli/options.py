@@ -1,9 +1,10 @@
-"""Commands from configuration classes.
+"""Commands from functions and configuration classes.
 
 A command is a function, the configuration classes that it fills, and the fields of these that are
-options; cyclopts makes the rest. The help of an option is the first sentence about its field in the
-class's docstring; that of an option that is no field, what the function's docstring has under Args.
-What is typed becomes one tree of JSON values, with this precedence,
+options; cyclopts makes the rest. The function's own parameters are options too, with their types
+and defaults, and what its docstring has under Args as help; the help of a field is the first
+sentence about it in the docstring of its class. What is typed for fields becomes one tree of JSON
+values, with this precedence,
 
     typed options  >  --set name=value  >  --settings FILE  >  defaults
 
@@ -17,7 +18,7 @@ import os
 import re
 import tomllib
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -37,117 +38,135 @@ from knotgym.runs import Progress, RunOptions
 Config = TypeVar("Config")
 Sections = Mapping[str, type]  # of a command's settings; "" is the outermost
 
+_GROUP, _RUN_GROUP = (Group.create_ordered(name) for name in ("Options", "How it is run"))
 APP: dict[str, Any] = {
     "help_format": "plaintext",
     "version_flags": [],
     "suppress_keyboard_interrupt": False,
+    "default_parameter": Parameter(negative=(), group=_GROUP),
 }
 EXISTING = "run.resume run.restart run.overwrite"
 RUN = f"seed run.workers {EXISTING}"  # options of every command that makes data
-_QUIET = Annotated[bool, Parameter(show=False, negative="", help="Print errors only.")]
-_GROUP, _RUN_GROUP = (Group.create_ordered(name) for name in ("Options", "How it is run"))
-_METAVARS = {int: "N", float: "X", Path: "PATH", tuple[int, ...]: "N,N", tuple[str, ...]: "A,B"}
+Listed = Annotated[str | None, Parameter(metavar="A,B")]
+Numbers = Annotated[str | None, Parameter(metavar="N,N")]
+DrawSeed = Annotated[int, Parameter(group=_RUN_GROUP, help="Seed of the random choice.")]
+_QUIET = Annotated[bool, Parameter(show=False, help="Print errors only.")]
+_SETTINGS = Annotated[
+    Path | None, Parameter(group=_RUN_GROUP, help="TOML or JSON file of settings.")
+]
+_SET = Annotated[
+    list[str] | None,
+    Parameter(
+        group=_RUN_GROUP,
+        metavar="NAME=VALUE",
+        help="One setting, such as task.horizon=30; may be repeated.",
+    ),
+]
+_METAVARS = {int: "INT", float: "FLOAT", tuple[int, ...]: "N,N", tuple[str, ...]: "A,B"}
+_READERS: dict[Any, Callable[[str], Any]] = {
+    bool: {"true": True, "false": False}.__getitem__,
+    int: int,
+    float: float,
+}
 
 
-class Option(NamedTuple):
-    """An option, or an argument.
+class _Field(NamedTuple):
+    """A field of a configuration.
 
     Attributes:
-        path: the field that it sets, such as "task.horizon", or the name of an extra option.
-        typed: what is typed, such as "--horizon" or "--keep/--drop"; the name of an argument.
+        path: such as "task.horizon", after its section's name.
+        owner: the class that it is of.
         kind: type of its value.
-        default: its default; `...` if it must be given.
-        help: its help.
-        is_field: whether it sets a field of a configuration.
+        default: its default.
     """
 
     path: str
-    typed: str
+    owner: type
     kind: Any
-    default: Any = None
-    help: str = ""
-    is_field: bool = False
+    default: Any
 
     @property
-    def key(self) -> str:
-        """Its name as a parameter of a function."""
-        return self.path.replace(".", "__")
+    def name(self) -> str:
+        """Its last name."""
+        return self.path.rpartition(".")[2]
 
-    @property
-    def is_argument(self) -> bool:
-        """Whether it is typed without a name."""
-        return not self.typed.startswith("-")
+    def parameter(self, typed: str = "") -> inspect.Parameter:
+        """Return the option that sets it, as cyclopts reads it; it takes text, or is a flag.
 
-    def parameter(self) -> inspect.Parameter:
-        """Return it as cyclopts reads it; values are text, but for flags and lists."""
-        name, _, negative = self.typed.partition("/")
-        shown = as_typed(self.default)
-        in_run = self.path.startswith("run.") or self.path in ("seed", "settings", "set")
+        Args:
+            typed: such as "--horizon" or "--keep/--drop"; by default the field's name.
+        """
+        usual = f"--{self.name.replace('_', '-')}"
+        usual += f"/--no-{usual[2:]}" if self.default is True else ""
+        name, _, negative = (typed or usual).partition("/")
+        shown, help = as_typed(self.default), field_help(self.owner, self.name)
+        known = choices(get_type_hints(self.owner, include_extras=True)[self.name])
+        if any(not re.search(rf"\b{re.escape(word)}\b", help) for word in known):
+            help += f" One of {', '.join(known)}."
         info = Parameter(
             name=name,
-            metavar=_METAVARS.get(_typed_kind(self.kind), "TEXT"),
-            help=self.help,
+            metavar=_METAVARS.get(_typed_kind(self.kind)),
+            help=help,
             negative=negative,
-            group=_RUN_GROUP if in_run else _GROUP,
+            group=_RUN_GROUP if self.path.startswith("run.") or self.path == "seed" else _GROUP,
             show_default=(lambda _: shown) if shown else False,
         )
-        kind = self.kind if self.kind in (bool, list[str]) else str
+        kind = bool if self.kind is bool else str
         return inspect.Parameter(
-            self.key,
-            inspect.Parameter.POSITIONAL_ONLY
-            if self.is_argument
-            else inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if self.default is ... else None,
+            self.path.replace(".", "__"),
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
             annotation=Annotated[kind | None, info],
         )
 
 
-def extra(name: str, kind: Any, default: Any = None, help: str = "") -> Option:
-    """Return an option that is no field of a configuration; one in capitals is an argument."""
-    path = name.lower().replace("-", "_")
-    return Option(path, name if name.isupper() else f"--{name}", kind, default, help)
-
-
 def command(
-    sections: Sections, fields: str, *extras: Option, lines: bool = True
-) -> Callable[[Callable[["Given"], None]], App]:
-    """Make a function a command.
+    sections: Sections, fields: str, *, lines: bool = True
+) -> Callable[[Callable[..., None]], App]:
+    """Make a function a command; its first parameter is what was `Given` for the fields.
 
     Args:
         sections: the configuration classes. The class "" is the command's own; the settings of
             another are in a section of its name, such as `policy.noise`.
         fields: the fields that are options, separated by spaces; `tasks=--task` renames one.
-        extras: options that are no fields.
         lines: see `Progress`.
     """
     sections = {**sections, "run": RunOptions}
-    found = [_field(sections, *word.split("=")) for word in fields.split()]
-    options = [*extras, *(option for option in found if option is not None)]
-    if "" in sections:
-        options += [
-            extra("settings", Path, help="TOML or JSON file of settings."),
-            extra("set", list[str], help="One setting, such as task.horizon=30; may be repeated."),
-        ]
+    known = {one.path: one for one in _all_fields(sections)}
+    options = [known[path].parameter(typed) for path, _, typed in map(_renamed, fields.split())]
 
-    def declare(function: Callable[[Given], None]) -> App:
-        arguments = [option.key for option in options if option.is_argument]
-        doc = inspect.cleandoc(function.__doc__ or "")
-        parameters = [
-            option._replace(help=option.help or _described(doc, "Args", option.path)).parameter()
-            for option in options
-        ]
-        parameters.sort(key=lambda one: one.kind)  # arguments first
-        quiet = inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False)
-        parameters.append(quiet.replace(annotation=_QUIET))
+    def declare(function: Callable[..., None]) -> App:
+        own = {one.name: one for one in [*inspect.signature(function).parameters.values()][1:]}
 
-        def run(*words: str, quiet: bool = False, **values: Any) -> None:
-            values |= dict(zip(arguments, words, strict=False))
+        def run(
+            *words: Any,
+            quiet: _QUIET = False,
+            settings: _SETTINGS = None,
+            set: _SET = None,
+            **values: Any,
+        ) -> None:
+            mine = {name: value for name, value in values.items() if name in own}
+            typed = {
+                name.replace("__", "."): value
+                for name, value in values.items()
+                if name not in own and value is not None
+            }
+            _require_apart(mine.get("out"), [settings, *words, *values.values()])
             with Progress(quiet, lines=lines) as progress:
-                function(Given(sections, options, values, progress, quiet))
+                tree = _read_settings(settings, sections)
+                for path, value in (*map(_assigned, set or ()), *typed.items()):
+                    kind = known[path].kind if path in known else str
+                    tree = merged(tree, _nested({path: _read_value(value, kind, path)}))
+                function(Given(tree, known, sections, progress, quiet), *words, **mine)
 
+        common = inspect.signature(run).parameters
+        parameters = [*map(_without_default, own.values()), *options, common["quiet"]]
+        parameters += [common["settings"], common["set"]] if "" in sections else []
+        # a terminal breaks paragraphs and entries by its own width
+        doc = run.__doc__ = re.sub(r"\n {8,}", " ", inspect.cleandoc(function.__doc__ or ""))
         run.__annotations__ = {one.name: one.annotation for one in parameters}
         vars(run).update(__signature__=inspect.Signature(parameters), sections=sections)
-        help = _reflowed(doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
+        help = re.sub(r"(?<=\S)\n(?=\S)", " ", doc.partition("\n\nArgs:\n")[0]).partition("\n\n")
         name = function.__name__.rstrip("_").replace("_", "-")
         app = App(name=name, help=help[0], help_epilogue=help[2], **APP)
         app.default(run)
@@ -156,81 +175,52 @@ def command(
     return declare
 
 
+def _renamed(word: str) -> tuple[str, str, str]:
+    return word.partition("=")
+
+
+def _assigned(word: str) -> tuple[str, str]:
+    path, sign, text = word.partition("=")
+    if not sign:
+        raise InvalidInput(f"--set takes name=value, such as task.horizon=30, got {word!r}")
+    return path, text
+
+
+def _without_default(parameter: inspect.Parameter) -> inspect.Parameter:
+    """Return a parameter whose help doesn't show a default that isn't worth it."""
+    kind = parameter.annotation
+    if as_typed(parameter.default) in ("", str(parameter.empty)):
+        kind = Annotated[kind, Parameter(show_default=False)]
+    return parameter.replace(annotation=kind)
+
+
 class Given:
-    """What was typed for a command.
+    """What was typed or set for the fields of a command, and where it shows what it does.
 
     Attributes:
         progress: the progress display.
         quiet: whether only errors are printed.
-        typed: paths of the options that were typed.
     """
 
     def __init__(
         self,
+        settings: dict[str, Any],
+        known: Mapping[str, _Field],
         sections: Sections,
-        options: list[Option],
-        values: Mapping[str, Any],
         progress: Progress,
         quiet: bool,
     ) -> None:
-        self.progress, self.quiet, self._sections = progress, quiet, sections
-        self._extras: dict[str, Any] = {}
-        self.typed: set[str] = set()
-        fields: dict[str, Any] = {}
-        for option in options:
-            value = values.get(option.key)
-            if value is not None:
-                self.typed.add(option.path)
-                value = _read_value(value, option.kind, option.typed.partition("/")[0])
-            if option.is_field and value is not None:
-                fields[option.path] = value
-            elif not option.is_field:
-                self._extras[option.path] = option.default if value is None else value
-        self._require_apart(options, values)
-        settings = _read_settings(self._extras.get("settings"))
-        for section, kind in sections.items():
-            own = settings.get(section) if section else settings
-            for path, _, text in marked(kind, own, "typed"):
-                if text is not None:
-                    name = f"{section}.{path}" if section else path
-                    raise InvalidInput(
-                        f"a settings file may not set {name}, which reaches the network or names"
-                        f" code: type --set {name}=... if you mean it"
-                    )
-        for one in self._extras.get("set") or ():
-            path, sign, text = one.partition("=")
-            if not sign:
-                raise InvalidInput(f"--set takes name=value, such as task.horizon=30, got {one!r}")
-            field = _field(sections, path)
-            value = _read_value(text, field.kind, f"--set {path}") if field else text
-            settings = merged(settings, _nested({path: value}))
-        self._settings = merged(settings, _nested(fields))
-
-    def _require_apart(self, options: list[Option], values: Mapping[str, Any]) -> None:
-        """Raise Occupied if --out is a file or folder that another option names."""
-        out = self._extras.get("out")
-        if out is None or not os.path.exists(out):
-            return
-        for option in options:
-            value = values.get(option.key)
-            for text in value if isinstance(value, list) else [value]:
-                if option.path == "out" or not isinstance(text, str) or not os.path.exists(text):
-                    continue
-                if os.path.samefile(text, out):
-                    raise Occupied(f"--out {out} is what {option.typed} reads; choose another")
-
-    def __getitem__(self, name: str) -> Any:
-        """Return the value of an option that is no field."""
-        return self._extras[name]
+        self.progress, self.quiet = progress, quiet
+        self._settings, self._known, self._sections = settings, known, sections
 
     def has(self, path: str) -> bool:
         """Return whether a field was typed or set."""
-        return _value_at(self._settings, path) is not None
+        return self._at(path) is not None
 
     def get(self, path: str) -> Any:
         """Return a field as JSON: what was typed or set, else its default; not yet validated."""
-        found, field = _value_at(self._settings, path), _field(self._sections, path)
-        return found if found is not None or field is None else field.default
+        found = self._at(path)
+        return self._known[path].default if found is None else found
 
     def config(
         self,
@@ -257,60 +247,40 @@ class Given:
             own = {name: one for name, one in self._settings.items() if name not in self._sections}
         return from_json(kind, merged(merged(_nested(usual or {}), own), _nested(more or {})))
 
-    def folder(self, name: str) -> Path:
-        """Return --out, or else the folder of this name among those of all runs."""
-        return self["out"] or Path("knotgym-data") / re.sub(r"[^\w.,-]", "-", name)
-
     @property
     def run(self) -> RunOptions:
         """The options of the run."""
         return self.config(RunOptions, {"quiet": self.quiet}, section="run")
 
-
-def _field(sections: Sections, path: str, typed: str = "") -> Option | None:
-    """Make the option of a field, such as "task.horizon" or "run.workers"; None if there is none.
-
-    The option has the field's name, or is `typed` otherwise.
-    """
-    first, _, rest = path.partition(".")
-    section, names = (first, rest) if rest and first in sections else ("", path)
-    hint: Any = sections.get(section)
-    default, help = hint, ""
-    for name in names.split("."):
-        hints = get_type_hints(hint) if dataclasses.is_dataclass(hint) else {}
-        if name not in hints:
-            return None
-        help = field_help(hint, name)
-        known = choices(get_type_hints(hint, include_extras=True)[name])
-        if any(not re.search(rf"\b{re.escape(word)}\b", help) for word in known):
-            help += f" One of {', '.join(known)}."
-        hint, default = hints[name], getattr(default, name, None)
-    name = f"--{path.rpartition('.')[2].replace('_', '-')}"
-    name += f"/--no-{name[2:]}" if default is True else ""
-    return Option(path, typed or name, hint, default, help, is_field=True)
+    def _at(self, path: str) -> Any:
+        found: Any = self._settings
+        for name in path.split("."):
+            found = found.get(name) if isinstance(found, dict) else None
+        return found
 
 
-def settings_named(sections: Sections, name: str) -> Iterator[str]:
-    """Yield the paths of all fields whose last part is `name`."""
+def run_folder(out: Path | None, name: str) -> Path:
+    """Return --out, or else the folder of this name among those of all runs."""
+    return out or Path("knotgym-data") / re.sub(r"[^\w.,-]", "-", name)
 
-    def below(kind: type, path: str) -> Iterator[str]:
-        for field, hint in get_type_hints(kind).items():
-            if field == name:
-                yield path + field
+
+def settings_named(sections: Sections, name: str) -> list[str]:
+    """Return the paths of all fields whose last part is `name`."""
+    return [one.path for one in _all_fields(sections) if one.name == name]
+
+
+def _all_fields(sections: Sections) -> Iterator[_Field]:
+    """Yield the fields of all sections, and those of the configurations in them."""
+
+    def below(kind: type, path: str, defaults: Any) -> Iterator[_Field]:
+        for name, hint in get_type_hints(kind).items():
+            default = getattr(defaults, name, None)
+            yield _Field(f"{path}{name}", kind, hint, default)
             if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-                yield from below(hint, f"{path}{field}.")
+                yield from below(hint, f"{path}{name}.", hint if default is None else default)
 
     for section, kind in sections.items():
-        yield from below(kind, f"{section}." if section else "")
-
-
-def _reflowed(doc: str) -> str:
-    """Join the lines of each paragraph, which a terminal breaks by its own width.
-
-    >>> _reflowed("One\\nsentence.\\n\\nExamples:\\n\\n    knotgym demo")
-    'One sentence.\\n\\nExamples:\\n\\n    knotgym demo'
-    """
-    return re.sub(r"(?<=\S)\n(?=\S)", " ", doc)
+        yield from below(kind, f"{section}." if section else "", kind)
 
 
 def field_help(kind: type, name: str) -> str:
@@ -324,51 +294,41 @@ def field_help(kind: type, name: str) -> str:
         if described := getattr(getattr(one, "func", None), "help", None):
             return str(described())
     for one in kind.__mro__:
-        if text := _described(inspect.cleandoc(one.__doc__ or ""), "Attributes", name):
-            sentence = re.split(r"(?<=\.) (?=[A-Z])", text)[0]
-            return sentence[:1].upper() + sentence[1:]
+        doc = inspect.cleandoc(one.__doc__ or "").partition("\nAttributes:\n")[2]
+        for entry in re.split(r"\n(?=    \w)", "\n" + doc.partition("\n\n")[0]):
+            names, _, text = " ".join(entry.split()).partition(": ")
+            if name in names.split(", "):
+                sentence = re.split(r"(?<=\.) (?=[A-Z])", text)[0]
+                return sentence[:1].upper() + sentence[1:]
     return ""
 
 
-def _described(doc: str, heading: str, name: str) -> str:
-    """Return what a docstring has about a name under a heading; "" for nothing."""
-    section = doc.partition(f"\n{heading}:\n")[2].partition("\n\n")[0]
-    for entry in re.split(r"\n(?=    \w)", "\n" + section):
-        names, colon, text = entry.strip().partition(": ")
-        if colon and name in names.split(", "):
-            return " ".join(text.split())
-    return ""
+def _require_apart(out: Any, values: Iterable[Any]) -> None:
+    """Raise Occupied if --out is a file or folder that something else that was typed names."""
+    texts = (text for one in values for text in (one if isinstance(one, list) else [one]))
+    for text in texts if out is not None and os.path.exists(out) else ():
+        if text is not out and isinstance(text, (str, Path)) and os.path.exists(text):
+            if os.path.samefile(text, out):
+                raise Occupied(f"--out {out} is what the command reads; choose another")
 
 
 def _read_value(value: Any, hint: Any, name: str) -> Any:
-    """Convert what was typed to the type of a field.
+    """Convert text to the type of a field; what isn't of it stays text, which its class refuses.
 
-    Args:
-        value: text, a flag or a list of texts; all but text is returned as it is.
-        hint: the type.
-        name: the option, for messages.
-
-    Raises:
-        InvalidInput: the text isn't of this type.
-
-    >>> _read_value("0-2,4", tuple[int, ...], "--nx")
-    (0, 1, 2, 4)
+    >>> _read_value("0-2,4", tuple[int, ...], "nx"), _read_value("3", int | None, "sample")
+    ((0, 1, 2, 4), 3)
     """
-    if not isinstance(value, str):
-        return value
-    if value == "none" and type(None) in get_args(hint):
-        return None
-    hint = _typed_kind(hint)
-    if get_origin(hint) is tuple:
-        (kind, *_) = get_args(hint)
-        if kind is int:
-            return numbers(value, name)
-        return tuple(_read_value(word.strip(), kind, name) for word in value.split(","))
-    reader, expected = _READERS.get(hint, (str, ""))
+    if not isinstance(value, str) or (value == "none" and type(None) in get_args(hint)):
+        return None if value == "none" else value
+    kind = _typed_kind(hint)
+    if kind == tuple[int, ...]:
+        return numbers(value, f"--{name.rpartition('.')[2].replace('_', '-')}")
+    if get_origin(kind) is tuple:
+        return [_read_value(word.strip(), get_args(kind)[0], name) for word in value.split(",")]
     try:
-        return reader(value)
+        return _READERS.get(kind, str)(value)
     except (KeyError, ValueError):
-        raise InvalidInput(f"{name} takes {expected}, got {value!r}") from None
+        return value
 
 
 def _typed_kind(hint: Any) -> Any:
@@ -376,14 +336,6 @@ def _typed_kind(hint: Any) -> Any:
     if get_origin(hint) not in (Union, types.UnionType):
         return hint
     return next(one for one in get_args(hint) if one is not type(None))
-
-
-_READERS: dict[Any, tuple[Callable[[str], Any], str]] = {
-    bool: ({"true": True, "false": False}.__getitem__, "true or false"),
-    int: (int, "a whole number"),
-    float: (float, "a number"),
-    Path: (Path, "a path"),
-}
 
 
 def numbers(text: str, name: str = "--nx") -> tuple[int, ...]:
@@ -415,7 +367,7 @@ def as_typed(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else ""
     if not isinstance(value, tuple):
-        return "" if value in (None, ...) else str(value)
+        return "" if value is None else str(value)
     if len(value) > 2 and isinstance(value[0], int):
         if value == tuple(range(value[0], value[0] + len(value))):
             return f"{value[0]}-{value[-1]}"
@@ -432,29 +384,29 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _value_at(settings: Any, path: str) -> Any:
-    """Return the value at a path of nested settings; None if there is none."""
-    for name in path.split("."):
-        settings = settings.get(name) if isinstance(settings, dict) else None
-    return settings
-
-
-def _read_settings(path: Path | None) -> dict[str, Any]:
+def _read_settings(path: Path | None, sections: Sections) -> dict[str, Any]:
     """Read a --settings file; an empty dict without one.
 
     Raises:
-        InvalidInput: the file can't be read as TOML or JSON, or isn't an object.
+        InvalidInput: the file can't be read as TOML or JSON, isn't an object, or sets what must be
+            typed.
     """
     if path is None:
         return {}
     form = "TOML" if path.suffix == ".toml" else "JSON"
     try:
-        if form == "TOML" and path.is_file():
-            found = tomllib.loads(path.read_text(encoding="utf-8"))
-        else:
-            found = read_json(path)
+        is_toml = form == "TOML" and path.is_file()
+        found: Any = tomllib.loads(path.read_text("utf-8")) if is_toml else read_json(path)
     except (OSError, ValueError) as error:
         raise InvalidInput(f"--settings {path} can't be read as {form}: {error}") from error
     if not isinstance(found, dict):
         raise InvalidInput(f"--settings {path} must hold an object, got {found!r}")
+    for section, kind in sections.items():
+        for field, _, text in marked(kind, found.get(section) if section else found, "typed"):
+            if text is not None:
+                name = f"{section}.{field}".strip(".")
+                raise InvalidInput(
+                    f"a settings file may not set {name}, which reaches the network or names"
+                    f" code: type --set {name}=... if you mean it"
+                )
     return found

@@ -3,9 +3,11 @@
 import hashlib
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from knotgym.cli.options import EXISTING, Given, command, extra
+from cyclopts import Parameter
+
+from knotgym.cli.options import EXISTING, Given, command, run_folder
 from knotgym.common import InvalidInput
 from knotgym.prompting import PromptConfig
 from knotgym.runs import Progress
@@ -14,12 +16,16 @@ from knotgym.runs import Progress
 @command(
     {"": PromptConfig},
     f"mode chat.model chat.base_url task.task task.nx episodes seed {EXISTING}",
-    extra("PICTURES", Path),
-    extra("split", str),
-    extra("out", Path),
-    extra("show", bool),
 )
-def prompt(given: Given) -> None:
+def prompt(
+    given: Given,
+    pictures: Annotated[Path | None, Parameter(name="PICTURES")] = None,
+    /,
+    *,
+    split: str | None = None,
+    out: Path | None = None,
+    show: bool = False,
+) -> None:
     """Evaluate a vision-language model on episodes, or on reading Gauss codes from pictures.
 
     Each episode's transcript is a line of transcripts.jsonl; result.json has the totals.
@@ -38,8 +44,7 @@ def prompt(given: Given) -> None:
     """
     from knotgym.prompting import run_prompts
 
-    pictures, out, split = given["pictures"], given["out"], given["split"]
-    usual = {"chat.model": "none" if given["show"] else ""}
+    usual = {"chat.model": "none" if show else ""}
     more: dict[str, Any] = {"task.split": split} if split and pictures is None else {}
     config = given.config(PromptConfig, more, usual=usual)
     if (config.mode == "read") != (pictures is not None):
@@ -48,7 +53,7 @@ def prompt(given: Given) -> None:
             f" {config.mode} and {'no folder' if pictures is None else pictures}"
         )
     rows = [] if pictures is None else _rows(pictures, split or "test", config.episodes)
-    if given["show"]:
+    if show:
         _show(config, rows, out, given.run.overwrite, given.progress)
         return
     if pictures is not None:
@@ -57,11 +62,11 @@ def prompt(given: Given) -> None:
         config = given.config(PromptConfig, more, usual=usual)
     task, model = config.task, config.chat.model
     subject = f"{task.task}-nx{task.nx}" if pictures is None else pictures.absolute().name
-    folder = given.folder(f"prompt-{config.mode}-{subject}-{model}")
+    folder = run_folder(out, f"prompt-{config.mode}-{subject}-{model}")
 
     run_prompts(config, folder, given.run, rows=rows, progress=given.progress)
     if not given.quiet:
-        from knotgym.cli.summaries import print_transcripts
+        from knotgym.cli.inspection import print_transcripts
 
         print_transcripts(folder, given.progress.console)
 

@@ -1,9 +1,9 @@
 """The command `knotgym suite`."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
-from knotgym.cli.collect_command import MINARI_ROOT
-from knotgym.cli.options import RUN, Given, command, extra
+from knotgym.cli.options import RUN, Given, Listed, command
 from knotgym.common import InvalidInput
 from knotgym.generate import POLICIES, SuiteConfig
 
@@ -11,10 +11,8 @@ from knotgym.generate import POLICIES, SuiteConfig
 @command(
     {"": SuiteConfig},
     f"tasks=--task nx policies=--policy splits=--split states size recorded {RUN}",
-    MINARI_ROOT,
-    extra("episodes", tuple[str, ...]),
 )
-def suite(given: Given) -> None:
+def suite(given: Given, *, out: Path | None = None, episodes: Listed = None) -> None:
     """Make the fixed benchmark of offline datasets, or a part of it.
 
     It has episodes of four policies for each of nine setups, on two sets of states and two splits,
@@ -32,28 +30,28 @@ def suite(given: Given) -> None:
         knotgym suite --task tie --nx 3 --policy expert,random --resume
 
     Args:
+        out: Minari root to write to; Minari's own by default.
         episodes: Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; by default
             as many as the benchmark has.
     """
     from knotgym.generate import make_suite
 
-    words, policies = given["episodes"], given.get("policies") or POLICIES
-    more = {"episodes": _sizes(words, policies)} if words else {}
-    make_suite(given.config(SuiteConfig, more), given["out"], given.run, progress=given.progress)
+    policies = given.get("policies") or POLICIES
+    more = {} if episodes is None else {"episodes": _sizes(episodes, policies)}
+    make_suite(given.config(SuiteConfig, more), out, given.run, progress=given.progress)
 
 
-def _sizes(words: Sequence[str], policies: Sequence[str]) -> dict[str, int]:
+def _sizes(text: str, policies: Sequence[str]) -> dict[str, int]:
     """Read "100", for every policy, or "expert=3000,random=100".
 
-    >>> _sizes(["100"], ("random", "expert"))
+    >>> _sizes("100", ("random", "expert"))
     {'random': 100, 'expert': 100}
     """
-    pairs = [word.partition("=") for word in words]
+    pairs = [word.strip().partition("=") for word in text.split(",")]
     if len(pairs) == 1 and not pairs[0][1]:
         pairs = [(policy, "=", pairs[0][0]) for policy in policies]
     if not all(name and count.isdecimal() and len(count) < 10 for name, _, count in pairs):
         raise InvalidInput(
-            "--episodes takes a number, or one per policy (expert=3000,random=100); got"
-            f" {','.join(words)!r}"
+            f"--episodes takes a number, or one per policy (expert=3000,random=100); got {text!r}"
         )
     return {name: int(count) for name, _, count in pairs}

@@ -3,7 +3,7 @@
 import importlib.util
 from pathlib import Path
 
-from knotgym.cli.options import EXISTING, Given, command, extra
+from knotgym.cli.options import EXISTING, Given, command
 from knotgym.common import InvalidInput, MissingExtra, install_command
 from knotgym.learn import CloneConfig, ReaderConfig
 
@@ -11,11 +11,10 @@ from knotgym.learn import CloneConfig, ReaderConfig
 @command(
     {"": ReaderConfig, "clone": CloneConfig},
     f"steps seed run.workers {EXISTING}",
-    extra("out", Path, ...),
-    extra("data", list[str]),
-    extra("learner", str, "pictures"),
 )
-def train(given: Given) -> None:
+def train(
+    given: Given, *, out: Path, data: list[str] | None = None, learner: str = "pictures"
+) -> None:
     """Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`.
 
     Examples:
@@ -31,7 +30,6 @@ def train(given: Given) -> None:
         learner: pictures: the learner from pictures alone. clone: imitates the macro-actions of a
             planner, from vertices; its settings are in the section clone.
     """
-    learner, out = given["learner"], given["out"]
     config: ReaderConfig | CloneConfig
     if learner == "clone":
         common = {name: given.get(name) for name in ("steps", "seed") if given.has(name)}
@@ -47,5 +45,5 @@ def train(given: Given) -> None:
             raise MissingExtra(library, install_command("learn"), "knotgym train")
     from knotgym.learn import train as train_learner
 
-    train_learner(given["data"] or [], out, config, given.run, given.progress)
+    train_learner(data or [], out, config, given.run, given.progress)
     given.progress.say(f"next: knotgym evaluate --policy {out} --split train,test")

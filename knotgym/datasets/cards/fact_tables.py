@@ -1,4 +1,4 @@
-"""Tables of facts: in Markdown on cards, and on the terminal (`cli.summaries`)."""
+"""Tables of facts: in Markdown on cards, and on the terminal (`cli.inspection`)."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
