@@ -12,13 +12,15 @@ side by side, so each gets its own deep copy of the object; a class is called on
 arguments, to make the object to copy. Random draws should come from the episode's generator, or the
 run can't be repeated. A model of a library acts by `loaders.as_policy`, and a
 `control.sampler.Policy` acts in many episodes at once. A module may list the files that it reads,
-such as weights, in `FILES`; results hold their digests.
+such as weights, in `FILES`; results hold their digests. Entries hold its `CARD`, a
+dictionary of JSON values that says how it was trained.
 """
 
 import copy
 import importlib
 import importlib.util
 import inspect
+import json
 import os
 import sys
 import traceback
@@ -209,6 +211,24 @@ def module_files(name: str) -> dict[str, Path]:
     # the whole package: which of its modules the policy uses isn't known without running it
     files = own.parent.rglob("*.py")
     return found | {path.relative_to(own.parent.parent).as_posix(): path for path in files}
+
+
+def module_card(name: str) -> dict[str, Any] | None:
+    """Return a copy of the CARD of the module of a policy module:name; None if it has none.
+
+    Raises:
+        InvalidPolicy: it isn't a dictionary of JSON's values, or importing the module fails.
+    """
+    module = name.partition(":")[0]
+    with _user_code(name), _current_folder(module.partition(".")[0]):
+        card = getattr(importlib.import_module(module), "CARD", None)
+    try:
+        found: Any = json.loads(json.dumps(card, allow_nan=False))
+    except (RecursionError, TypeError, ValueError) as error:
+        raise InvalidPolicy(f"policy {name}: its CARD isn't JSON: {one_line(error)}") from error
+    if not isinstance(found, dict | None):
+        raise InvalidPolicy(f"policy {name}: its CARD must be a dictionary")
+    return found
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from typing import Any
 
 from knotgym.common import InvalidPolicy, one_line, require_regular
 from knotgym.control.basic_policies import RandomPolicy
-from knotgym.control.own_policies import OwnPolicy, load_own, module_files
+from knotgym.control.own_policies import OwnPolicy, load_own, module_card, module_files
 from knotgym.control.planning import PASSES, PassPlanner, PullPlanner
 from knotgym.control.planning.pass_policies import Mixed, Noisy, Play, Scripted
 from knotgym.control.policy_config import PolicyConfig
@@ -159,6 +159,7 @@ _OWN_CODE = PolicyFamily(
     matches=lambda name: ":" in name,
     make=lambda config: load_own(config.policy),
     files=module_files,
+    card=module_card,
 )
 
 

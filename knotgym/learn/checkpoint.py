@@ -101,6 +101,7 @@ def save_network(
         "format_version": FORMAT_VERSION,
         "weights_sha256": sha256(folder / WEIGHTS),
         "learner": learner,
+        "parameters": sum(one.numel() for one in network.parameters()),
         "signature": _signature(network),
         **card,
     }

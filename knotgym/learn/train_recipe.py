@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import knotgym
-from knotgym.common import InvalidInput, Stream, table_digest
+from knotgym.common import InvalidInput, Stream, sha256, table_digest
 from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.learn.checkpoint import CARD, CLONE, PICTURES, save_network
 from knotgym.learn.clone_training import CloneTraining, first_guesses
@@ -90,7 +90,8 @@ def train(
     card = {
         "knotgym": knotgym.__version__,
         "config": whole["config"],
-        "data": [one.name for one in opened],
+        "data": {part.name: sha256(part.path) for one in opened for part in one.parts or [one]},
+        "updates": config.steps,
         "trained_on": _trained_on(opened, config),
         "identity": whole,
     }

@@ -51,7 +51,24 @@ def test_replaying_counts_what_was_counted(made: Made) -> None:
     claimed = {"planned_actions": 0.0}
     assert [asdict(one) for one in found] == [asdict(one) | claimed for one in results]
     said = read_entry(path).claimed
-    assert said[0]["planned_actions"] > 0 == said[1]["planned_actions"] and said[0]["files"]
+    assert said[0]["simulated_per_pull"] > 0 == said[1]["simulated_per_pull"]
+    assert said[0]["files"] and said[0]["plans"] and not said[1]["plans"]
+
+
+def test_an_entry_claims_what_the_module_of_its_policy_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    card = {"learner": "none", "data": {"knotgym/a-v0": "0" * 64}, "parameters": 0, "updates": 0}
+    text = f"CARD = {card}\nact = lambda observation: [0.0] * 6\n"
+    (tmp_path / "claiming.py").write_text(text)
+    task = ("--task", "tie", "--nx", 2, "--engine", "chain", "--set", "task.horizon=2")
+    words = ("--policy", "claiming:act", *task, "--episodes", 1, "--workers", 1, "--quiet")
+    assert knotgym("evaluate", *words, "--record", "entry.h5") == 0
+    (claimed,) = read_entry(Path("entry.h5")).claimed
+    assert claimed["training"] == card and claimed["command"] and "commit" in claimed
+    (tmp_path / "wrong.py").write_text(text.replace("'none'", "{1, 2}"))
+    assert knotgym("evaluate", "--policy", "wrong:act", *words[2:], "--record", "w.h5") == 2
 
 
 def test_a_step_takes_at_most_sixteen_bytes(made: Made) -> None:

@@ -10,8 +10,9 @@ policy and not a search chose the pulls, is shown as claimed.
     config      attribute: of the evaluation, with its seed
     states      attribute: digests of the sets that starts and goals are from
     rope        attribute: fingerprint of the rope model
-    claimed     attribute: version of the package, and for each setup its action view, the files of
-                its policy, the card of its training, and pulls simulated an episode
+    claimed     attribute: for each setup its action view, whether its policy plans, and pulls that
+                it simulated for each one made; its training (learner, data with digests,
+                parameters, updates, seconds, seed, command) and files; versions, commit and command
     digest      attribute: SHA-256 of all of these
 """
 

@@ -6,6 +6,9 @@ splits, the results are a generalization matrix for policies trained on one of t
 
 import json
 import re
+import shlex
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import islice
@@ -39,7 +42,10 @@ from knotgym.runs import Result as Kept
 from knotgym.runs import run as run_recipe
 
 # fields of a learner's card
-_TRAINING = ("weights_sha256", "seconds", "episodes")
+_TRAINING = (
+    *("learner", "data", "parameters", "updates", "seconds", "episodes"),
+    *("seed", "command", "weights_sha256"),
+)
 
 
 def play(policy: PolicyConfig, task: TaskConfig, numbers: range, seed: int, whole: bool) -> Kept:
@@ -201,17 +207,35 @@ def _claims(
 ) -> list[dict[str, Any]]:
     """Return what an entry claims of each setup, and no replay proves."""
     files = (made_by.get("source") or {}).get("policies", {})
+    command, commit = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]), _commit()
     return [
         {
             "action": result.action,
-            "files": files.get(policy.policy, {}),
             "plans": policy.plans,
-            "training": training_card(policy.policy),
-            "planned_actions": result.planned_actions,
+            "simulated_per_pull": result.planned_actions / np.mean(result.outcomes["steps"]),
+            "training": _training(policy.policy),
+            "files": files.get(policy.policy, {}),
             "versions": made_by["versions"],
+            "commit": commit,
+            "command": command,
         }
         for (policy, _), result in zip(config.setups(), results, strict=True)
     ]
+
+
+def _training(policy: str) -> dict[str, Any]:
+    """Return what the card of a policy says of its training."""
+    card = training_card(policy) or {}
+    return {name: card[name] for name in _TRAINING if name in card}
+
+
+def _commit() -> str:
+    """Return the commit of the checkout that runs, or "" for an installed package."""
+    words = ("git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD")
+    try:
+        return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
 
 
 def report(
@@ -225,9 +249,9 @@ def report(
         made_by: the run's identity.
     """
     learners = {
-        one.policy: {name: card[name] for name in _TRAINING if name in card}
+        one.policy: _training(one.policy)
         for one in config.policies
-        if (card := training_card(one.policy)) is not None
+        if training_card(one.policy) is not None
     }
     return {
         **_totals(results),
