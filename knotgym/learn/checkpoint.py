@@ -11,7 +11,7 @@ another signature stands is refused.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -44,6 +44,7 @@ class Network(Protocol):
     def signature(self) -> Tensor:
         """Return numbers that depend on all parts of the network, for inputs made by itself."""
 
+    def parameters(self) -> Iterator[Tensor]: ...
     def state_dict(self) -> dict[str, Tensor]: ...
     def load_state_dict(self, state_dict: dict[str, Tensor], strict: bool = True) -> Any: ...
     def eval(self) -> Any: ...
