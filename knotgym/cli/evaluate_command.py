@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from knotgym.cli.options import RUN, Given, as_typed, command, field_help
-from knotgym.common import printable
+from knotgym.common import one_line
 from knotgym.control import PolicyConfig
 from knotgym.generate import EvaluateConfig
 
@@ -76,5 +76,5 @@ def _trained_on(given: Given, policies: list[str]) -> dict[str, Any]:
             found[path] = first[0] if is_single else tuple(first)
     if found:
         told = (f"{path.rpartition('.')[2]} {as_typed(one)}" for path, one in found.items())
-        given.progress.say(printable(f"as the learner was trained: {', '.join(told)}"))
+        given.progress.say(one_line(f"as the learner was trained: {', '.join(told)}"))
     return found

@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from knotgym.cli.options import Given, command
-from knotgym.common import MissingExtra, install_command
+from knotgym.common import MissingExtra
 from knotgym.play import PageConfig
 
 
@@ -29,7 +29,7 @@ def play(given: Given, *, record: bool = False, id: str = "", out: Path | None =
     """
     config, progress = given.config(PageConfig), given.progress
     if importlib.util.find_spec("viser") is None:
-        raise MissingExtra("viser", install_command("play"), "knotgym play")
+        raise MissingExtra("viser", "play", "knotgym play")
     from knotgym.play import serve
     from knotgym.runs import compile_first
 

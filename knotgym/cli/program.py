@@ -13,7 +13,7 @@ from types import FrameType
 from cyclopts import App, CycloptsError, UnknownOptionError
 
 from knotgym import __version__
-from knotgym.common import Failed, KnotgymError, printable
+from knotgym.common import Failed, KnotgymError, one_line
 
 # A command's module is imported when the command is typed. Its summary is also the first line of
 # its docstring; a test compares them.
@@ -160,5 +160,5 @@ def _say(text: str, status: int) -> int:
     if status == _INTERRUPTED:
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)  # this is the last line
-    print(f"knotgym: {printable(' '.join(text.split()))}", file=sys.stderr)
+    print(f"knotgym: {one_line(text)}", file=sys.stderr)
     return status

@@ -4,7 +4,7 @@ import importlib.util
 from pathlib import Path
 
 from knotgym.cli.options import EXISTING, Given, command
-from knotgym.common import InvalidInput, MissingExtra, install_command
+from knotgym.common import InvalidInput, MissingExtra
 from knotgym.learn import CloneConfig, ReaderConfig
 
 
@@ -42,7 +42,7 @@ def train(
         config = given.config(ReaderConfig)
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
-            raise MissingExtra(library, install_command("learn"), "knotgym train")
+            raise MissingExtra(library, "learn", "knotgym train")
     from knotgym.learn import train as train_learner
 
     train_learner(data or [], out, config, given.run, given.progress)

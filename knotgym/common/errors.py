@@ -40,35 +40,29 @@ class Failed(KnotgymError, RuntimeError):
     """The request was valid, but what it asked for could not be made, or not all of it."""
 
 
-def install_command(extra: str) -> str:
-    """Return the command that installs an optional extra from a checkout.
-
-    It doesn't install from the package index, where the name belongs to the published KnotGym.
-
-    >>> install_command("learn")
-    "pip install '.[learn]'"
-    """
-    return f"pip install '.[{extra}]'"
-
-
 class MissingExtra(KnotgymError, ImportError):
-    """An optional dependency, `needed` by `user`, isn't installed; `how` is the command for it."""
+    """An optional dependency isn't installed."""
 
     def __init__(self, needed: str, how: str, user: str = "this") -> None:
+        """Say how to install it.
+
+        Args:
+            needed: the dependency.
+            how: an extra of this package, or else the whole command.
+            user: what needs it.
+        """
+        # from a checkout: in the package index, the name belongs to the published KnotGym
+        how = how if " " in how else f"pip install '.[{how}]'"
         super().__init__(f"{user} needs {needed}, which isn't installed; install it: {how}")
 
 
-def one_line(error: BaseException) -> str:
-    """Return an error's message on one line, with other control characters escaped."""
-    return printable(" ".join(str(error).split()))
+def one_line(said: object) -> str:
+    r"""Return text or an error's message on one line, so that it can't send commands to a terminal.
 
-
-def printable(text: str) -> str:
-    r"""Escape control characters, so that text can't send commands to a terminal.
-
-    >>> print(printable("a" + chr(27) + "[2J"))
+    >>> print(one_line("a" + chr(27) + "[2J"))
     a\x1b[2J
     """
+    text = " ".join(str(said).split())
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

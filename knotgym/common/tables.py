@@ -222,38 +222,52 @@ class Table(Mapping[str, NDArray[Any]]):
         """Return the table with other values in some columns."""
         return Table(self.schema, {**self, **columns})
 
+    @classmethod
+    def joined(cls, tables: Sequence["Table"]) -> "Table":
+        """Append tables of one schema; optional columns are kept if all of them have them.
 
-def joined(tables: Sequence[Table]) -> Table:
-    """Append tables of one schema; optional columns are kept if all of them have them.
+        Raises:
+            InvalidInput: there is no table, or their schemas or sizes differ.
+        """
+        schema = _shared_schema(tables)
+        columns = {c.name: [_fitted(schema, c, table) for table in tables] for c in schema.columns}
+        return cls(schema, {name: np.concatenate(parts) for name, parts in columns.items()})
 
-    Raises:
-        InvalidInput: there is no table, or their schemas or sizes differ.
-    """
-    schema = _shared_schema(tables)
-    columns = {c.name: [_fitted(schema, c, table) for table in tables] for c in schema.columns}
-    return Table(schema, {name: np.concatenate(parts) for name, parts in columns.items()})
+    def filled(self, schema: Schema) -> "Table":
+        """Add the optional columns of a schema that are lacking, so that the two can be appended.
 
+        Raises:
+            InvalidInput: a file can't say that such a column has no values.
+        """
+        lacking = [c for c in schema.columns if c.optional and c.name not in self]
+        if never := [c.name for c in lacking if c.unknown is None]:
+            raise InvalidInput(f"column {', '.join(never)} is missing")
+        sized = schema.sized(**dict(self.schema.sizes))
+        added = {
+            c.name: np.full(
+                (self.rows, *sized.shape(c)), c.unknown, np.str_ if c.dtype == "text" else c.dtype
+            )
+            for c in lacking
+        }
+        names = {*self, *added}
+        return Table(schema._replace(sizes=()).only(*names), {**self, **added})
 
-def filled(table: Table, schema: Schema) -> Table:
-    """Add the optional columns of a schema that a table lacks, so that the two can be appended.
+    def digest(self, *others: "Table") -> str:
+        """Hash the names, types, shapes and values of all columns (SHA-256, hexadecimal).
 
-    Raises:
-        InvalidInput: a file can't say that such a column has no values.
-    """
-    lacking = [c for c in schema.columns if c.optional and c.name not in table]
-    if never := [c.name for c in lacking if c.unknown is None]:
-        raise InvalidInput(f"column {', '.join(never)} is missing")
-    sizes = {**dict(schema.sizes), **dict(table.schema.sizes)}
-    added = {
-        c.name: np.full(
-            (table.rows, *schema.sized(**sizes).shape(c)),
-            c.unknown,
-            np.str_ if c.dtype == "text" else c.dtype,
-        )
-        for c in lacking
-    }
-    names = {*table, *added}
-    return Table(schema._replace(sizes=()).only(*names), {**table, **added})
+        Args:
+            others: more parts of the table; they are hashed as if they were `joined`.
+        """
+        parts, whole = (self, *others), hashlib.sha256()
+        for name, values in sorted(self.items()):
+            text, shape = values.dtype.kind == "U", (sum(p.rows for p in parts), *values.shape[1:])
+            header = [name, "text" if text else values.dtype.str, shape]
+            if text:
+                header.append([value for part in parts for value in part[name].tolist()])
+            whole.update(json.dumps(header).encode())
+            for part in parts if not text else ():
+                whole.update(np.ascontiguousarray(part[name]).data if part[name].size else b"")
+        return whole.hexdigest()
 
 
 def write_tables(
@@ -269,8 +283,8 @@ def write_tables(
 
     Args:
         path: path of the file.
-        tables: each a table, or its parts, which are appended as by `joined` but one at a time, so
-            that mapped files aren't read into memory.
+        tables: each a table, or its parts, which are appended as by `Table.joined` but one at a
+            time, so that mapped files aren't read into memory.
         attributes: attributes of the file: text and numbers, or lists and dictionaries, which are
             stored as JSON. So text that begins with "{" or "[" is read as JSON.
         format, version: what `read_tables` requires.
@@ -410,24 +424,6 @@ def format_of(path: str | os.PathLike[str]) -> str | None:
             return str(_attribute(file, "format"))
     except Exception:
         return None
-
-
-def table_digest(*parts: Table) -> str:
-    """Hash the names, types, shapes and values of all columns (SHA-256, hexadecimal).
-
-    Args:
-        parts: of one table; they are hashed as if they were `joined`.
-    """
-    whole = hashlib.sha256()
-    for name, values in sorted(parts[0].items()):
-        text, shape = values.dtype.kind == "U", (sum(p.rows for p in parts), *values.shape[1:])
-        header = [name, "text" if text else values.dtype.str, shape]
-        if text:
-            header.append([value for part in parts for value in part[name].tolist()])
-        whole.update(json.dumps(header).encode())
-        for part in parts if not text else ():
-            whole.update(np.ascontiguousarray(part[name]).data if part[name].size else b"")
-    return whole.hexdigest()
 
 
 def _attribute(file: h5py.File, name: str) -> Any:

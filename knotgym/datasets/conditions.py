@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidInput, MissingExtra, install_command, printable
+from knotgym.common import InvalidInput, MissingExtra, one_line
 
 _LONGEST = 2000  # characters
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
@@ -34,7 +34,7 @@ def matching_rows(text: str, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.
     try:
         import polars
     except ModuleNotFoundError as error:
-        raise MissingExtra("polars", install_command("select"), "a condition") from error
+        raise MissingExtra("polars", "select", "a condition") from error
     words = [name.rpartition(".")[2] for name in columns]
     short = {w: c for w, c in zip(words, columns.values(), strict=True) if words.count(w) == 1}
     named = {**columns, **{word: c for word, c in short.items() if word not in columns}}
@@ -77,4 +77,4 @@ def _require_sensible(text: str, expression: Any, frame: Any) -> None:
 
 
 def _refused(text: str, why: str) -> InvalidInput:
-    return InvalidInput(printable(f"not a condition, {text[:200]!r}: {why}"))
+    return InvalidInput(one_line(f"not a condition, {text[:200]!r}: {why}"))

@@ -39,14 +39,13 @@ from knotgym.common import (
     InvalidInput,
     KnotgymError,
     MissingFile,
+    Table,
     as_json,
     from_json,
     one_line,
-    printable,
     read_tables,
     require_no_links,
     sha256,
-    table_digest,
     write_tables,
 )
 from knotgym.datasets.episodes import (
@@ -109,7 +108,7 @@ class EpisodeDataset:
     @property
     def name(self) -> str:
         """The dataset id, or else the name of the file, without control characters."""
-        return printable(str((self.metadata or {}).get("dataset_id", self.path.name)))
+        return one_line(str((self.metadata or {}).get("dataset_id", self.path.name)))
 
     @cached_property
     def facts(self) -> dict[str, Any]:
@@ -319,12 +318,12 @@ def write_episodes(
 def content_digest(episodes: Episodes) -> str:
     """Hash the starts and pulls of episodes, from which everything else follows (SHA-256)."""
     kept = fitted([episodes.recording()])[0]
-    return hashlib.sha256("".join(map(table_digest, kept)).encode()).hexdigest()
+    return hashlib.sha256("".join(map(Table.digest, kept)).encode()).hexdigest()
 
 
 def advice_digest(parts: Sequence[Episodes]) -> str:
     """Hash the expert's actions, which follow from no replay (SHA-256)."""
-    return table_digest(*(part.steps.only("expert_action") for part in parts))
+    return Table.digest(*(part.steps.only("expert_action") for part in parts))
 
 
 def expansion_digest(parts: Sequence[Episodes]) -> str:
@@ -337,7 +336,7 @@ def expansion_digest(parts: Sequence[Episodes]) -> str:
     for tables_of in zip(*parts, strict=True):
         shared = set.intersection(*({*table} for table in tables_of))  # as `joined` keeps them
         kept = shared - NOT_STEPPED
-        found.append(table_digest(*(table.only(*kept) for table in tables_of)))
+        found.append(Table.digest(*(table.only(*kept) for table in tables_of)))
     return hashlib.sha256("".join(found).encode()).hexdigest()
 
 

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.common import Column, InvalidInput, Schema, Table, joined
+from knotgym.common import Column, InvalidInput, Schema, Table
 from knotgym.envs import TaskConfig
 from knotgym.topology import GaussCode, letters_of
 
@@ -203,7 +203,9 @@ def merged(sets: Sequence[Episodes]) -> Episodes:
     if not sets:
         raise InvalidInput("nothing to merge: give at least one set of episodes")
     same = fitted(sets)
-    return Episodes(joined([one.episodes for one in same]), joined([one.steps for one in same]))
+    return Episodes(
+        Table.joined([one.episodes for one in same]), Table.joined([one.steps for one in same])
+    )
 
 
 def differences(one: Episodes, other: Episodes) -> list[str]:

@@ -26,7 +26,6 @@ from knotgym.common import (
     InvalidFile,
     MissingExtra,
     MissingFile,
-    install_command,
     one_line,
     require_no_links,
     require_regular,
@@ -58,7 +57,7 @@ def arrow(module: str = "pyarrow") -> Any:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise MissingExtra(module, install_command("huggingface"), "Parquet") from error
+        raise MissingExtra(module, "huggingface", "Parquet") from error
 
 
 def shown(*names: str) -> dict[str, str]:

@@ -9,13 +9,13 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
-from knotgym.common import InvalidInput, atomic_write, one_line, printable, read_json, sha256
+from knotgym.common import InvalidInput, atomic_write, one_line, read_json, sha256
 from knotgym.states import leads_out
 
 
 def _inside(name: str) -> str:
     if not name or leads_out(name) or not name.isprintable():
-        raise InvalidInput(f"{printable(name)!r} is not a file in the folder")
+        raise InvalidInput(f"{one_line(name)!r} is not a file in the folder")
     return name
 
 
@@ -53,7 +53,7 @@ def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
         said = f"{where}: {first['msg']}"
     except (OSError, ValueError) as error:
         said = one_line(error)
-    return {}, [printable(f"manifest.json can't be read: {said}")]
+    return {}, [one_line(f"manifest.json can't be read: {said}")]
 
 
 def write_manifest(

@@ -15,9 +15,9 @@ from knotgym.common import (
     KnotgymError,
     MissingFile,
     Stream,
+    Table,
     from_json,
     one_line,
-    table_digest,
 )
 from knotgym.datasets.episode_dataset import FILE, EpisodeDataset, open_episodes
 from knotgym.datasets.episode_verification import (
@@ -102,7 +102,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         yield f"states.h5 {fault}"
     for first, row in repeated(one.tobytes() for one in states.points):
         yield f"states.h5 rows {first} and {row} are the same configuration"
-    if states.digest and states.image is not None and states.digest != table_digest(states.table):
+    if states.digest and states.image is not None and states.digest != Table.digest(states.table):
         yield "states.h5: its columns don't match content_sha256"
 
 

@@ -8,7 +8,7 @@ import importlib.util
 from pathlib import Path
 from typing import Any
 
-from knotgym.common import InvalidPolicy, install_command
+from knotgym.common import MissingExtra
 from knotgym.control import EVERY_CODE, PASSES, Policy, PolicyConfig, PolicyFamily
 
 _SHIPPED = "pretrained", "pretrained-clone"
@@ -21,10 +21,7 @@ def _matches(name: str) -> bool:
 def _make(config: PolicyConfig) -> Policy:
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
-            raise InvalidPolicy(
-                f"the learner {config.policy} needs {library}, which isn't installed; install it:"
-                f" {install_command('learn')}"
-            )
+            raise MissingExtra(library, "learn", f"the learner {config.policy}")
     from knotgym.learn.agent import load_picture_policy
     from knotgym.learn.checkpoint import CLONE, policy_folder
     from knotgym.learn.clone_policy import load_clone

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import knotgym
-from knotgym.common import InvalidInput, Stream, sha256, table_digest
+from knotgym.common import InvalidInput, Stream, Table, sha256
 from knotgym.datasets import EpisodeDataset, columns_of
 from knotgym.learn.checkpoint import CARD, CLONE, PICTURES, save_network
 from knotgym.learn.clone_training import CloneTraining, first_guesses
@@ -84,7 +84,7 @@ def train(
         config,
         {
             "data": [part.path for one in opened for part in one.parts or [one]],
-            "columns": [table_digest(table) for one in opened for table in one.episodes],
+            "columns": [Table.digest(table) for one in opened for table in one.episodes],
         },
     )
     card = {

@@ -17,7 +17,6 @@ from knotgym.common import (
     MissingExtra,
     Stream,
     atomic_write,
-    install_command,
     require_output,
 )
 from knotgym.loaders.data_stream import DataStream, Pictured, Played
@@ -28,9 +27,9 @@ from knotgym.rope import DECISION, REAL
 # it for everyone who installs all extras
 _AT_ONCE = 4096  # transitions read at once
 _INSTALL = {
-    "datasets": install_command("huggingface"),
-    "torch": install_command("torch"),
-    "tensordict": install_command("torchrl"),
+    "datasets": "huggingface",
+    "torch": "torch",
+    "tensordict": "torchrl",
     "d3rlpy": "pip install d3rlpy (it pins Gymnasium 1.0.0, which knotgym supports)",
 }
 

@@ -26,14 +26,7 @@ from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import (
-    InvalidFile,
-    InvalidInput,
-    Threads,
-    atomic_write,
-    require_own,
-    table_digest,
-)
+from knotgym.common import InvalidFile, InvalidInput, Table, Threads, atomic_write, require_own
 from knotgym.datasets import EpisodeDataset, gauss_code
 from knotgym.envs import OBSERVATIONS
 
@@ -286,8 +279,8 @@ class DrawnFrames:
         episodes, steps = self._dataset.episodes
         decides = {
             # from equal pulls, the two engines' states differ
-            "states": table_digest(steps.only("observation")),
-            "goals": table_digest(episodes.only("goal_points", "length")),
+            "states": Table.digest(steps.only("observation")),
+            "goals": Table.digest(episodes.only("goal_points", "length")),
             "picture": asdict(self._style),
             "looks": [look and asdict(look) for look in self._looks],
             "versions": {"knotgym": knotgym.__version__, "opencv": cv2.__version__},

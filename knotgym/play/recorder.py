@@ -22,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, printable
+from knotgym.common import InvalidFile, InvalidInput, Stream, as_json, one_line
 from knotgym.control import Player, Pulls, rollouts
 from knotgym.datasets import EpisodeDataset, MinariMetadata, open_episodes, publish
 from knotgym.envs import EpisodeBatch, TaskConfig
@@ -68,7 +68,7 @@ class Recorder:
         if len(player) > _LONGEST_NAME or not player.isprintable():
             raise InvalidInput(
                 f"a player's name is at most {_LONGEST_NAME} printable characters, got"
-                f" {printable(player[:_LONGEST_NAME])!r}"
+                f" {one_line(player[:_LONGEST_NAME])!r}"
             )
         self._task, self._seed, self._root = replace(task, observation="both"), seed, root
         self._policy = f"{HUMAN} {player}".strip()

@@ -29,9 +29,7 @@ from knotgym.common import (
     Mark,
     MissingExtra,
     configuration,
-    install_command,
     one_line,
-    printable,
 )
 
 KEY = "OPENAI_API_KEY"
@@ -171,7 +169,7 @@ class Chat:
         try:
             import openai
         except ImportError as error:
-            raise MissingExtra("openai", install_command("prompt"), "knotgym prompt") from error
+            raise MissingExtra("openai", "prompt", "knotgym prompt") from error
         self._openai: Any = openai
         # the client's HTTP library, which is another one in newer versions of openai
         library = openai.DefaultAsyncHttpxClient.__mro__[1].__module__.partition(".")[0]
@@ -334,7 +332,7 @@ class Chat:
         return whole.replace(self._secret, "[key]") if self._secret else whole
 
     def _short(self, text: str) -> str:
-        return printable(" ".join(self._clean(text).split())[:_SHOWN])
+        return one_line(" ".join(self._clean(text).split())[:_SHOWN])
 
 
 def _divided(content: Any, marks: tuple[str, ...]) -> tuple[str, str]:

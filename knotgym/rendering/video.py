@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.common import InvalidInput, atomic_write, install_command
+from knotgym.common import InvalidInput, MissingExtra, atomic_write
 from knotgym.rendering.camera import seen_from
 from knotgym.rendering.diagram import draw_diagram, side_of
 from knotgym.topology import label
@@ -192,13 +192,10 @@ def _pyav() -> Any:
     """Import PyAV.
 
     Raises:
-        InvalidInput: it isn't installed.
+        MissingExtra: it isn't installed.
     """
     try:
         import av
     except ModuleNotFoundError as error:
-        raise InvalidInput(
-            f"a video needs PyAV, which isn't installed; install it: {install_command('video')},"
-            " or write a .gif"
-        ) from error
+        raise MissingExtra("PyAV", "video", "a video that is no .gif") from error
     return av

@@ -14,7 +14,7 @@ from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
 from typing import Any
 
-from knotgym.common import Failed, InvalidInput, MissingExtra, install_command
+from knotgym.common import Failed, InvalidInput, MissingExtra
 from knotgym.runs.identities import versions
 
 TIMEOUT = 10.0  # seconds to wait for the scheduler, and for a first worker
@@ -47,7 +47,7 @@ def cluster(scheduler: str) -> Iterator[Executor]:
         from distributed import Client, KilledWorker
         from distributed.comm import CommClosedError
     except ModuleNotFoundError as error:
-        raise MissingExtra("Dask distributed", install_command("dask"), "run.scheduler") from error
+        raise MissingExtra("Dask distributed", "dask", "run.scheduler") from error
     except AttributeError as error:
         # distributed takes any module `snappy` for the compressor of that name
         raise InvalidInput(

@@ -35,7 +35,7 @@ from knotgym.common import (
     InvalidInput,
     Occupied,
     differences,
-    printable,
+    one_line,
     read_json,
     remove,
 )
@@ -186,11 +186,11 @@ class Journal:
         except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
             raise InvalidFile(f"{path} isn't a journal of a run, or it is damaged") from error
         if head != _HEAD:
-            raise InvalidFile(f"{path} has {printable(str(head)[:80])}; this version reads {_HEAD}")
+            raise InvalidFile(f"{path} has {one_line(str(head)[:80])}; this version reads {_HEAD}")
         if there != self._run:
             found = "; ".join(list(differences(there, self._run))[:3])
             raise InvalidInput(
-                f"{path} belongs to a different run: {printable(found[:500])}; give the same"
+                f"{path} belongs to a different run: {one_line(found[:500])}; give the same"
                 " options again, or --restart to delete an interrupted run"
             )
         files = (file for file in _work(path) if file.name != CHECKPOINT)

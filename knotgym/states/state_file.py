@@ -21,11 +21,8 @@ from knotgym.common import (
     InvalidInput,
     Schema,
     Table,
-    filled,
     format_of,
-    joined,
     read_tables,
-    table_digest,
     write_tables,
 )
 from knotgym.rope import MUJOCO
@@ -98,7 +95,7 @@ class States:
         if "source/steps" in table:
             step = {"source/step": table.get("source/step", table["source/steps"])}
             names = *table, *step, *(f"source/{name}" for name in _OF_EPISODES)
-            table = filled(Table(wanted, {**table, **step}), wanted.only(*names))
+            table = Table(wanted, {**table, **step}).filled(wanted.only(*names))
         return cls(table, attributes or {})
 
     @classmethod
@@ -229,7 +226,7 @@ def write_states(path: str | os.PathLike[str], states: States) -> None:
     """Write a state file atomically."""
     if states.image is None:
         raise InvalidInput("a state file needs images, but these states were read without")
-    attributes = {**states.attributes, DIGEST: table_digest(states.table)}
+    attributes = {**states.attributes, DIGEST: Table.digest(states.table)}
     write_tables(path, [states.table], attributes, format=FORMAT, pack=True)
 
 
@@ -331,7 +328,7 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     schema = STATES.only(*names)
     tables = [_widened(part.table, schema, number) for number, part in enumerate(parts, 1)]
     order = np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
-    merged = joined(tables).take(order)
+    merged = Table.joined(tables).take(order)
     twice = repeated(one.tobytes() for one in merged["points"]) if distinct else []
     if twice:
         raise InvalidFile(
@@ -354,7 +351,7 @@ def _widened(table: Table, schema: Schema, number: int) -> Table:
     """Add the columns of a schema that a table, the part of this number, lacks."""
     added = _derived(table, [c.name for c in schema.columns if c.name not in table])
     try:
-        return filled(Table(schema, {**table, **added}), schema)
+        return Table(schema, {**table, **added}).filled(schema)
     except InvalidInput as error:
         raise InvalidFile(f"state file {number} can't be merged with the others: {error}") from None
 

@@ -17,11 +17,8 @@ from knotgym.common.tables import (
     Column,
     Schema,
     Table,
-    filled,
     format_of,
-    joined,
     read_tables,
-    table_digest,
     write_tables,
 )
 
@@ -64,7 +61,7 @@ def path(tmp_path: Path) -> Path:
 def test_a_table_comes_back_as_it_was(tmp_path: Path, pack: bool) -> None:
     write_tables(tmp_path / "rows.h5", [table()], {}, format="ours", pack=pack)
     back = read_back(tmp_path / "rows.h5")
-    assert table_digest(back) == table_digest(table())
+    assert Table.digest(back) == Table.digest(table())
     assert dict(back.schema.sizes) == {"beads": 4}
 
 
@@ -84,9 +81,9 @@ def test_parts_are_appended(tmp_path: Path, path: Path, rows: int) -> None:
     write_tables(
         tmp_path / "all.h5", [[table(rows), read_back(path)]], {}, format="ours", pack=True
     )
-    whole = table_digest(joined([table(rows), table()]))
+    whole = Table.digest(Table.joined([table(rows), table()]))
     assert (
-        table_digest(read_back(tmp_path / "all.h5")) == table_digest(table(rows), table()) == whole
+        Table.digest(read_back(tmp_path / "all.h5")) == Table.digest(table(rows), table()) == whole
     )
 
 
@@ -94,21 +91,23 @@ def test_tables_of_other_sizes_are_not_appended(tmp_path: Path) -> None:
     with pytest.raises(
         InvalidInput, match=r"differ: points is float64 \(4, 3\) in one and float64 \(5, 3\)"
     ):
-        joined([table(beads=4), table(beads=5)])
+        Table.joined([table(beads=4), table(beads=5)])
 
 
 def test_an_optional_column_is_kept_if_all_parts_have_it() -> None:
     scored = Table(SCHEMA, {**table(), "score": np.ones(5, np.float32)})
-    assert "score" in joined([scored, scored]) and "score" not in joined([scored, table()])
+    assert "score" in Table.joined([scored, scored]) and "score" not in Table.joined(
+        [scored, table()]
+    )
 
 
 def test_padded_columns_get_the_longest_length(tmp_path: Path) -> None:
     schema = Schema("", (Column("code", "int64", ("visits", 2), padded=True),))
     parts = [Table(schema, {"code": np.ones((2, length, 2), np.int64)}) for length in (1, 3)]
-    assert joined(parts)["code"].sum(axis=(1, 2)).tolist() == [2, 2, 6, 6]
+    assert Table.joined(parts)["code"].sum(axis=(1, 2)).tolist() == [2, 2, 6, 6]
     write_tables(tmp_path / "rows.h5", [parts], {}, format="ours")
     (found,), _ = read_tables(tmp_path / "rows.h5", schema, format="ours")
-    assert table_digest(found) == table_digest(joined(parts))
+    assert Table.digest(found) == Table.digest(Table.joined(parts))
 
 
 def test_a_table_is_filled_with_values_that_say_unknown() -> None:
@@ -122,12 +121,12 @@ def test_a_table_is_filled_with_values_that_say_unknown() -> None:
         ),
         sizes=(("wide", 2),),
     )
-    whole = filled(Table(schema, {"a": np.arange(3)}), schema)
+    whole = Table(schema, {"a": np.arange(3)}).filled(schema)
     assert whole["name"].tolist() == [""] * 3 and whole["row"].tolist() == [-1] * 3
     assert whole["score"].shape == (3, 2) and np.isnan(whole["score"]).all()
     steps = Schema("", (Column("a", "int64"), Column("steps", "int64", optional=True, least=0)))
     with pytest.raises(InvalidInput, match="column steps is missing"):
-        filled(Table(steps, {"a": np.arange(3)}), steps)
+        Table(steps, {"a": np.arange(3)}).filled(steps)
 
 
 def test_derived_columns_are_computed_by_the_schema() -> None:
@@ -140,8 +139,8 @@ def test_sizes_of_columns_that_are_left_out_do_not_count() -> None:
     schema = Schema("", (Column("a", "int64"), Column("b", "int64", ("wide",), optional=True)))
     a = np.arange(2)
     parts = [Table(schema, {"a": a, "b": np.zeros((2, wide), int)}) for wide in (1, 3)]
-    assert joined([part.only("a") for part in parts]).rows == 4
-    assert joined([parts[0], Table(schema, {"a": a})]).rows == 4
+    assert Table.joined([part.only("a") for part in parts]).rows == 4
+    assert Table.joined([parts[0], Table(schema, {"a": a})]).rows == 4
 
 
 def test_attributes_come_back(tmp_path: Path) -> None:
@@ -168,7 +167,7 @@ def test_the_digest_depends_on_names_types_shapes_and_values() -> None:
         Table(Schema("", (Column("b", "int64"),)), {"b": np.arange(2)}),
         Table(Schema("", (Column("a", "uint64"),)), {"a": np.arange(2, dtype=np.uint64)}),
     ]
-    assert len({table_digest(one) for one in others}) == len(others)
+    assert len({Table.digest(one) for one in others}) == len(others)
 
 
 def test_columns_to_fill_have_the_schemas_types_and_shapes() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.common import Failed, InvalidInput, printable
+from knotgym.common import Failed, InvalidInput, one_line
 from knotgym.prompting.chat import Chat, ChatConfig
 
 from .chat_server import Answer, ChatServer
@@ -170,7 +170,7 @@ def test_a_rejected_request_is_a_refusal(status: int, error: dict[str, str]) -> 
     reply, server = asked(always(("status", (status, {}, json.dumps({"error": error})))))
     assert (reply.fault, reply.text, len(server.requests)) == ("refusal", "", 1)
     said = f"{status} {error.get('code', error.get('type'))}: {error['message']}"
-    assert reply.rejected == printable(said)
+    assert reply.rejected == one_line(said)
     assert (reply.prompt_tokens, reply.completion_tokens) == (0, 0)
 
 

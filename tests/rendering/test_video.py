@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidInput
+from knotgym.common import MissingExtra
 from knotgym.rendering.video import (
     FRAMES_PER_SECOND,
     OUTCOMES,
@@ -48,7 +48,7 @@ def test_a_film_that_needs_pyav_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(InvalidInput, match=r"pip install '\.\[video\]'"):
+    with pytest.raises(MissingExtra, match=r"pip install '\.\[video\]'"):
         write_film(tmp_path / "a.mp4", FRAMES)
     write_film(tmp_path / "a.gif", FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]

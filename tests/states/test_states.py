@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from knotgym.common import InvalidFile, InvalidInput, table_digest
+from knotgym.common import InvalidFile, InvalidInput, Table
 from knotgym.datasets import state_faults
 from knotgym.generate import judge
 from knotgym.quality import Limits
@@ -31,15 +31,15 @@ def copy(states_path: str, tmp_path: Path) -> Path:
 
 def test_states_come_back_as_written(states: States, states_path: str) -> None:
     read = read_states(states_path)
-    assert table_digest(read.table) == table_digest(states.table) == read.digest
+    assert Table.digest(read.table) == Table.digest(states.table) == read.digest
     assert read.attributes == states.attributes
 
 
 def test_states_are_pickled_whole(states: States) -> None:
     again = pickle.loads(pickle.dumps(states))
-    assert table_digest(again.table) == table_digest(states.table)
+    assert Table.digest(again.table) == Table.digest(states.table)
     merged = merge_states([again.take(slice(0, 3)), states.take(slice(3, 30))])
-    assert table_digest(merged.table) == table_digest(states.table)
+    assert Table.digest(merged.table) == Table.digest(states.table)
 
 
 def test_states_without_images_are_not_written(states_path: str, tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_flipped_bytes_are_read_as_written_or_refused(copy: Path, states: States
 
 def test_merged_states_are_sorted_by_nx_and_keep_all_configurations(states: States) -> None:
     merged = merge_states([states.take(slice(24, 30)), states.take(slice(0, 24))], distinct=True)
-    assert table_digest(merged.table) == table_digest(states.table)
+    assert Table.digest(merged.table) == Table.digest(states.table)
     assert merged.attributes["config"] == [{"made": "by hand"}] * 2
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Column, Schema, Table, filled
+from knotgym.common import Column, Schema, Table
 from knotgym.datasets.episode_dataset import EpisodeDataset
 from knotgym.datasets.episodes import STEPS, gauss_codes, goal_reached, ranges
 from knotgym.datasets.image_table import arrow, encode, picture_column, shown
@@ -58,7 +58,7 @@ def step_tables(dataset: EpisodeDataset, schema: Schema) -> Iterator[Table]:
     pictures = any(column.name == "image" for column in schema.columns)
     for first in range(0, dataset.episodes.episodes.rows, _AT_ONCE):
         last = min(first + _AT_ONCE, dataset.episodes.episodes.rows)
-        yield filled(_step_table(dataset.select(np.arange(first, last)), first, pictures), schema)
+        yield _step_table(dataset.select(np.arange(first, last)), first, pictures).filled(schema)
 
 
 def _step_table(part: EpisodeDataset, number: int, pictures: bool) -> Table:

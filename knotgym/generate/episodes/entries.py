@@ -39,7 +39,6 @@ from knotgym.common import (
     one_line,
     read_tables,
     sha256,
-    table_digest,
     write_tables,
 )
 from knotgym.control import RecordedPolicy, rollouts
@@ -206,5 +205,5 @@ def _states(config: EvaluateConfig) -> dict[str, str]:
 
 
 def _digest(said: dict[str, Any], rows: Sequence[Table], pulls: Sequence[Table]) -> str:
-    text = json.dumps(said, sort_keys=True) + table_digest(*rows) + table_digest(*pulls)
+    text = json.dumps(said, sort_keys=True) + Table.digest(*rows) + Table.digest(*pulls)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common import Table, as_json, filled
-from knotgym.common import joined as appended
+from knotgym.common import Table, as_json
 from knotgym.control import compile_planning
 from knotgym.datasets import finish_states
 from knotgym.generate.states.demonstrations import (
@@ -94,7 +93,7 @@ def _state_recipe(config: GenerateConfig, place: Path, made_by: Mapping[str, Any
         playing = states
         if starts.rows:
             further = states_of(starts, sides, engine, facts)
-            playing = States(appended([states.table, further.table]), states.attributes)
+            playing = States(Table.joined([states.table, further.table]), states.attributes)
         path = place.parent / "with-starts.h5"
         write_states(path, playing)
         sets = yield from demonstrated(config, playing, len(states), path)
@@ -123,7 +122,7 @@ def _rows(config: GenerateConfig, report: dict[str, Any]) -> Recipe[tuple[Table,
         report["attempts"] = report.get("attempts", 0) + found.pop("attempts")
         report.update({name: {**report.get(name, {}), **each} for name, each in found.items()})
     schema = ROWS.only(*{name for part in parts for name in part})
-    rows = joined(filled(part, schema) for part in parts)
+    rows = joined(part.filled(schema) for part in parts)
     order = np.argsort([config.nx.index(nx) for nx in rows["nx"].tolist()], kind="stable")
     return rows.take(order), np.concatenate(splits)[order]
 

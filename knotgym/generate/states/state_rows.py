@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 import knotgym
 from knotgym.common import Table
-from knotgym.common import joined as appended
 from knotgym.quality import Limits, Quality, measure, noise_survival
 from knotgym.rendering import draw_many, picture_of
 from knotgym.rope import Array, rope_of
@@ -108,7 +107,7 @@ def without_report(result: Result) -> tuple[Table, Any]:
 
 def joined(parts: Iterable[Table]) -> Table:
     """Append the rows of all parts, with the optional columns that all of them have."""
-    return appended([part for part in parts if part.rows] or [_NO_ROWS])
+    return Table.joined([part for part in parts if part.rows] or [_NO_ROWS])
 
 
 def states_of(
