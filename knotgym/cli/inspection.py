@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.common import Failed, InvalidInput, atomic_write, printable, require_output
+from knotgym.common import Failed, InvalidInput, atomic_write, one_line, require_output
 from knotgym.control import dataset_faults, replay
 from knotgym.datasets import (
     CardTable,
@@ -83,7 +83,7 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
                 results.append(result_of(policy.policy, action, task, episodes.episodes))
         show_results(results, progress.console, entry.config.task.engine)
         for number, claimed in enumerate(entry.claimed, 1):
-            progress.say(printable(f"setup {number}, claimed: {json.dumps(claimed)}"))
+            progress.say(one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
         return
     with executor(0 if large else 1) as pool:
         yield from dataset_faults(named, pool.map, progress.stage)
