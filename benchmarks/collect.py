@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.control import PolicyConfig
-from knotgym.datasets import FILE, columns_of, episodes_of, write_episodes, write_minari
+from knotgym.datasets import FILE, Episodes, columns_of, write_episodes, write_minari
 from knotgym.envs import TaskConfig
 from knotgym.generate import CollectConfig, blocks, collect, play
 from knotgym.rope import ChainSimulation
@@ -43,7 +43,7 @@ def columns(config: CollectConfig, place: Path) -> Recipe[None]:
         Call(f"episodes {few.start}-{few.stop - 1}", play, (config, few))
         for few in blocks(config.episodes, config.task, config.policy.plans)
     ]
-    write_episodes(place, [episodes_of(part) for part in parts], config.task)
+    write_episodes(place, [Episodes.of(part) for part in parts], config.task)
 
 
 def engine_rate(qpos: Any) -> float:
@@ -64,7 +64,7 @@ def measure(policy: str, nx: int, episodes: int, folder: Path) -> None:
     """Print the figures of one policy and number of crossings."""
     task = TaskConfig(task="tie", nx=nx, engine="chain", observation="state")
     config = CollectConfig(task=task, policy=PolicyConfig(policy=policy), episodes=episodes)
-    starts = episodes_of(play(config, range(ROPES))).episodes["start_qpos"]
+    starts = Episodes.of(play(config, range(ROPES))).episodes["start_qpos"]
     before, out = engine_rate(starts), folder / f"{policy}-{nx}.h5"
 
     def collected() -> int:
