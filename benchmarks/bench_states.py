@@ -13,6 +13,7 @@ train and test share.
 
 import argparse
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common import Stream, Table
-from knotgym.generate import PhasedPulls, PlayConfig, judge
+from knotgym.generate import GenerateConfig, PhasedPulls, judge
 from knotgym.quality import Limits
 from knotgym.rope import CHAIN, Array, Rope
 from knotgym.states import (
@@ -36,8 +37,16 @@ from knotgym.states import (
 from knotgym.topology import GaussCode, label
 
 LIVES = 8  # of each drawn rope, each with other pulls
-PULLS = PlayConfig(
-    settle=0, random=2, opening=0, rounds=1, scripted=0, spreading=8, first=4, every=2
+PULLS = replace(
+    GenerateConfig().play,
+    settle=0,
+    random=2,
+    opening=0,
+    rounds=1,
+    scripted=0,
+    spreading=8,
+    first=4,
+    every=2,
 )
 
 

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from knotgym.control import PolicyConfig
-from knotgym.datasets import FILE, Episodes, columns_of, write_episodes, write_minari
+from knotgym.datasets import FILE, columns_of, write_episodes, write_minari
 from knotgym.envs import TaskConfig
-from knotgym.generate import CollectConfig, blocks, collect, play
+from knotgym.generate import CollectConfig, collect
 from knotgym.rope import ChainSimulation
-from knotgym.runs import Call, Recipe, RunOptions, identity, run
+from knotgym.runs import RunOptions
 
 ROPES, PULLS = 256, 50  # of the engine alone
 OPTIONS = RunOptions(workers=1, quiet=True)
@@ -35,15 +35,6 @@ def seconds(work: Callable[[], Any]) -> tuple[float, Any]:
     began = time.process_time()
     result = work()
     return time.process_time() - began, result
-
-
-def columns(config: CollectConfig, place: Path) -> Recipe[None]:
-    """Collect as `collect` does, without Minari's form."""
-    parts = yield [
-        Call(f"episodes {few.start}-{few.stop - 1}", play, (config, few))
-        for few in blocks(config.episodes, config.task, config.policy.plans)
-    ]
-    write_episodes(place, [Episodes.of(part) for part in parts], config.task)
 
 
 def engine_rate(qpos: Any) -> float:
@@ -63,17 +54,20 @@ def engine_rate(qpos: Any) -> float:
 def measure(policy: str, nx: int, episodes: int, folder: Path) -> None:
     """Print the figures of one policy and number of crossings."""
     task = TaskConfig(task="tie", nx=nx, engine="chain", observation="state")
-    config = CollectConfig(task=task, policy=PolicyConfig(policy=policy), episodes=episodes)
-    starts = Episodes.of(play(config, range(ROPES))).episodes["start_qpos"]
-    before, out = engine_rate(starts), folder / f"{policy}-{nx}.h5"
+    config = CollectConfig(
+        task=task, policy=PolicyConfig(policy=policy), episodes=episodes, form="columns"
+    )
+    starts = config.played(range(ROPES), seed=0).episodes["start_qpos"]
+    before = engine_rate(starts)
 
-    def collected() -> int:
-        run(lambda place: columns(config, place), out, identity(config), OPTIONS, is_folder=False)
-        return int(columns_of(out).episodes.episodes["length"].sum())
+    def collected() -> tuple[Path, int]:
+        out = collect(config, folder, OPTIONS) / "data" / FILE
+        return out, int(columns_of(out).episodes.episodes["length"].sum())
 
-    spent, steps = seconds(collected)
+    spent, (out, steps) = seconds(collected)
     engine = (before + engine_rate(starts)) / 2
-    dataset, made = columns_of(out), collect(replace(config, episodes=64), folder, OPTIONS)
+    few_config = replace(config, episodes=64, form="minari")
+    dataset, made = columns_of(out), collect(few_config, folder / "few", OPTIONS)
     published = columns_of(made / "data" / FILE)
     minari, _ = seconds(lambda: write_minari(published, made / "data"))
     few = int(published.episodes.episodes["length"].sum())

@@ -13,7 +13,9 @@ from pathlib import Path
 from rich.console import Console
 
 from knotgym.datasets import open_episodes
-from knotgym.generate import RECORDINGS, SuiteConfig, record, recordings, write_recordings
+from knotgym.generate import Recording, SuiteConfig, recordings, write_recordings
+
+RECORDINGS = Path(__file__).parents[1] / "knotgym/generate/episodes/data/recordings.h5"
 
 
 def main() -> None:
@@ -27,7 +29,7 @@ def main() -> None:
     for config in SuiteConfig(policies=("noisy", "expert", "play")).sets():
         made = args.folder / config.dataset_id
         if made.exists():
-            kept[config.dataset_id] = record(config, open_episodes(made).episodes)
+            kept[config.dataset_id] = Recording.of(config, open_episodes(made).episodes)
     write_recordings(args.out, [*kept.values()])
     size = args.out.stat().st_size
     Console().print(f"{args.out.name}: {len(kept)} datasets, {size:,} bytes")

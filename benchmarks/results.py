@@ -24,9 +24,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from scores import CELL, LINE, read_scores
+
 from knotgym.common import InvalidFile, atomic_write
 from knotgym.datasets import table
-from knotgym.generate import CELL, LINE, SUITE, read_scores
+from knotgym.generate import SUITE
 from knotgym.runs import versions
 
 ROOT = Path(__file__).parents[1]

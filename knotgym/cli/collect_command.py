@@ -37,7 +37,7 @@ def collect(
     """
     from knotgym.datasets import loading_lines
     from knotgym.generate import collect as run
-    from knotgym.generate import named, require_collectable
+    from knotgym.generate import require_collectable
 
     options = given.run
     several = [
@@ -53,11 +53,11 @@ def collect(
         pairs = [pair for number, pair in enumerate(every) if pair not in every[:number]]
     usual = {"policy_observation": "" if given.has("task.observation") else "state"}
     configs = [
-        named(given.config(CollectConfig, {"task.task": one, "task.nx": of}, usual=usual))
+        given.config(CollectConfig, {"task.task": one, "task.nx": of}, usual=usual)
         for one, of in pairs
     ]
-    for config in configs:  # refuse any of them before playing the first
-        require_collectable(config, out, options)
+    # refuse any of them before playing the first
+    configs = [require_collectable(config, out, options) for config in configs]
     for config in configs:
         run(config, out, options, progress=given.progress)
         if options.shard.is_whole:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from knotgym.cli.options import RUN, Given, Listed, command
 from knotgym.common import InvalidInput
-from knotgym.generate import POLICIES, SuiteConfig
+from knotgym.generate import SUITE, SuiteConfig
 
 
 @command(
@@ -36,7 +36,7 @@ def suite(given: Given, *, out: Path | None = None, episodes: Listed = None) -> 
     """
     from knotgym.generate import make_suite
 
-    policies = given.get("policies") or POLICIES
+    policies = given.get("policies") or SUITE["policies"]
     more = {} if episodes is None else {"episodes": _sizes(episodes, policies)}
     make_suite(given.config(SuiteConfig, more), out, given.run, progress=given.progress)
 

@@ -100,8 +100,8 @@ def _start_faults(source: Path) -> Iterator[str]:
         return
     seed, count = config.get("seed"), config.get("episodes")
     if config.get("steps"):  # takes the place of `episodes`; as many were played as it took
-        tally = run.get("tally") if isinstance(run, dict) else None
-        count = tally.get("played") if isinstance(tally, dict) else None
+        summary = run.get("summary") if isinstance(run, dict) else None
+        count = summary.get("played") if isinstance(summary, dict) else None
     if type(seed) is not int or type(count) is not int or not 0 <= count <= _MOST_EPISODES:
         yield f"{dataset.path}: its run had seed {seed!r} and {count!r} episodes, not two numbers"
         return

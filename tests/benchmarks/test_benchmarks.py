@@ -20,7 +20,7 @@ from ..small_job import knotgym
 
 FOLDER = ROOT / "benchmarks"
 TABLES = ROOT / "knotgym/control/planning/data"
-MODULES = {"picture_check", "rope_states"}  # what the scripts share
+MODULES = {"picture_check", "rope_states", "scores"}  # what the scripts share
 SCRIPTS = sorted(path for path in FOLDER.glob("*.py") if path.stem not in MODULES)
 
 

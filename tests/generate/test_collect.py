@@ -13,7 +13,8 @@ from knotgym.control import PolicyConfig, PullPlannerConfig, verify
 from knotgym.datasets import (
     FILE,
     columns_of,
-    digests_of,
+    content_digest,
+    differences,
     merge,
     open_episodes,
     select,
@@ -22,12 +23,12 @@ from knotgym.datasets import (
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes import collect as collecting
 from knotgym.generate.episodes.collect import (
+    _distinct_id,
     blocks,
     collect,
-    distinct_id,
     run_facts,
 )
-from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.rope import RopeConfig
 from knotgym.runs import RunOptions
 from knotgym.states import States, write_states
@@ -46,16 +47,16 @@ def config(**settings: Any) -> CollectConfig:
 
 def test_the_dataset_has_its_id_and_holds_every_episode(tmp_path: Path) -> None:
     folder = collect(config(), tmp_path, QUIET)
-    assert folder == tmp_path / distinct_id(config())
+    assert folder == tmp_path / _distinct_id(config())
     made = columns_of(folder)
     assert made.episodes.episodes["seed"].tolist() == [
         Stream.EPISODE.derived_seed(0, k) for k in range(6)
     ]
     assert set(made.episodes.episodes["policy"]) == {"random"}
     assert made.task == CHAIN and verify(folder) == []
-    tally = run_facts(folder)["tally"]
-    assert tally["played"] == tally["kept"] == 6
-    assert tally["steps"] == made.episodes.episodes["length"].sum()
+    summary = run_facts(folder)["summary"]
+    assert summary["played"] == summary["kept"] == 6
+    assert summary["steps"] == made.episodes.episodes["length"].sum()
 
 
 def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(
@@ -89,8 +90,8 @@ def test_a_set_of_more_steps_begins_with_that_of_fewer(tmp_path: Path) -> None:
     few, many, pulls = made.values()
     lengths = few.episodes["length"]
     assert lengths.sum() - lengths[-1] < 40 <= lengths.sum()
-    assert few.differences(many.select(np.arange(len(lengths)))) == []
-    assert pulls.is_recording and digests_of([pulls])["digest"] == digests_of([many])["digest"]
+    assert differences(few, many.select(np.arange(len(lengths)))) == []
+    assert pulls.is_recording and content_digest(pulls) == content_digest(many)
 
 
 def test_a_set_of_steps_is_verified_by_the_episodes_that_they_took(tmp_path: Path) -> None:
@@ -133,16 +134,16 @@ def test_labels_are_the_expert_s_and_change_nothing_that_is_played(tmp_path: Pat
     folder = collect(config(episodes=2, labels="expert"), tmp_path, QUIET)
     labelled = columns_of(folder).episodes
     assert "-labelled-" in folder.name
-    assert plain.differences(labelled) == [] and labelled.steps["expert_action"].any()
+    assert differences(plain, labelled) == [] and labelled.steps["expert_action"].any()
 
 
 def test_failed_episodes_are_dropped_when_asked_and_counted(tmp_path: Path) -> None:
     task = TaskConfig(task="unknot", nx=1, engine="chain", observation="state", horizon=12)
     asked = config(task=task, policy="scripted", episodes=12, keep_failed=False)
     folder = collect(asked, tmp_path, QUIET)
-    tally = run_facts(folder)["tally"]
+    summary = run_facts(folder)["summary"]
     assert columns_of(folder).episodes.episodes["success"].all()
-    assert 0 < tally["kept"] == tally["succeeded"] < tally["played"] == 12
+    assert 0 < summary["kept"] == summary["succeeded"] < summary["played"] == 12
     with pytest.raises(InvalidInput, match="none of 2 episodes reached the goal"):
         collect(config(policy="constant", episodes=2, keep_failed=False), tmp_path, QUIET)
     assert [path.parents[1] for path in tmp_path.rglob("episodes.h5")] == [folder]
@@ -209,7 +210,7 @@ def test_ids_tell_every_setting_that_changes_the_data() -> None:
             )
         ),
     ]
-    ids = [distinct_id(one) for one in (usual, *others)]
+    ids = [_distinct_id(one) for one in (usual, *others)]
     assert ids[0] == "knotgym/tie-nx2/expert-v0" and len(set(ids)) == len(ids)
 
 
@@ -248,7 +249,7 @@ def test_sets_of_several_tasks_and_crossings_are_collected_and_merged(
 
 
 def test_functions_of_one_module_get_datasets_of_their_own() -> None:
-    names = [distinct_id(config(policy=f"mine:{one}")).split("/")[2] for one in ("act", "other")]
+    names = [_distinct_id(config(policy=f"mine:{one}")).split("/")[2] for one in ("act", "other")]
     assert [name[: name.index("-chain")] for name in names] == ["mine-act", "mine-other"]
 
 

@@ -9,13 +9,13 @@ import pytest
 
 from knotgym.common import InvalidFile, InvalidInput, Stream
 from knotgym.control import PolicyConfig, make_policy, rollouts
-from knotgym.datasets import Episodes
+from knotgym.datasets import Episodes, differences, episodes_of
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.generate.episodes.recordings import (
+    Recording,
     digests,
     first_difference,
-    record,
     recordings,
     replay,
     write_recordings,
@@ -39,16 +39,16 @@ def played() -> Episodes:
 def path(tmp_path_factory: pytest.TempPathFactory, played: Episodes) -> Path:
     path = tmp_path_factory.mktemp("recordings") / "recordings.h5"
     other = replace(CONFIG, dataset_id="knotgym/a-v0")
-    write_recordings(path, [record(CONFIG, played), record(other, played.select([1]))])
+    write_recordings(path, [Recording.of(CONFIG, played), Recording.of(other, played.select([1]))])
     return path
 
 
 def test_a_replay_gives_the_same_arrays(played: Episodes, path: Path) -> None:
-    again = Episodes.of(replay(CONFIG, range(3), path))
-    assert played.differences(again) == []
+    again = episodes_of(replay(CONFIG, range(3), path))
+    assert differences(played, again) == []
     assert first_difference(again, recordings(path)[CONFIG.dataset_id]) is None
-    part = Episodes.of(replay(CONFIG, range(1, 3), path))
-    assert played.select([1, 2]).differences(part) == []
+    part = episodes_of(replay(CONFIG, range(1, 3), path))
+    assert differences(played.select([1, 2]), part) == []
 
 
 def test_the_same_recordings_give_the_same_bytes(
@@ -71,7 +71,7 @@ def test_a_digest_is_of_contents_alone(played: Episodes) -> None:
 def test_only_quantized_pulls_of_macro_actions_are_recorded(played: Episodes, path: Path) -> None:
     uneven = played.steps.replaced(force=played.steps["force"] * np.float32(0.9))
     with pytest.raises(InvalidInput, match="can't be recorded"):
-        record(CONFIG, Episodes(played.episodes, uneven))
+        Recording.of(CONFIG, Episodes(played.episodes, uneven))
     more = replace(CONFIG, episodes=9)
     with pytest.raises(InvalidFile, match=r"is recorded with \d+ episodes, got 9"):
         replay(more, range(3, 9), path)

@@ -13,16 +13,13 @@ import pytest
 
 from knotgym.common import Failed, InvalidInput, Stream
 from knotgym.control import replay
-from knotgym.datasets import Episodes, folder_faults, open_episodes
+from knotgym.datasets import folder_faults, merged, open_episodes
 from knotgym.generate.states import demonstrations, drawing_source, generate_config
-from knotgym.generate.states.drawing_source import drawn_rows
+from knotgym.generate.states.drawing_source import WantedCodes, drawn_rows
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
-from knotgym.generate.states.phased_pulls import coil
-from knotgym.generate.states.play_source import ropes_of, rows_of_ropes
-from knotgym.generate.states.selection import Selection
+from knotgym.generate.states.play_source import coil, ropes_of, rows_of_ropes
 from knotgym.generate.states.state_recipe import make_states
-from knotgym.generate.states.state_rows import judge
-from knotgym.generate.states.wanted_codes import WantedCodes
+from knotgym.generate.states.state_rows import Selection, judge
 from knotgym.quality import LEGIBLE, UNTWISTED, Limits
 from knotgym.rope import Rope
 from knotgym.runs import Result, RunOptions, Shard, compute
@@ -232,9 +229,7 @@ def test_the_last_goals_get_several_attempts_at_once_and_the_first_success_count
     drawn: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     states, tried = states_in(drawn), list[tuple[int, list[int]]]()
-    whole = Episodes.merged(
-        [open_episodes(path).episodes for path in drawn.glob("minari/**/episodes.h5")]
-    )
+    whole = merged([open_episodes(path).episodes for path in drawn.glob("minari/**/episodes.h5")])
 
     def stub(task: Any, seed: int, goals: list[int], attempt: int) -> Result:
         tried.append((attempt, goals))

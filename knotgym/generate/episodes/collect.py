@@ -32,12 +32,14 @@ from knotgym.datasets import (
     STEPS,
     Episodes,
     MinariMetadata,
+    episodes_of,
     machine,
+    merged,
     open_episodes,
     publish,
 )
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes.collect_config import OBSERVATION, CollectConfig, plain_id
+from knotgym.generate.episodes.episode_configs import OBSERVATION, CollectConfig, plain_id
 from knotgym.generate.episodes.recordings import RECORDINGS, replay
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.rope import CHAIN, MUJOCO
@@ -90,7 +92,7 @@ def blocks(episodes: int, task: TaskConfig, plans: bool, first: int = 0) -> list
     return [range(begin, end) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
 
 
-def distinct_id(config: CollectConfig) -> str:
+def _distinct_id(config: CollectConfig) -> str:
     """Return the default id of a collection: `plain_id`, with a mark for every setting but the
     number of episodes that changes its content.
 
@@ -98,7 +100,7 @@ def distinct_id(config: CollectConfig) -> str:
     the policy that have no mark of their own share one digest.
 
     >>> config = CollectConfig(task=TaskConfig(task="tie"), policy=PolicyConfig(policy="expert"))
-    >>> distinct_id(config)
+    >>> _distinct_id(config)
     'knotgym/tie-nx2/expert-pixels-v0'
     """
     task, policy, seed = config.task, config.policy, config.seed
@@ -146,7 +148,7 @@ def collect(
         InvalidPolicy, InvalidInput: the policy doesn't fit the task, or no episode is left to keep.
         Occupied, InvalidFile, Failed: as in `runs.runner.run`.
     """
-    config = named(config)
+    config = _named(config)
     make_policy(config.policy).compatible_task(
         config.policy_task
     )  # refused before any work is done
@@ -174,9 +176,8 @@ def collect(
     )
 
 
-def named(config: CollectConfig) -> CollectConfig:
-    """Return the configuration with the id that its dataset gets."""
-    return config if config.dataset_id else replace(config, dataset_id=distinct_id(config))
+def _named(config: CollectConfig) -> CollectConfig:
+    return config if config.dataset_id else replace(config, dataset_id=_distinct_id(config))
 
 
 def _dataset_folder(config: CollectConfig, out: Path | None) -> Path:
@@ -184,8 +185,12 @@ def _dataset_folder(config: CollectConfig, out: Path | None) -> Path:
     return (out or minari_root()) / config.dataset_id
 
 
-def require_collectable(config: CollectConfig, out: Path | None, options: RunOptions) -> None:
+def require_collectable(
+    config: CollectConfig, out: Path | None, options: RunOptions
+) -> CollectConfig:
     """Require that a collection's output doesn't exist and no interrupted run left work.
+
+    Returns the configuration with the id that its dataset gets.
 
     Args:
         config: which episodes.
@@ -195,6 +200,7 @@ def require_collectable(config: CollectConfig, out: Path | None, options: RunOpt
     Raises:
         Occupied: it does, and `options` don't say what to do with it.
     """
+    config = _named(config)
     folder = _dataset_folder(config, out)
     if not options.resume and options.shard.is_whole:
         try:
@@ -202,6 +208,7 @@ def require_collectable(config: CollectConfig, out: Path | None, options: RunOpt
         except Occupied as error:
             raise Occupied(f"{error}, or another --id") from None
     require_no_interrupted_run(folder, options, options.shard)
+    return config
 
 
 def _episodes_of(
@@ -220,7 +227,7 @@ def _episodes_of(
             for few in blocks(coming, config.task, plans, played)
         ]
         played += coming
-        parts += [Episodes.of(result) for result in results]
+        parts += [episodes_of(result) for result in results]
         steps = sum(int(part.episodes["length"].sum()) for part in parts)
     if config.steps:
         parts = _first_steps(parts, config.steps)
@@ -265,9 +272,7 @@ def _publish(
     Raises:
         InvalidInput: no episode is left to keep.
     """
-    total = _total(
-        Episodes.merged([part.recording() for part in parts]).episodes, config.keep_failed
-    )
+    total = _total(merged([part.recording() for part in parts]).episodes, config.keep_failed)
     if not total["kept"]:
         raise InvalidInput(
             f"none of {total['played']} episodes reached the goal and failed ones are dropped, so"
@@ -275,7 +280,7 @@ def _publish(
         )
     if not config.keep_failed:
         parts = [part.select(part.episodes["success"]) for part in parts]
-    facts = {**made_by, "machines": [machine()], "tally": total}
+    facts = {**made_by, "machines": [machine()], "summary": total}
     carried = None if is_bundled(config.task.states) else resolve_states(config.task.states)
     digests = {**made_by["source"], "versions": made_by["versions"], "rope": made_by["rope"]}
     metadata = replace(_metadata(config, total), digests=digests)
@@ -316,7 +321,7 @@ def _total(episodes: Table, keep_failed: bool) -> dict[str, int]:
 
 
 def run_facts(dataset: Path) -> Mapping[str, Any]:
-    """Return the facts about the run that made a dataset: `identity`, machines and tally.
+    """Return the facts about the run that made a dataset: `identity`, machines and summary.
 
     Raises:
         InvalidFile: it has none.

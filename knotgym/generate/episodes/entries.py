@@ -42,10 +42,10 @@ from knotgym.common import (
     write_tables,
 )
 from knotgym.control import RecordedPolicy, rollouts
-from knotgym.datasets import PULLS, RECORDED, STEPS, Episodes
+from knotgym.datasets import PULLS, RECORDED, STEPS, Episodes, episodes_of, merged
 from knotgym.envs import TaskConfig
 from knotgym.generate.episodes.collect import blocks
-from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+from knotgym.generate.episodes.episode_configs import EvaluateConfig
 from knotgym.generate.episodes.recordings import DIGEST, digests
 from knotgym.rope import RopeConfig
 from knotgym.runs import Result as Kept
@@ -171,7 +171,7 @@ def replayed(entry: Entry, each: Map = map) -> Iterator[tuple[TaskConfig, Episod
             " states"
             for k in np.flatnonzero(wrong).tolist()
         ]
-        yield task, Episodes.merged([Episodes.of(one) for one in made]), faults
+        yield task, merged([episodes_of(one) for one in made]), faults
         first += entry.config.episodes
 
 

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from knotgym.common import InvalidInput, Occupied, Stream, Table, atomic_write, require_output
 from knotgym.control import PolicyConfig, make_policy, rollouts, training_card
-from knotgym.datasets import STEPS, Episodes
+from knotgym.datasets import STEPS, Episodes, episodes_of, goal_reached, merged
 from knotgym.envs import TaskConfig, task_sides
 from knotgym.generate.episodes.collect import blocks
 from knotgym.generate.episodes.entries import write_entry
-from knotgym.generate.episodes.evaluate_config import EvaluateConfig
+from knotgym.generate.episodes.episode_configs import EvaluateConfig
 from knotgym.generate.episodes.results import Result, evaluation_in, show
 from knotgym.runs import (
     Call,
@@ -84,9 +84,9 @@ def _evaluation(config: EvaluateConfig, filmed: int, recorded: bool) -> Recipe[E
         for setup, one in enumerate(setups, 1)
         if filmed
     ]
-    parts = [Episodes.of(part) for part in (yield [*calls, *films])]
+    parts = [episodes_of(part) for part in (yield [*calls, *films])]
     rest = iter(parts)
-    played = [Episodes.merged([*islice(rest, len(own))]) for own in numbers]
+    played = [merged([*islice(rest, len(own))]) for own in numbers]
     results = [
         result_of(
             policy.policy, make_policy(policy).compatible_task(task).action, task, one.episodes
@@ -303,7 +303,7 @@ def film(episodes: Episodes, task: TaskConfig, row: int = 0) -> list[NDArray[np.
         own["goal_points"][0].astype(np.float64),
         [f"{own['policy'][0]}  step {k} of {length}" for k in range(length + 1)],
         list(pulls),
-        one.goal_reached(task),
+        goal_reached(one, task),
         task.views,
     )
 

@@ -35,7 +35,7 @@ from knotgym.common import (
 )
 from knotgym.control import RecordedPolicy, rollouts
 from knotgym.datasets import MACROS, PULLS, RECORDED, Episodes
-from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.rope import FORCE_BINS, quantized
 from knotgym.runs import Result
 
@@ -76,6 +76,23 @@ class Recording(NamedTuple):
     config: CollectConfig
     episodes: Episodes
     digests: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, config: CollectConfig, episodes: Episodes) -> "Recording":
+        """Record a collected dataset whose policy chooses quantized pulls.
+
+        Raises:
+            InvalidInput: its pulls aren't quantized, or it doesn't say which macro-actions were
+                chosen.
+        """
+        steps = episodes.steps
+        bins = np.rint(steps["force"] * FORCE_BINS)
+        if MACROS[0] not in steps or (quantized(bins / FORCE_BINS) != steps["force"]).any():
+            raise InvalidInput(
+                f"{config.dataset_id} can't be recorded: its policy must choose macro-actions, and"
+                f" forces in multiples of 1/{FORCE_BINS} of the largest"
+            )
+        return cls(config, episodes, digests(episodes))
 
 
 def digests(episodes: Episodes) -> NDArray[np.uint8]:
@@ -179,22 +196,6 @@ def recordings(path: Path = RECORDINGS) -> Mapping[str, Recording]:
     if first != rows.rows:
         raise InvalidFile(f"{path} has {rows.rows} episodes, and its sets have {first}")
     return found
-
-
-def record(config: CollectConfig, episodes: Episodes) -> Recording:
-    """Record a collected dataset whose policy chooses quantized pulls.
-
-    Raises:
-        InvalidInput: its pulls aren't quantized, or it doesn't say which macro-actions were chosen.
-    """
-    steps = episodes.steps
-    bins = np.rint(steps["force"] * FORCE_BINS)
-    if MACROS[0] not in steps or (quantized(bins / FORCE_BINS) != steps["force"]).any():
-        raise InvalidInput(
-            f"{config.dataset_id} can't be recorded: its policy must choose macro-actions, and"
-            f" forces in multiples of 1/{FORCE_BINS} of the largest"
-        )
-    return Recording(config, episodes, digests(episodes))
 
 
 def write_recordings(path: Path, all_sets: Sequence[Recording]) -> None:

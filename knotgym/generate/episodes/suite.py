@@ -29,14 +29,16 @@ from knotgym.common import (
 )
 from knotgym.datasets import (
     code_span,
-    digests_of,
-    filled_template,
+    content_digest,
+    distinct,
+    expansion_digest,
+    filled,
     open_episodes,
     plain,
     table,
 )
 from knotgym.generate.episodes.collect import collect, require_collectable, run_facts
-from knotgym.generate.episodes.collect_config import CollectConfig
+from knotgym.generate.episodes.episode_configs import CollectConfig
 from knotgym.generate.episodes.recordings import Recording, first_difference, recordings
 from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_config import BENCH, SIZES, SUITE, SuiteConfig
@@ -156,14 +158,14 @@ def describe_set(made: Path) -> dict[str, Any]:
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
     task, episodes, rows = dataset.task, dataset.episodes, dataset.episodes.episodes
-    recording, digests = recordings().get(dataset.name), digests_of([episodes])
+    recording = recordings().get(dataset.name)
     agreement = "no"
     if recording is not None:
         first = first_difference(episodes, recording)
         agreement = "same" if first is None else f"differs from episode {first}"
         # what stepping gave besides, such as rewards: its digest was written with it
         told = dataset.attributes.get("expansion")
-        if agreement == "same" and told not in (None, digests.get("expansion")):
+        if agreement == "same" and told not in (None, expansion_digest([episodes])):
             agreement = "differs from its own digest: knotgym dataset verify says where"
     files = [file for file in (made / "data").iterdir() if file.is_file()]
     return {
@@ -174,9 +176,9 @@ def describe_set(made: Path) -> dict[str, Any]:
         "episodes": rows.rows,
         "succeeded": int(rows["success"].sum()),
         "steps": int(rows["length"].sum()),
-        **episodes.distinct(),
+        **distinct(rows),
         "bytes": sum(file.stat().st_size for file in files),
-        "sha256": digests["digest"],
+        "sha256": content_digest(episodes),
         "versions": versions,
         "recorded": agreement,
     }
@@ -214,7 +216,7 @@ def _card_of(report: Mapping[str, Any]) -> str:
         for measured, protocol in reference_scores().items()
         for setup, one in protocol["cells"].items()
     ]
-    return filled_template(
+    return filled(
         "suite_card.md",
         count=len(sets),
         episodes=sum(one["episodes"] for one in sets.values()),

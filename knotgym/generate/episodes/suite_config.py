@@ -12,7 +12,7 @@ from pydantic import Field, PositiveInt
 from knotgym.common import Distinct, InvalidInput, Seed, choice, configuration
 from knotgym.control import PolicyConfig
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes.collect_config import CollectConfig, plain_id
+from knotgym.generate.episodes.episode_configs import CollectConfig, plain_id
 from knotgym.rope import MUJOCO
 
 SUITE: dict[str, Any] = tomllib.loads(

@@ -1,7 +1,7 @@
 """The recipe of labelled pictures: frames of rollouts, rendered with an appearance.
 
 Ropes start in the states of a file and are pulled (`frames`), wave after wave, until every quota is
-full. Frames are chosen one by one (`choice`), then measured and rendered, one file of the table at
+full. Frames are chosen one by one, then measured and rendered, one file of the table at
 a time (`datasets.image_rows`). All frames of a rope are in one split.
 """
 
@@ -24,8 +24,7 @@ from knotgym.datasets import (
     shard_name,
     table_of,
 )
-from knotgym.generate.images.choice import Chooser, Quota
-from knotgym.generate.images.frames import PicturedRope, frames_of
+from knotgym.generate.images.frames import Chooser, PicturedRope, Quota, frames_of
 from knotgym.generate.images.images_config import ImagesConfig, held_out, quotas
 from knotgym.rope import RopeConfig
 from knotgym.runs import (

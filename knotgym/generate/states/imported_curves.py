@@ -1,8 +1,21 @@
 """Lay closed curves from files as states.
 
 A curve is cut into beads, scaled to the rope's length, relaxed as little as needed
-(`relaxation`), laid in the simulator, left to rest and judged by the limits of drawn states.
-It keeps the Gauss code that it shows from +z, and its knot must be certified.
+without physics, laid in the simulator, left to rest and judged by the limits of drawn states. It
+keeps the Gauss code that it shows from +z, and its knot must be certified.
+
+Relaxation gives a configuration that the rope could take, without actions that lead to it, at a
+thousandth of the cost of simulation. Each iteration
+
+1. straightens bends,
+2. pushes apart vertices of different strands that are close in the picture,
+3. separates the two strands of each crossing in height,
+4. restores the length of every bead by projection.
+
+Source of step 4: position-based dynamics, Müller et al., 2007.
+
+After a change run `pytest tests/generate/test_imported_curves.py`: a relaxed curve must keep
+its code, and all of its edges get the length of a bead.
 """
 
 from collections.abc import Sequence
@@ -11,11 +24,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 
-from knotgym.common import InvalidInput, Stream
+from knotgym.common import InvalidInput, Stream, inner
 from knotgym.generate.states.curve_files import Curve, read_curves
-from knotgym.generate.states.relaxation import relaxed
 from knotgym.generate.states.state_rows import judge, row_of, stacked, states_of
 from knotgym.quality import UNITS, Limits, Quality
 from knotgym.rope import (
@@ -137,3 +150,126 @@ def _missed(fault: str, quality: Quality, limits: Limits) -> str:
     return (
         f"{fault} is {getattr(quality, fault):.3g} {UNITS[fault]}, limit {getattr(limits, fault)}"
     )
+
+
+# Set by hand when pictures were relaxed, too; what other values gave was not recorded. A change
+# must keep every curve of tests/generate/test_imported_curves.py.
+_ITERATIONS = 20  # per round
+_REACH = 0.045  # distance in the picture within which strands repel each other, metres; nine pixels
+_APART = 5  # vertices fewer than this many beads apart along the rope don't repel each other
+_PUSH = 0.012  # largest repulsion per iteration, bead lengths, of strands at distance 0
+_BENDING = 0.03  # coefficient of the straightening step per iteration
+_CROSSING = 1.5  # distance in the picture within which two strands count as crossing, bead lengths
+_HEIGHT = 0.0125  # target difference in height between crossing strands, metres
+_LIFTING = 0.25  # fraction of the missing height by which each strand moves per iteration
+# Largest displacement of a vertex per iteration along each axis, bead lengths: 2 mm, well below the
+# rope's radius, so that strands can't jump each other.
+_MOST = 0.15
+_PASSES = 8  # projection sweeps over the beads per iteration
+
+
+def relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
+    """Relax a configuration.
+
+    Args:
+        points: float64 (beads, 3), metres; not modified.
+        rounds: number of rounds, at least 1; relaxation stops before the first round that would
+            change the code.
+        rope: supplies the bead length and the limit on overlap.
+
+    Returns:
+        float64 (beads, 3), metres, a configuration of the rope with the code of `points`; None if
+        the first round changes the code or the result is no valid configuration.
+
+    Raises:
+        InvalidInput: fewer than 1 round.
+    """
+    if rounds < 1:
+        raise InvalidInput(f"rounds must be at least 1, got {rounds}")
+    code = label(points)
+    moving, last = np.array(points, dtype=np.float64), None
+    for _ in range(rounds):
+        _iterate(moving, rope.config.bead_length)
+        if label(moving) != code:
+            break
+        last = moving.copy()
+    if last is None:
+        return None
+    try:
+        laid = rope.from_curve(last)
+    except InvalidInput:  # strands overlap too deeply
+        return None
+    return laid if label(laid) == code else None
+
+
+@numba.njit(cache=True, nogil=True)
+def _iterate(p: Array, length: float) -> None:
+    """Run one round in place."""
+    n = len(p)
+    move = np.empty((n, 3))
+    for _ in range(_ITERATIONS):
+        # Moves are computed from the same positions for all vertices, then applied together.
+        _straighten(p, move, _BENDING)
+        for i in range(n):
+            for j in range(i + _APART, n):
+                if i + n - j < _APART:  # neighbours across the base bead
+                    continue
+                x, y = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1]
+                distance = np.sqrt(x * x + y * y)
+                if distance >= _REACH:
+                    continue
+                # At a crossing the upper strand rises and the lower one sinks, which keeps the
+                # code's over and under.
+                if distance < _CROSSING * length:
+                    z = p[i, 2] - p[j, 2]
+                    lack = _HEIGHT - abs(z)
+                    if lack > 0:
+                        lift = _LIFTING * lack if z >= 0 else -_LIFTING * lack
+                        move[i, 2] += lift
+                        move[j, 2] -= lift
+                # Repulsion falls from push at distance 0 to 0 at reach, quadratically, so that
+                # there is no kink at reach; dividing by the distance normalizes (x, y).
+                if distance > 1e-9:
+                    strength = _PUSH * (1 - distance / _REACH) ** 2 * length / distance
+                    move[i, 0] += strength * x
+                    move[i, 1] += strength * y
+                    move[j, 0] -= strength * x
+                    move[j, 1] -= strength * y
+        for i in range(n):
+            for k in range(3):
+                p[i, k] += min(_MOST * length, max(-_MOST * length, move[i, k]))
+        _restore_lengths(p, length, _PASSES)
+
+
+@inner
+def _straighten(p: Array, move: Array, bending: float) -> None:
+    """Set the moves to one explicit step of the biharmonic flow, which straightens bends."""
+    # The fourth difference, stencil (1, -4, 6, -4, 1), is the gradient of the discrete bending
+    # energy sum |p[i - 1] - 2 p[i] + p[i + 1]|^2 / 2. Its largest eigenvalue is 16, so that the
+    # step is stable for bending < 2 / 16.
+    n = len(p)
+    for i in range(n):
+        a, b, c, d = (i - 2) % n, (i - 1) % n, (i + 1) % n, (i + 2) % n
+        for k in range(3):
+            move[i, k] = -bending * (p[a, k] - 4 * p[b, k] + 6 * p[i, k] - 4 * p[c, k] + p[d, k])
+
+
+@inner
+def _restore_lengths(p: Array, length: float, passes: int) -> None:
+    """Move neighbours to one bead length apart, constraint by constraint."""
+    # Gauss-Seidel: each correction is applied at once and splits evenly between both vertices
+    # (equal masses), so that the centre of mass stays. What error remains after the passes is
+    # removed by `Rope.from_curve`.
+    n = len(p)
+    for _ in range(passes):
+        for i in range(n):
+            j = (i + 1) % n
+            x, y, z = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
+            now = np.sqrt(x * x + y * y + z * z)
+            share = 0.5 * (now - length) / max(now, 1e-12)
+            p[i, 0] += share * x
+            p[i, 1] += share * y
+            p[i, 2] += share * z
+            p[j, 0] -= share * x
+            p[j, 1] -= share * y
+            p[j, 2] -= share * z

@@ -1,22 +1,33 @@
 """States met by play: frames of ropes that random and scripted policies pull.
 
-Ropes are pulled side by side (`phased_pulls`), and frames that pass the filter are kept: readable,
-not over-twisted, new. All frames of a rope are in one split. Source random-walk is the same with
-the published pulls, uniform random actions, and without limits on readability.
+Ropes are pulled side by side in phases, and frames that pass the filter are kept: readable, not
+over-twisted, new. All frames of a rope are in one split. Source random-walk is the same with the
+published pulls, uniform random actions, and without limits on readability.
+
+    settle | random | opening | scripted | spreading | scripted | spreading | ...
+           ^ the rope is laid at rest, and its record begins; every few pulls a frame is seen
+
+Opening and spreading pull random beads out of a tangle, so that ropes become loose and readable,
+which random actions alone never leave them.
+
+After a change run `python benchmarks/golden.py --compare tests/data/golden.json`: nothing may
+differ.
 """
 
 from collections import Counter
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import Failed, Table
+from knotgym.common import Failed, Stream, Table
+from knotgym.control import Ids, Player, Policy, Pulls, Scripted, rollouts
+from knotgym.datasets import STARTS
+from knotgym.envs import EpisodeBatch, TaskConfig
 from knotgym.generate.states.generate_config import GenerateConfig, PlayConfig
-from knotgym.generate.states.phased_pulls import pulled_ropes
-from knotgym.generate.states.selection import Selection
 from knotgym.generate.states.state_rows import (
+    Selection,
     joined,
     judge,
     row_of,
@@ -24,10 +35,204 @@ from knotgym.generate.states.state_rows import (
     with_report,
     without_report,
 )
-from knotgym.rope import Array
+from knotgym.rope import Array, Rope, decode_actions, drawn_actions, quantized
 from knotgym.runs import Call, Recipe, Result
 from knotgym.states import STATE_SPLITS, source_of
 from knotgym.topology import UNKNOT, GaussCode, codes_of, label_many
+
+# A spreading pull flees from strands nearer than _REACH in the picture, metres, and at least _APART
+# beads away along the rope. Of _DRAWN beads, it pulls the one that is pushed away most.
+_REACH, _APART, _DRAWN = 0.06, 6, 8
+_SLOPE = 0.1  # most upward or downward part of a pull, in units of the largest force
+
+BeadsAndForces = tuple[NDArray[np.int64], NDArray[np.float32]]
+
+
+class _Frame(NamedTuple):
+    """A rope as it lies after some pulls; its velocity isn't kept.
+
+    Attributes:
+        rope: its number in the call.
+        step: pulls of the record before it.
+        qpos: float64 (nq,).
+        points: float64 (beads, 3), metres.
+    """
+
+    rope: int
+    step: int
+    qpos: Array
+    points: Array
+
+
+class PhasedPulls(Policy):
+    """A policy that pulls ropes in phases, and the frames of them that it saw.
+
+    Attributes:
+        name: of the policy.
+        config: the phases.
+        keys: of the ropes' random streams.
+        start_qpos: float64 (ropes, nq), where the records begin, at rest.
+        actions: float32 (ropes, pulls, 6), each at the position of the bead that it pulls.
+        frames: of all ropes, in order of steps.
+    """
+
+    name = "phases"
+
+    def __init__(
+        self, config: PlayConfig, keys: Sequence[tuple[int, ...]], start_qpos: Array
+    ) -> None:
+        self.config, self.keys, self.start_qpos = config, keys, start_qpos
+        self.frames: list[_Frame] = []
+        self.actions = np.zeros((len(keys), config.pulls, 6), dtype=np.float32)
+
+    def compatible_task(self, task: TaskConfig) -> TaskConfig:
+        return task
+
+    def player(self, batch: EpisodeBatch) -> "_PhasePlayer":
+        return _PhasePlayer(self, batch)
+
+    def play(self, engine: str) -> "PhasedPulls":
+        """Play the rollouts once, side by side."""
+        schema = STARTS.sized(nq=self.start_qpos.shape[1])
+        rows = schema.empty(len(self.keys))
+        rows["seed"][:], rows["start_qpos"][:] = np.arange(len(self.keys)), self.start_qpos
+        # which goal an endless task has makes no difference; one pull more shows the last frame
+        horizon = self.config.pulls + 1
+        task = TaskConfig(task="unknot", nx=1, engine=engine, endless=True, horizon=horizon)
+        rollouts(self, task, Table(schema, rows), lanes=len(self.keys), keep=None)
+        return self
+
+
+def coil(rope: Rope) -> Array:
+    """Return a coil of two turns, one crossing, radius of gyration 0.11 m: float64 (beads, 3)."""
+    at = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    # a torus curve (2, 1): twice round the hole, once through it
+    radius = 1 + 0.25 * np.cos(at)
+    curve = [radius * np.cos(2 * at), radius * np.sin(2 * at), 0.25 * np.sin(at)]
+    return rope.from_curve(np.stack(curve, axis=1))
+
+
+def pulled_ropes(config: PlayConfig, engine: str, keys: Sequence[tuple[int, ...]]) -> PhasedPulls:
+    """Pull ropes in phases, side by side; each rollout depends on its own key alone.
+
+    Args:
+        config: the phases.
+        engine: that moves the ropes.
+        keys: of the ropes' random streams. If the record consists of random actions, these are
+            `drawn_actions(key, config.random)`.
+    """
+    rope = Rope()
+    start = np.repeat(rope.qpos(coil(rope))[None], len(keys), axis=0)
+    if config.settle:
+        walk = PlayConfig(
+            settle=0, random=config.settle, opening=0, rounds=0, first=config.settle, every=1
+        )
+        for frame in PhasedPulls(walk, keys, start.copy()).play(engine).frames:
+            start[frame.rope] = frame.qpos  # a rope that was lost on the way stays a coil
+    return PhasedPulls(config, keys, start).play(engine)
+
+
+class _PhasePlayer(Player):
+    """Plays the phases in each lane, one after the other."""
+
+    def __init__(self, policy: PhasedPulls, batch: EpisodeBatch) -> None:
+        self.planned = np.zeros(batch.count, dtype=np.int64)
+        self._policy, self._batch = policy, batch
+        self._simulation, self._rngs = batch.simulation, dict[int, np.random.Generator]()
+        self._drawn = np.zeros((batch.count, policy.config.random, 6), dtype=np.float32)
+        self._scripted = Scripted().player(batch)
+        config, phases = policy.config, list[tuple[int, Callable[[Ids], BeadsAndForces]]]()
+        phases += [(config.random, self._random), (config.opening, self._open)]
+        for _ in range(config.rounds):
+            phases += [(config.scripted, self._script), (config.spreading, self._spread)]
+        # step after which each phase ends; `searchsorted` finds the phase of a step
+        self._ends = np.cumsum([length for length, _ in phases])
+        self._phases = [*(phase for _, phase in phases), _rest]
+
+    def begin(self, ids: Ids, rngs: Sequence[np.random.Generator]) -> None:
+        for index in ids.tolist():
+            key = self._policy.keys[self._batch.number[index]]
+            self._drawn[index] = drawn_actions(key, self._policy.config.random)
+            self._rngs[index] = Stream.generator_of(
+                (*key[:-1], key[-1] + 1)
+            )  # actions have their own
+        self._scripted.begin(ids, [self._rngs[index] for index in ids.tolist()])
+
+    def act(self, ids: Ids) -> Pulls:
+        steps = self._batch.steps[ids]
+        self._see(ids, steps)
+        beads = np.zeros(len(ids), dtype=np.int64)
+        forces = np.zeros((len(ids), 3), dtype=np.float32)
+        # lanes are in different steps, so in different phases: each phase pulls its own
+        now = np.searchsorted(self._ends, steps, side="right")
+        for phase in np.unique(now):
+            own = now == phase
+            beads[own], forces[own] = self._phases[phase](ids[own])
+        recorded = np.flatnonzero(steps < self._ends[-1])
+        some = ids[recorded]
+        # in float64, or the actions would round otherwise than the pulls
+        newtons = forces[recorded].astype(np.float64) * self._simulation.max_force
+        self._policy.actions[self._batch.number[some], steps[recorded]] = self._simulation.actions(
+            beads[recorded], newtons, some
+        )
+        return Pulls(ids, beads, forces)
+
+    def _see(self, ids: Ids, steps: NDArray[np.int64]) -> None:
+        since = steps - self._policy.config.first
+        seen = ids[(since >= 0) & (since % self._policy.config.every == 0)]
+        if not len(seen):
+            return
+        columns = self._batch.number[seen].tolist(), self._batch.steps[seen].tolist()
+        # where a reset lays the rope; the chain engine's own vertices differ by rounding
+        qpos = self._simulation.qpos(seen)
+        self._policy.frames += map(_Frame, *columns, qpos, self._simulation.rope.points(qpos))
+
+    def _random(self, ids: Ids) -> BeadsAndForces:
+        actions = self._drawn[ids, self._batch.steps[ids]]
+        points, rope = self._simulation.points[ids], self._simulation.rope.config
+        return decode_actions(actions, points, rope)[0], actions[:, 3:]
+
+    def _open(self, ids: Ids) -> BeadsAndForces:
+        """Pull a random bead of each rope away from the rope's middle."""
+        points = self._simulation.points[ids]
+        beads = np.array([self._rngs[index].integers(points.shape[1]) for index in ids.tolist()])
+        away = points[np.arange(len(ids)), beads] - points.mean(axis=1)
+        return beads, self._level(away[:, :2], ids)
+
+    def _spread(self, ids: Ids) -> BeadsAndForces:
+        """Of a few beads, pull the one that is most crowded in the picture, out of the crowd."""
+        points = self._simulation.points[ids]
+        count = points.shape[1]
+        drawn = np.stack([self._rngs[index].integers(count, size=_DRAWN) for index in ids.tolist()])
+        # only the drawn beads against all others: _DRAWN times as many pairs as beads
+        at = np.take_along_axis(points, drawn[..., None], axis=1)
+        away = at[:, :, None, :2] - points[:, None, :, :2]
+        distance = np.sqrt((away**2).sum(axis=-1))
+        # distance along the closed rope is the shorter way round
+        along = np.abs(np.arange(count) - drawn[..., None])
+        near = (np.minimum(along, count - along) >= _APART) & (distance < _REACH)
+        # each near bead pushes along `away`; the nearer, the more
+        push = np.where(near, (1 - distance / _REACH) ** 2 / np.maximum(distance, 1e-4), 0.0)
+        total = (away * push[..., None]).sum(axis=2)
+        # of the drawn beads that with the largest push
+        rows, most = np.arange(len(ids)), (total**2).sum(axis=-1).argmax(axis=1)
+        return drawn[rows, most], self._level(total[rows, most], ids)
+
+    def _level(self, away: Array, ids: Ids) -> NDArray[np.float32]:
+        """Return full forces in the directions (n, 2), seen from above, with some slope."""
+        # a bead that nothing pushes has no direction: then the force is the slope alone
+        size = np.maximum(np.sqrt((away**2).sum(axis=1, keepdims=True)), 1e-9)
+        slopes = [self._rngs[index].uniform(-_SLOPE, _SLOPE) for index in ids.tolist()]
+        return quantized(np.column_stack([away / size, slopes])).astype(np.float32)
+
+    def _script(self, ids: Ids) -> BeadsAndForces:
+        pulls = self._scripted.act(ids)
+        return pulls.beads, pulls.forces
+
+
+def _rest(ids: Ids) -> BeadsAndForces:
+    return np.zeros(len(ids), dtype=np.int64), np.zeros((len(ids), 3), dtype=np.float32)
+
 
 _CALLS = 4  # between two looks at what is still missing
 # A code may have this many times its even share of the states of an nx and split, and at least

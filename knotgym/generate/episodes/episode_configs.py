@@ -1,4 +1,6 @@
-"""The configuration of `knotgym collect`; nothing here computes: the command line reads it."""
+"""The configurations of `knotgym collect` and `knotgym evaluate`; the command line reads them, so
+nothing here computes.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +16,10 @@ from knotgym.rope import MUJOCO
 
 if TYPE_CHECKING:
     from knotgym.datasets import Episodes
+
+from collections.abc import Iterator
+
+from knotgym.common import Distinct, InvalidInput
 
 # Stored by `knotgym collect` by default: vertices, from which loaders draw pictures of any kind.
 OBSERVATION = "state"
@@ -35,7 +41,7 @@ class CollectConfig:
         labels: "expert" stores the expert's action at every state.
         policy_observation: observation given to functions and objects of your own; "" for the one
             that is stored.
-        dataset_id: Minari id; "" for `collect.distinct_id`, for example knotgym/tie-nx3/expert-v0,
+        dataset_id: Minari id; "" for one made of the settings, such as knotgym/tie-nx3/expert-v0,
             with a mark for each setting that changes the data, as in expert-both-seed1-v0.
         form: files to write: columns, or minari for Minari's own beside them; by default these are
             written for at most 100,000 pulls. Or recording: starts and pulls alone, a sixth of the
@@ -66,10 +72,10 @@ class CollectConfig:
 
     def played(self, numbers: range, seed: int) -> Episodes:
         """Play some of the episodes that a collection with this seed has, by their numbers."""
-        from knotgym.datasets import Episodes
-        from knotgym.generate import play  # through the door, as `collect` imports this module
+        from knotgym.datasets import episodes_of
+        from knotgym.generate.episodes.collect import play  # which imports this module
 
-        return Episodes.of(play(replace(self, seed=seed), numbers))
+        return episodes_of(play(replace(self, seed=seed), numbers))
 
 
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
@@ -78,3 +84,42 @@ def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
     engine = "" if task.engine == MUJOCO else task.engine
     name = "-".join([policy.short, *filter(None, (engine, split, *marks))])
     return f"knotgym/{task.name}/{name}-v0"
+
+
+@configuration
+class EvaluateConfig:
+    """What to evaluate.
+
+    Attributes:
+        policies: each is evaluated on every task, crossing number and split.
+        tasks: tasks, comma-separated: tie, unknot, convert.
+        nx: numbers of crossings: 3, 2,3 or 2-4.
+        splits: splits, comma-separated: train, test, train-code, test-code.
+        episodes: episodes for each policy, task, split and --nx. Episode i is the same for every
+            policy.
+        seed: random seed; the same seed gives the same episodes, and none of them is in a dataset.
+        task: settings shared by all environments; its task, nx and split are not used.
+        filmed: episodes per setup in a film.
+    """
+
+    policies: tuple[PolicyConfig, ...] = (PolicyConfig(),)
+    tasks: tuple[str, ...] = ("tie",)
+    nx: Annotated[tuple[NonNegativeInt, ...], Distinct] = (2,)
+    splits: tuple[str, ...] = ("test",)
+    episodes: PositiveInt = 256
+    seed: Seed = 0
+    task: TaskConfig = TaskConfig(task="tie", observation="state")
+    filmed: PositiveInt = 2
+
+    def __post_init__(self) -> None:
+        if not all((self.policies, self.tasks, self.nx, self.splits)):
+            raise InvalidInput("give at least one policy, task, number of crossings and split")
+        list(self.setups())  # raises if an environment can't be made
+
+    def setups(self) -> Iterator[tuple[PolicyConfig, TaskConfig]]:
+        """Yield every combination of policy and environment."""
+        for policy in self.policies:
+            for task in self.tasks:
+                for split in self.splits:
+                    for nx in self.nx:
+                        yield policy, replace(self.task, task=task, nx=nx, split=split)

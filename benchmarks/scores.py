@@ -8,8 +8,7 @@ from typing import Any
 
 from knotgym.common import InvalidFile, as_json
 from knotgym.control import PolicyConfig
-from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.episodes.results import Result, evaluation_in
+from knotgym.generate import EvaluateConfig, evaluation_in
 from knotgym.runs import cluster_interval
 
 # Episodes that agree in all of these fields are pooled: LINE says what played, CELL where.
@@ -46,7 +45,7 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     return [_together(found[key]) for key in sorted(found, key=str)]
 
 
-def _rows(evaluation: Mapping[str, Any], results: Iterable[Result]) -> Iterator[dict[str, Any]]:
+def _rows(evaluation: Mapping[str, Any], results: Iterable[Any]) -> Iterator[dict[str, Any]]:
     config, source = evaluation["config"], evaluation["source"]
     configs = {one["policy"]: one for one in config["policies"]}
     versions = dict(evaluation["versions"])

@@ -1,4 +1,6 @@
 import json
+import runpy
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +11,12 @@ from knotgym.common import InvalidFile, Table
 from knotgym.control import PolicyConfig, PullPlannerConfig
 from knotgym.datasets import RECORDED
 from knotgym.envs import TaskConfig
-from knotgym.generate.episodes import evaluate as evaluation
-from knotgym.generate.episodes.evaluate import as_text, report
-from knotgym.generate.episodes.evaluate_config import EvaluateConfig
-from knotgym.generate.episodes.suite_scores import read_scores
+from knotgym.generate import EvaluateConfig, result_of
 from knotgym.runs import cluster_interval, identity
 
+from ..scripts import ROOT
+
+read_scores: Any = runpy.run_path(str(ROOT / "benchmarks" / "scores.py"))["read_scores"]
 STARTS = 8
 
 
@@ -38,8 +40,8 @@ def told(
         "diverged": count > 0,
     }
     played = Table(RECORDED.only(*columns), columns)
-    result = evaluation.result_of(policy.policy, "pull", task, played)
-    path.write_text(as_text(report(config, [result], identity(config))), encoding="utf-8")
+    results = [asdict(result_of(policy.policy, "pull", task, played))]
+    path.write_text(json.dumps({**identity(config), "learners": {}, "results": results}))
     return path
 
 
