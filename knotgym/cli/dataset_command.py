@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import App, Parameter
+from pydantic import NonNegativeInt
 
 from knotgym.cli.options import APP, DrawSeed, Given, command
 from knotgym.common import Failed, InvalidInput
@@ -52,23 +53,26 @@ def gallery(given: Given, source: Source, /, *, out: Path | None = None) -> None
 
 
 @_command("")
-def verify(given: Given, source: Source, /) -> None:
+def verify(given: Given, source: Source, /, *, sample: NonNegativeInt = 0) -> None:
     """Check a dataset.
 
     Compares checksums and schema, recomputes Gauss codes with two implementations, replays the
     actions that led to each state, and checks the splits. Exit status 1 on any fault.
+
+    Args:
+        sample: Episodes to draw and play again, where all would take too long; 0 for all.
     """
     from knotgym.cli.inspection import checked, faults
     from knotgym.runs import compile_first
 
     compile_first(given.progress)
     found = 0
-    for fault in faults(source, given.progress):
+    for fault in faults(source, given.progress, sample):
         _print(given, f"fault: {fault}")
         found += 1
     if found:
         raise Failed(f"{source}: {found} faults")
-    given.progress.say(f"{source}: {checked(source)}: no faults")
+    given.progress.say(f"{source}: {checked(source, sample)}: no faults")
 
 
 @_command("run.overwrite")

@@ -16,6 +16,7 @@ from knotgym.control import dataset_faults, replay
 from knotgym.datasets import (
     CardTable,
     differences,
+    drawn_episodes,
     expanded,
     image_card_tables,
     in_words,
@@ -60,7 +61,7 @@ def show(named: str, console: Console) -> None:
             _print_facts(show_episodes(one), console)
 
 
-def faults(named: str, progress: Progress) -> Iterator[str]:
+def faults(named: str, progress: Progress, sample: int = 0) -> Iterator[str]:
     """Check the datasets that a path or an id names; yield their faults.
 
     Raises:
@@ -86,10 +87,10 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
             progress.say(one_line(f"setup {number}, claimed: {json.dumps(claimed)}"))
         return
     with executor(0 if large else 1) as pool:
-        yield from dataset_faults(named, pool.map, progress.stage)
+        yield from dataset_faults(named, pool.map, progress.stage, sample)
 
 
-def checked(named: str) -> str:
+def checked(named: str, sample: int = 0) -> str:
     """Describe what `faults` has checked, as counts."""
     if is_entry(resolve(named)):
         entry = read_entry(resolve(named))
@@ -100,8 +101,11 @@ def checked(named: str) -> str:
     if found.states:
         counts["Gauss codes"] = len(read_states(found.states, images=False))
     for one in found.episodes:
-        own = open_episodes(one).episodes.episodes
+        own = drawn_episodes(whole := open_episodes(one), sample).episodes.episodes
         counts["demonstrations" if found.states else "episodes"] += own.rows
+        if own.rows < (rows := whole.episodes.episodes.rows):
+            # no fault in n: with 95 % confidence at most 3 / n are wrong, the rule of three
+            counts[f"drawn of {rows} (95 % sure: under {300 / own.rows:.2g} % wrong)"] = own.rows
         counts["steps replayed"] += int(own["length"].sum())
     counts["checksums"] = len(read_manifest(found.root)[0].get("files", {}))
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)

@@ -66,6 +66,7 @@ class Stream(IntEnum):
     IMAGE_CAMERA = 72  # rope, pulls: the camera of a photo
     STREAM_ORDER = 76  # block: the order of its rows
     STREAM_PICTURES = 77  # block: the seed of its pictures
+    CHECKED_EPISODES = 78  # the episodes of a large set that are checked
 
     def key(self, seed: int, *counters: int) -> tuple[int, ...]:
         """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63)."""

@@ -17,6 +17,7 @@ from knotgym.datasets import (
     Count,
     Episodes,
     ReplayFault,
+    drawn_episodes,
     folder_faults,
     locate,
     open_episodes,
@@ -38,11 +39,13 @@ def replay(episodes: Episodes, task: TaskConfig) -> Episodes:
     return rollouts(RecordedPolicy(episodes), task, episodes.episodes)
 
 
-def verify(source: str | os.PathLike[str]) -> list[str]:
+def verify(source: str | os.PathLike[str], *, sample: int = 0) -> list[str]:
     """Verify a dataset: checksums, schema, codes by two labellers, exact replays, pictures, splits.
 
     Args:
         source: a folder or a file that knotgym wrote, or the id of a Minari dataset.
+        sample: of episodes, how many drawn ones to play again, where all would take too long; 0 for
+            all. Columns are then not compared with Minari's form.
 
     Returns:
         Faults; each names the file and, where possible, the row or step. Empty if there are none.
@@ -51,11 +54,14 @@ def verify(source: str | os.PathLike[str]) -> list[str]:
         FileNotFoundError: there is nothing at `source`.
         MissingExtra: `source` is a table of pictures and pyarrow isn't installed.
     """
-    return list(dataset_faults(source))
+    return list(dataset_faults(source, sample=sample))
 
 
 def dataset_faults(
-    source: str | os.PathLike[str], each: Map = map, count: Count = uncounted
+    source: str | os.PathLike[str],
+    each: Map = map,
+    count: Count = uncounted,
+    sample: int = 0,
 ) -> Iterator[str]:
     """Yield the faults that `verify` lists, each as soon as it is found.
 
@@ -63,7 +69,7 @@ def dataset_faults(
     and may run in parallel, see `image_faults`.
     """
     elsewhere, wrong = False, False
-    for fault in _faults(source, each, count):
+    for fault in _faults(source, each, count, sample):
         replayed = isinstance(fault, ReplayFault)
         elsewhere, wrong = elsewhere or replayed, wrong or not replayed
         yield fault
@@ -74,7 +80,7 @@ def dataset_faults(
         )
 
 
-def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator[str]:
+def _faults(source: str | os.PathLike[str], each: Map, count: Count, sample: int) -> Iterator[str]:
     found = locate(os.fspath(source))
     if found.pictures:
         # imported here, because only this check needs pyarrow
@@ -87,13 +93,13 @@ def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator
         yield from state_faults(read_states(found.states), count)
     else:
         for one in found.episodes:
-            faults = [*verify_episodes(one, replay, count=count)]
-            yield from faults or _start_faults(one)
+            faults = [*verify_episodes(one, replay, count=count, sample=sample)]
+            yield from faults or _start_faults(one, sample)
 
 
-def _start_faults(source: Path) -> Iterator[str]:
+def _start_faults(source: Path, sample: int) -> Iterator[str]:
     """Yield episodes of a collection that don't begin as the seeds of its run say."""
-    dataset = open_episodes(source)
+    dataset = drawn_episodes(open_episodes(source), sample)
     run, rows = dataset.attributes.get("run"), dataset.episodes.episodes
     config = run.get("config") if isinstance(run, dict) else None
     if not isinstance(config, dict):
@@ -123,4 +129,5 @@ def _start_faults(source: Path) -> Iterator[str]:
         }
         for row, faults in zip(some.tolist(), zip(*wrong.values(), strict=True), strict=True):
             if any(faults):
-                yield f"{dataset.path}, episode {row}: {[*wrong][faults.index(True)]}"
+                number = dataset.numbers[row]
+                yield f"{dataset.path}, episode {number}: {[*wrong][faults.index(True)]}"

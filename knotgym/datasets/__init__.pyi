@@ -18,6 +18,7 @@ from .episode_dataset import open_episodes as open_episodes
 from .episode_dataset import write_episodes as write_episodes
 from .episode_verification import Count as Count
 from .episode_verification import ReplayFault as ReplayFault
+from .episode_verification import drawn_episodes as drawn_episodes
 from .episode_verification import expanded as expanded
 from .episode_verification import show_episodes as show_episodes
 from .episode_verification import uncounted as uncounted

@@ -115,11 +115,14 @@ class EpisodeDataset:
         """The attributes that stay when rows are taken: run, metadata, selection, states."""
         return {k: self.attributes[k] for k in _KEPT_FACTS if k in self.attributes}
 
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """The numbers of the episodes in their file, int64 (n,)."""
+        return np.arange(self.episodes.episodes.rows) if self.rows is None else self.rows
+
     def select(self, rows: Any) -> "EpisodeDataset":
         """Return the dataset with some of its episodes, by a mask or by their numbers."""
-        count = self.episodes.episodes.rows
-        known = np.arange(count) if self.rows is None else self.rows
-        chosen = known[np.asarray(rows) if np.size(rows) else slice(0)]
+        chosen = self.numbers[np.asarray(rows) if np.size(rows) else slice(0)]
         return replace(self, episodes=self.episodes.select(rows), rows=chosen)
 
     @property

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common import InvalidFile, KnotgymError, MissingFile, as_json, one_line
+from knotgym.common import InvalidFile, KnotgymError, MissingFile, Stream, as_json, one_line
 from knotgym.datasets.episode_dataset import (
     EpisodeDataset,
     advice_digest,
@@ -71,13 +71,16 @@ def expanded(dataset: EpisodeDataset, replay: Replay, count: Count = uncounted) 
     return replace(dataset, episodes=whole)
 
 
-def verify_episodes(source: Any, replay: Replay, *, count: Count = uncounted) -> Iterator[str]:
+def verify_episodes(
+    source: Any, replay: Replay, *, count: Count = uncounted, sample: int = 0
+) -> Iterator[str]:
     """Verify a file of episodes or a Minari dataset.
 
     Args:
         source: what `open_episodes` takes.
         replay: plays the episodes again, to be compared.
         count: progress callback.
+        sample: how many drawn episodes to play again; 0 for all.
 
     Yields:
         Faults; each names the file, the episode and, where possible, the step.
@@ -97,17 +100,28 @@ def verify_episodes(source: Any, replay: Replay, *, count: Count = uncounted) ->
         return
     yield from split_faults(dataset)
     yield from duplicate_faults(dataset)
+    dataset = drawn_episodes(dataset, sample)
     try:
         columns = expanded(dataset, replay, count)
-        for fault in differences(columns.episodes, dataset.episodes):
+        for fault in differences(columns.episodes, dataset.episodes, dataset.numbers):
             yield ReplayFault(f"{dataset.path}, {fault}, played again")
     except KnotgymError as error:
         yield ReplayFault(f"{dataset.path}: can't be played again: {one_line(error)}")
         return
     for fault in _code_faults(columns, count):
         yield f"{dataset.path}, {fault}"
-    if not dataset.episodes.is_recording:
+    if not dataset.episodes.is_recording and dataset.rows is None:
         yield from minari_faults(dataset)
+
+
+def drawn_episodes(dataset: EpisodeDataset, sample: int) -> EpisodeDataset:
+    """Return a dataset of so many episodes, drawn from a generator of its content; 0 for all."""
+    rows = dataset.episodes.episodes.rows
+    if not 0 < sample < rows:
+        return dataset
+    content = int(content_digest(dataset.episodes)[:12], 16)
+    rng = Stream.CHECKED_EPISODES.generator(content)
+    return dataset.select(np.sort(rng.choice(rows, sample, replace=False)))
 
 
 def show_episodes(source: Any) -> dict[str, Any]:
@@ -185,27 +199,28 @@ def _code_faults(dataset: EpisodeDataset, count: Count) -> Iterator[str]:
     """Yield where codes aren't those of the vertices, or goals not those that their codes say."""
     episodes = dataset.episodes
     own, steps, first = episodes.episodes, episodes.steps, episodes.offsets[:-1]
+    numbers = dataset.numbers.tolist()
     chiral = gauss_codes(steps["visits"], steps["signs"])
     wanted, shown = gauss_codes(own["goal_visits"]), label_many(_float64(own["goal_points"]))
     begins = gauss_codes(steps["visits"][first])
     for row, last in enumerate(episodes.last().tolist()):
         count("codes read again", row, own.rows)
         if str(shown[row]) != wanted[row]:
-            yield f"episode {row}: its goal shows {str(shown[row])!r}, not {wanted[row]!r}"
+            yield f"episode {numbers[row]}: its goal shows {str(shown[row])!r}, not {wanted[row]!r}"
         second = pyknotid_code(_float64(steps["observation"][last])).chiral
         if second != chiral[last]:
             yield (
-                f"episode {row}, step {own['length'][row]}: pyknotid reads {second!r}, the file"
-                f" says {chiral[last]!r}"
+                f"episode {numbers[row]}, step {own['length'][row]}: pyknotid reads {second!r},"
+                f" the file says {chiral[last]!r}"
             )
         knots = [knot_type(GaussCode.parse(str(code))) for code in (begins[row], wanted[row])]
         if knots[0] != knots[1]:
             yield (
-                f"episode {row}: starts as {knots[0]}, and its goal is {knots[1]}: no pull changes"
-                " the knot type"
+                f"episode {numbers[row]}: starts as {knots[0]}, and its goal is {knots[1]}: no pull"
+                " changes the knot type"
             )
         elif begins[row] == wanted[row] and wanted[row]:
-            yield f"episode {row}: starts in its goal's code"
+            yield f"episode {numbers[row]}: starts in its goal's code"
 
 
 def _float64(points: NDArray[Any]) -> NDArray[np.float64]:

@@ -208,10 +208,16 @@ def merged(sets: Sequence[Episodes]) -> Episodes:
     )
 
 
-def differences(one: Episodes, other: Episodes) -> list[str]:
+def differences(
+    one: Episodes, other: Episodes, numbers: Sequence[int] | NDArray[np.int64] | None = None
+) -> list[str]:
     """Say in which episode, step and column two sets differ in any bit.
 
     Columns that only one of them has, and the number of planned pulls, aren't compared.
+
+    Args:
+        one, other: the sets.
+        numbers: what to call the episodes; by default their places.
 
     Returns:
         For each episode and column the first difference, in order of the episodes.
@@ -219,10 +225,11 @@ def differences(one: Episodes, other: Episodes) -> list[str]:
     if one.episodes.rows != other.episodes.rows:
         return [f"{other.episodes.rows} episodes, should be {one.episodes.rows}"]
     one, other = fitted([one, other])
+    called = range(one.episodes.rows) if numbers is None else numbers
     found: list[tuple[int, int, str]] = []
     for name in one.episodes.keys() & other.episodes.keys() - NOT_STEPPED:
         rows = _differing(one.episodes[name], other.episodes[name])
-        found += [(row, -1, f"episode {row}: {name} differs") for row in rows.tolist()]
+        found += [(row, -1, f"episode {called[row]}: {name} differs") for row in rows.tolist()]
     # steps are compared where episodes have as many
     alike = np.flatnonzero(one.episodes["length"] == other.episodes["length"])
     if len(alike) < one.episodes.rows:
@@ -232,7 +239,7 @@ def differences(one: Episodes, other: Episodes) -> list[str]:
         rows = _differing(one.steps[name], other.steps[name])
         for row in rows[np.unique(owner[rows], return_index=True)[1]].tolist():
             k, step = int(alike[owner[row]]), int(row - offsets[owner[row]])
-            found.append((k, step, f"episode {k}, step {step}: {name} differs"))
+            found.append((k, step, f"episode {called[k]}, step {step}: {name} differs"))
     return [text for *_, text in sorted(found)]
 
 

@@ -157,7 +157,9 @@ def publish(
         if states is not None:
             copy_file(Path(states), data / STATES_FILE)
             own[STATES_DIGEST] = sha256(data / STATES_FILE)
-        write_episodes(data / FILE, parts, task, own)
+        # what is stepped again is read once, so it needn't be mapped
+        pack = all(part.is_recording for part in parts)
+        write_episodes(data / FILE, parts, task, own, pack=pack)
         wanted = form == "minari" or (not form and pulls <= MINARI_STEPS)
         if wanted and not any(part.is_recording for part in parts):
             write_minari(open_episodes(data / FILE), data)

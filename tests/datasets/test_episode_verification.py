@@ -38,6 +38,23 @@ def test_what_was_played_is_verified(name: str) -> None:
     assert knotgym.verify(TINY[name]) == []
 
 
+def test_a_drawn_part_is_checked_by_its_own_numbers(tmp_path: Path, good: EpisodeDataset) -> None:
+    whole, path = good.episodes, tmp_path / "a.h5"
+    wrong = whole.steps["reward"].copy()
+    wrong[whole.offsets[:-1]] += 1  # in every episode
+    write_episodes(path, [whole._replace(steps=whole.steps.replaced(reward=wrong))], good.task)
+    named, drawn = (
+        {
+            int(text.split("episode ")[1].split(",")[0])
+            for text in knotgym.verify(path, sample=n)[:-1]
+        }
+        for n in (0, 2)
+    )
+    assert named - {""} == {*map(str, range(whole.episodes.rows))}
+    assert len(drawn - {""}) == 2 and drawn < named
+    assert knotgym.verify(TINY["expert"], sample=2) == []
+
+
 def _first(value: Any) -> Change:
     def change(array: NDArray[np.generic]) -> None:
         array[0] = value
